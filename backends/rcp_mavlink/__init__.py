@@ -1,6 +1,6 @@
-"""MAVLink vehicles: drones, planes, rovers and boats as robots; `rcp_mavlink_sim` simulates them.
+"""MAVLink vehicles: drones, planes, rovers and boats; `rcp_mavlink_sim` simulates them.
 
-Importing this costs nothing; pymavlink itself is imported when a backend is opened.
+Importing this package is cheap; pymavlink is imported when a backend is opened.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class MavlinkBackend(BaseBackend):
         self.hub, self._host = hub, host
         self.on_loss = hub.config.on_loss
         self.robots: dict[str, Robot] = {}
-        """By their path segment; empty for a single vehicle."""
+        """By path segment; empty for a single vehicle."""
 
     def found(self, vehicle: Vehicle) -> None:
         """Add a newly detected vehicle to the tree."""
@@ -43,7 +43,7 @@ class MavlinkBackend(BaseBackend):
     def changed(self, vehicle: Vehicle) -> None:
         """Report lost and returned vehicles."""
         mine = [r for r in self.robots.values() if r.vehicle is vehicle and not vehicle.lost]
-        for robot in mine:  # ahead of the report, which may have others ask for messages
+        for robot in mine:  # before the report, whose listeners may request messages
             robot.stop.doubt()
             robot.stop_if_latched()
             robot.restore()
@@ -90,7 +90,7 @@ class MavlinkBackend(BaseBackend):
         return await robot.execute(own, value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Request it from the vehicle while entered."""
+        """Request the resource from the vehicle while entered."""
         robot, own = self._robot(name)
         return robot.watch(own, rate)
 
@@ -99,7 +99,7 @@ class MavlinkBackend(BaseBackend):
     def _meant(self, robot: str | None) -> list[Robot]:
         """List one vehicle by its name, or all of them.
 
-        :raises AdapterUnavailable: there is none: a vehicle that is not connected was not stopped.
+        :raises AdapterUnavailable: it is not connected, so it was not stopped.
         """
         if robot is None or not self.hub.config.discover:
             meant = list(self.robots.values())
@@ -112,7 +112,7 @@ class MavlinkBackend(BaseBackend):
     async def _each(self, robot: str | None, do: Callable[[Robot], Awaitable[Any]]) -> list[Any]:
         """Run something on every addressed vehicle, even if others fail.
 
-        :raises RcpError: the most severe failure, which names all affected vehicles.
+        :raises RcpError: the most severe failure; names all affected vehicles.
         """
         meant = self._meant(robot)
         done = await asyncio.gather(*map(do, meant), return_exceptions=True)
@@ -131,7 +131,7 @@ class MavlinkBackend(BaseBackend):
         return done
 
     async def halt(self) -> None:
-        """Stop every vehicle by the configured steps; the stop is also sent to lost ones."""
+        """Stop every vehicle by the configured steps; lost vehicles are sent the stop as well."""
         await self._each(None, lambda r: r.stop.halt())
 
     async def halt_robot(self, robot: str) -> None:
@@ -139,7 +139,7 @@ class MavlinkBackend(BaseBackend):
         await self._each(robot, lambda r: r.stop.halt())
 
     def motion(self, robot: str | None) -> MotionState | None:
-        """Report whether a vehicle is at rest, by telemetry; for several, the worst state."""
+        """Report whether the vehicles are at rest, by telemetry; of several, the worst state."""
         try:
             meant = self._meant(robot)
         except AdapterUnavailable as error:
@@ -155,12 +155,12 @@ class MavlinkBackend(BaseBackend):
 
     def hold_stop(self, robot: str | None) -> None:
         """Send the stop again, if due."""
-        with suppress(AdapterUnavailable):  # it gets the stop as soon as it is heard
+        with suppress(AdapterUnavailable):  # stopped once it is heard again
             for each in self._meant(robot):
                 each.stop.hold_stop()
 
     async def hold(self, robot: str | None) -> None:
-        """Command a vehicle in the air to hold its position; nothing to do on the ground."""
+        """Command a vehicle in the air to hold its position; does nothing on the ground."""
         await self._each(robot, lambda r: r.stop.hold())
 
     async def recover(self, robot: str | None) -> str:
@@ -169,7 +169,7 @@ class MavlinkBackend(BaseBackend):
         return "; ".join(done)
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """List what stops each vehicle if the gateway stops sending."""
+        """List what stops each vehicle when the gateway falls silent."""
         return [dog for r in self.robots.values() for dog in (*r.watchdogs.found, r.guard.watchdog)]
 
 

@@ -1,4 +1,4 @@
-"""Calibration of the sensors, on the ground."""
+"""Sensor calibration, on the ground."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Calibration:
         self._vehicle, self._commands = vehicle, commands
 
     async def calibrate(self, given: m.Calibrate | None, progress: Progress) -> m.Calibrated:
-        """Calibrate a sensor; the acknowledgement comes when it is done."""
+        """Calibrate a sensor; the vehicle acknowledges when it is done."""
         what = (given or m.Calibrate()).what
         since = time.monotonic()
         await self._commands.send(

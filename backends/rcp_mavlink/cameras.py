@@ -44,7 +44,7 @@ class Cameras:
         )
 
     async def _find(self) -> int | None:
-        """Return the component of a camera that takes pictures; None if there is none."""
+        """Return the component id of a camera that takes pictures; None if there is none."""
         dialect = self._hub.dialect.by_name
         if _INFORMATION not in dialect or _CAPTURED not in dialect:
             return None

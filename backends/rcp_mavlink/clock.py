@@ -1,4 +1,4 @@
-"""Time of measurement: the vehicle's clock counts from boot, TIMESYNC gives the offset."""
+"""Time of measurement: the vehicle's clock counts from boot; TIMESYNC yields the offset."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from rcp_mavlink.frames import Frame
 
 __all__ = ["Clock"]
 
-_UNIX = 1_000_000_000_000_000  # us: what is more than this counts from 1970 by itself
-_SLOWEST = 1_000_000_000  # ns that an answer may take
-_OLDEST = 60_000_000_000  # ns: what seems older was measured by a clock that is wrong
-_WORSE = 1.2  # by which the best answer loses its weight each time, so that drift is followed
+_UNIX = 1_000_000_000_000_000  # us: larger values already count from 1970
+_SLOWEST = 1_000_000_000  # ns, maximum round trip
+_OLDEST = 60_000_000_000  # ns: an older measurement means that the clock is wrong
+_WORSE = 1.2  # aging factor of the best round trip, so that drift is followed
 
 
 class Clock:
-    """The offset of a vehicle's clock to ours."""
+    """The offset between a vehicle's clock and ours."""
 
     def __init__(self) -> None:
         self._offset: int | None = None
@@ -29,7 +29,7 @@ class Clock:
         return self._requested
 
     def on_reply(self, theirs: int, requested: int) -> None:
-        """Handle the reply to the latest request: the shortest round trip is the most accurate."""
+        """Handle the reply to the latest request; the shortest round trip is the most accurate."""
         took = time.time_ns() - requested
         if theirs == 0 or requested != self._requested or not 0 <= took <= _SLOWEST:
             return

@@ -33,13 +33,13 @@ _WORDS = {
     7: "accepted as COMMAND_LONG only", 8: "accepted as COMMAND_INT only", 9: "unsupported frame",
     10: "not in control",
 }  # fmt: skip
-_PATIENCE = 30.0  # s that a command may be in progress without news
-_LAST_WORDS = 0.15  # s in which the reason may come after the refusal
+_PATIENCE = 30.0  # s without an update after which a command in progress times out
+_LAST_WORDS = 0.15  # s within which the reason may follow the refusal
 _RELATIVE = 6
 _REMEDY = "Fix what the vehicle reports and try again; sensor/prearm shows whether it can be armed."
 _NO_REASON = "The vehicle gave no reason; check sensor/state, sensor/mode and event/statustext."
 _QUESTIONS = frozenset({401, 510, 511, 512})
-"""Commands that only request messages or reasons, and move nothing."""
+"""Commands that only request messages or reasons; they do not move the vehicle."""
 
 
 class Command(msgspec.Struct, frozen=True):
@@ -55,7 +55,7 @@ class Command(msgspec.Struct, frozen=True):
     place: bool = False
     """Whether `x` and `y` are degrees."""
     whole: bool = False
-    """Send it as COMMAND_INT from the start."""
+    """Whether to send it as COMMAND_INT at once."""
     component: int | None = None
     """Target component; None is the autopilot."""
 
@@ -63,7 +63,7 @@ class Command(msgspec.Struct, frozen=True):
 def mode_command(family: Family, mode: str) -> Command:
     """Return DO_SET_MODE for a mode of a family.
 
-    :raises NotImplementedByRobot: it has no such mode.
+    :raises NotImplementedByRobot: the family does not have the mode.
     """
     number = family.number(mode)
     if number is None:
@@ -85,10 +85,10 @@ class Commands:
     async def send(
         self, command: Command, what: str, progress: Callable[[float], None] | None = None
     ) -> None:
-        """Send a command and wait until it is accepted, which is not yet done.
+        """Send a command and wait until it is accepted; completion must be observed separately.
 
-        :raises DeviceRejected: it is refused.
-        :raises DeviceTimeout: there is no response.
+        :raises DeviceRejected: the vehicle refuses it.
+        :raises DeviceTimeout: the vehicle does not respond.
         :raises EstopActive: the vehicle was stopped after the request.
         """
         self._vehicle.check()
@@ -96,7 +96,7 @@ class Commands:
         async with self._turns[command.number]:
             try:
                 result = await self._request(command, what, progress, whole=command.whole)
-            except AdapterUnavailable as lost:  # it may have heard it, and do it
+            except AdapterUnavailable as lost:  # the vehicle may have received and executed it
                 raise DeviceTimeout(f"{what}: {lost}, and it had not responded") from None
             other = not command.whole
             if result in (_UNSUPPORTED, _INT_ONLY) and other:
@@ -138,7 +138,7 @@ class Commands:
         config = self._hub.config
         with self._vehicle.listening("COMMAND_ACK", take, anybody=True):
             late = self._orphans.pop(command.number, 0.0) - time.monotonic()
-            if late > 0:  # it would be taken for the answer to this one
+            if late > 0:  # it would be mistaken for the reply to this command
                 with suppress(TimeoutError):
                     async with asyncio.timeout(late):
                         await answers.get()

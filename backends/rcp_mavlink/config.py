@@ -19,7 +19,7 @@ SystemId = Annotated[int, Meta(ge=1, le=255)]
 
 
 class LinkSpec(Struct, frozen=True):
-    """One link as it is written: `udpin:127.0.0.1:14550`, `serial:/dev/ttyACM0:115200`."""
+    """One link as configured: `udpin:127.0.0.1:14550`, `serial:/dev/ttyACM0:115200`."""
 
     kind: str
     host: str
@@ -29,9 +29,9 @@ class LinkSpec(Struct, frozen=True):
 
     @classmethod
     def of(cls, text: str) -> LinkSpec:
-        """Read one.
+        """Parse a link.
 
-        :raises ValueError: it is none.
+        :raises ValueError: the text is not a valid link.
         """
         if (net := _NET.match(text)) is not None and int(net[4]) < 65536:
             return cls(net[1], net[2] or net[3], int(net[4]))
@@ -126,7 +126,7 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     @property
     def feedback_limit(self) -> float:
         """Maximum age of a position for motion, s."""
-        # Four in a row: one or two get lost on any radio, and at 4 Hz a second has passed then.
+        # Four periods: one or two messages get lost on any radio, and at 4 Hz they last a second.
         return self.feedback_timeout or max(1.0, 4 / self.rate)
 
     def __post_init__(self) -> None:

@@ -18,9 +18,9 @@ _LARGEST = 32 << 20  # bytes
 
 
 def checked(source: str | None) -> None:
-    """Check that a file exists and can be read.
+    """Check that a metadata file exists and is valid.
 
-    :raises ConfigError: it is not, or holds something else.
+    :raises ConfigError: it does not exist or is not a metadata file.
     """
     if source is None or source.startswith(_ON_BOARD):
         return
@@ -46,7 +46,7 @@ class Described:
             data = await self._read(source)
             self._known = await asyncio.to_thread(described, data)
         except (OSError, ValueError, RcpError):
-            return {}  # names and types there are all the same
+            return {}  # all vehicles with this file have the same parameters
         return self._known
 
     async def _read(self, source: str) -> bytes:
@@ -62,4 +62,4 @@ class Described:
 
 
 def _silent(feedback: object = None, *, fraction: float | None = None) -> None:
-    """Tell nobody."""
+    """Discard the progress."""

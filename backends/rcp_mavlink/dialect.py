@@ -45,7 +45,7 @@ _NEEDED = {
 
 
 class Definition:
-    """One message of a dialect: its decoding and its type in the tree."""
+    """One message of a dialect: its decoder and its type in the tree."""
 
     def __init__(self, module: Any, cls: Any) -> None:
         self.cls = cls
@@ -81,7 +81,7 @@ class Definition:
 
     @cached_property
     def stamp(self) -> tuple[int, int, int] | None:
-        """Place and size (bytes) of the time of measurement in the payload, and its unit in ns."""
+        """Offset and size (bytes) of the time of measurement in the payload, and its unit in ns."""
         cls, place = self.cls, 0
         kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
         for name, length in zip(cls.ordered_fieldnames, cls.array_lengths, strict=True):
@@ -117,7 +117,7 @@ class Definition:
         return self._made(self.raw(payload))
 
     def fields_of(self, payload: bytes) -> dict[str, Any]:
-        """Return the fields of a payload as they are on the wire; arrays are lists."""
+        """Return the fields of a payload as on the wire; arrays are lists."""
         values = self.raw(payload)
         return {
             f.name: list(values[f.place : f.place + f.length])
@@ -127,7 +127,7 @@ class Definition:
         }
 
     def raw(self, payload: bytes) -> tuple[Any, ...]:
-        """Decode a payload; truncated zeros are restored."""
+        """Unpack a payload; restores truncated zeros."""
         return self.unpack(payload[: self.size].ljust(self.size, b"\0"))
 
 
@@ -165,7 +165,7 @@ def _one(field: Field) -> Any:
 
 
 class Dialect:
-    """All messages of a dialect by id and by name; `module` makes those that are sent."""
+    """All messages of a dialect by id and by name; `module` builds messages to send."""
 
     def __init__(self, module: Any) -> None:
         self.module = module
@@ -176,7 +176,7 @@ class Dialect:
 def dialect(name: str) -> Dialect:
     """Load a dialect by its name, or from an XML file, which takes seconds.
 
-    :raises ConfigError: there is none, or it lacks what a vehicle is led with.
+    :raises ConfigError: it does not exist, or lacks a required message.
     """
     found = Dialect(module_of(Path(name))) if name.endswith(".xml") else _of_pymavlink(name)
     missing = sorted(_NEEDED - found.by_name.keys())

@@ -1,4 +1,4 @@
-"""The on-board fence, for errors: an autopilot refuses targets outside it without a text."""
+"""The on-board fence, to explain errors: an autopilot refuses targets outside it without a text."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
 
 
 def is_enabled(vehicle: Vehicle) -> bool:
-    """Tell whether the vehicle reports that its fence is enabled."""
+    """Return whether the vehicle reports that its fence is enabled."""
     return bool(_bits(vehicle, "enabled"))
 
 
 def is_breached(vehicle: Vehicle) -> bool:
-    """Tell whether the vehicle reports that it is outside its fence."""
+    """Return whether the vehicle reports that it is outside its fence."""
     return is_enabled(vehicle) and not _bits(vehicle, "health")
 
 
@@ -31,7 +31,7 @@ def _bits(vehicle: Vehicle, which: str) -> int:
 def crossing(
     vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
 ) -> str | None:
-    """Describe the fence that a target (deg) at a height above home (m) violates; None if none."""
+    """Describe which fence a target (deg) at a height above home (m) violates; None if none."""
 
     def value(name: str) -> float | None:
         known = parameters.known.get(name)

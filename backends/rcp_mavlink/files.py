@@ -19,10 +19,10 @@ __all__ = ["Check", "Entry", "FilePath", "FilePiece", "FileRange", "FileWrite", 
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
 
-MOST = 4 << 20  # bytes at once
+MOST = 4 << 20  # bytes per request
 _MOST_ENTRIES = 10_000
 _END = 6
-_COUNTING = 3.0  # s that a vehicle may count a sum before it is asked again
+_COUNTING = 3.0  # s for the vehicle to compute a CRC before the request is repeated
 _LARGEST = 2**32 - 1
 
 Path = Annotated[
@@ -50,7 +50,7 @@ class Entry(Struct, frozen=True):
     name: str
     kind: Literal["file", "directory"]
     size: Bytes
-    """0 of a directory."""
+    """0 for a directory."""
 
 
 class FileRange(Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,7 +67,7 @@ class FilePiece(Struct, frozen=True):
     path: str
     offset: Bytes
     end: bool
-    """Whether the file ends with it."""
+    """Whether the file ends here."""
     data: bytes
 
 
@@ -89,7 +89,7 @@ class Written(Struct, frozen=True):
 
 
 class Check(Struct, frozen=True):
-    """The CRC-32 of a file, begun at 0 and not inverted."""
+    """The CRC-32 of a file, with initial value 0 and no final inversion."""
 
     path: str
     crc: Sum
@@ -100,7 +100,7 @@ class Remove(Struct, frozen=True, forbid_unknown_fields=True):
 
     path: Path
     directory: bool = False
-    """An empty directory in place of a file."""
+    """Whether it is an empty directory instead of a file."""
 
 
 class Rename(Struct, frozen=True, forbid_unknown_fields=True):
@@ -111,7 +111,7 @@ class Rename(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def checksum(data: bytes) -> int:
-    """Return the CRC-32 as the vehicles count it: begun at 0 and not inverted."""
+    """Return the CRC-32 as vehicles compute it: initial value 0, no final inversion."""
     return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
@@ -134,7 +134,7 @@ class Files:
         }
 
     async def list(self, given: FilePath, _: Progress) -> list[Entry]:
-        """List a directory; ask for more until there is no more."""
+        """List a directory; request further entries until there are none left."""
         found: list[Entry] = []
         path, what, at = _encoded(given.path), f"listing {given.path}", 0
         async with self._ftp.turn():
@@ -156,7 +156,7 @@ class Files:
         what, path = f"reading {given.path}", _encoded(given.path)
         ftp = self._ftp
         async with ftp.turn(), ftp.opened(Op.OPEN_TO_READ, path, what) as (session, size):
-            # Files that are made while they are read say 0, or more than they have.
+            # The size of a file that is generated when read may be reported as 0, or too large.
             stop = given.offset + given.count
             gaps = Gaps(given.offset, min(stop, size) if size else stop)
             await ftp.read(session, gaps, what, lambda part: progress(fraction=part))
@@ -226,7 +226,7 @@ def _encoded(path: str) -> bytes:
 
 
 def _entry(text: bytes) -> Entry | None:
-    """Read `Fname<tab>size` or `Dname`; None: what is to be left out, and the way up."""
+    """Parse `Fname<tab>size` or `Dname`; None for entries to skip, such as the parent directory."""
     kind, (name, _, size) = text[:1], text[1:].decode("utf-8", "replace").partition("\t")
     if kind == b"D" and name not in (".", ".."):
         return Entry(name, "directory", 0)

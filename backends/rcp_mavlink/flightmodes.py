@@ -36,22 +36,22 @@ class Family(NamedTuple):
     """`copter`, `plane`, `vtol`, `rover`, `boat` or `sub`."""
     modes: dict[int, str]
     guided: str
-    """The mode in which it goes to a target."""
+    """The mode for going to a target."""
     led: str
-    """The mode in which it follows set-points."""
+    """The mode for following set-points."""
     hold: str
-    """The mode in which it comes to rest, or circles, and stays."""
+    """The mode for holding or circling at a position."""
     auto: str
     rtl: str
-    """Empty: it cannot."""
+    """Empty if it has none."""
     land: str
-    """Likewise."""
+    """Empty if it has none."""
     without: frozenset[str] = frozenset()
     """Resources that it does not have."""
 
     @property
     def px4(self) -> bool:
-        """Whether it is PX4, which counts heights from the sea."""
+        """Whether it is PX4, which measures heights from sea level."""
         return self.autopilot == "px4"
 
     @property
@@ -66,23 +66,23 @@ class Family(NamedTuple):
 
     @property
     def drives(self) -> bool:
-        """Whether it is a ground or water vehicle, for which height is ignored."""
+        """Whether it is a ground or water vehicle; these ignore heights."""
         return self.kind in ("rover", "boat")
 
     def holding(self, *, hovering: bool) -> tuple[str, ...]:
-        """List the modes that hold its position, strongest first; all require a position."""
+        """List the modes that hold its position, in order of preference; all require a position."""
         if self.px4:
             return (self.hold,)
         match self.kind:
             case "copter" if self.hold:
                 return ("BRAKE", "LOITER", "POSHOLD")
-            case "vtol" if hovering:  # LOITER would make it fly off as a plane
+            case "vtol" if hovering:  # as a plane it would fly away in LOITER
                 return ("QLOITER",)
             case _:
                 return (self.hold,) if self.hold else ()
 
     def level(self, *, hovering: bool) -> tuple[str, ...]:
-        """List the modes that keep it level, or its motors at rest, without a position."""
+        """List the modes that keep it level, or stop its motors, without a position."""
         if self.px4 or not self.hold:
             return ()
         match self.kind:
@@ -105,7 +105,7 @@ class Family(NamedTuple):
         return frozenset(mode for modes in held for mode in modes)
 
     def circling(self, *, hovering: bool) -> frozenset[str]:
-        """List the modes in which it stays at a place by circling round it, and is at rest so."""
+        """List the modes in which circling around a position counts as rest."""
         if not self.circles or hovering:
             return frozenset()
         return frozenset(self.holding(hovering=False) + self.level(hovering=False))
@@ -115,7 +115,7 @@ class Family(NamedTuple):
         return next((n for n, word in self.modes.items() if word == name), None)
 
     def word(self, number: int) -> str:
-        """Return the name of a mode, or its number where it has none."""
+        """Return the name of a mode, or its number if it has no name."""
         return self.modes.get(number, str(number))
 
 

@@ -19,7 +19,7 @@ from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["Flights"]
 
-_HOME = 5.0  # m from home that count as there, for what drives
+_HOME = 5.0  # m from home within which a ground vehicle has returned
 
 
 class Flights:
@@ -41,7 +41,7 @@ class Flights:
             "action/move_to": self._journeys.move_to,
         }
 
-    # Up
+    # Take-off
 
     async def take_off(self, given: m.TakeOff | None, progress: Progress) -> m.Height:
         """Climb to a height above home."""
@@ -70,7 +70,7 @@ class Flights:
         if family.px4:
             fix = fix_of(self._vehicle)
             height = altitude + fix.above_sea - fix.height
-            nan = math.nan  # the heading and the place it has
+            nan = math.nan  # the present position and heading
             command = Command(22, (0.0, 0.0, 0.0, nan), nan, nan, height)
         elif family.kind == "plane":
             known = self._parameters.known.get("TKOFF_ALT")
@@ -83,7 +83,7 @@ class Flights:
             command = Command(22, z=altitude)
         await self._commands.send(command, "take-off")
 
-    # Back
+    # Return and landing
 
     async def land(self, _: None, progress: Progress) -> m.Height:
         """Land at the current position."""

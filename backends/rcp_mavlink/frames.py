@@ -13,7 +13,7 @@ _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SIGNATURE = 13  # bytes
 _UNSIGNED = frozenset({109})
-"""RADIO_STATUS comes from the radio itself, which has no key."""
+"""RADIO_STATUS comes from the radio itself, which has no signing key."""
 
 
 class Frame:
@@ -35,7 +35,7 @@ class Frame:
         return self.definition.decode(self.payload)
 
     def fields(self) -> dict[str, Any]:
-        """Return its fields as they are on the wire."""
+        """Return its fields as on the wire."""
         return self.definition.fields_of(self.payload)
 
 
@@ -47,15 +47,15 @@ class Stats:
     def __init__(self) -> None:
         self.frames = self.bytes = self.sent = 0
         self.bad = 0
-        """Bytes that belong to no frame, and frames with a wrong checksum."""
+        """Bytes outside any frame, and frames with a wrong checksum."""
         self.unknown = 0
-        """Frames of messages that are not in the dialect."""
+        """Frames with messages that are not in the dialect."""
         self.lost = 0
-        """Frames missing in the senders' sequence numbers."""
+        """Gaps in the senders' sequence numbers."""
         self.unsigned = 0
-        """Frames without a required signature."""
+        """Frames that lack the required signature."""
         self.rejected = 0
-        """Frames that were signed with another key, or a second time."""
+        """Frames signed with another key, and replayed ones."""
 
 
 class Framer:
@@ -76,20 +76,20 @@ class Framer:
         self._left = b""
 
     def datagram(self, data: bytes) -> list[Frame]:
-        """Return the frames of a datagram; a truncated one is lost."""
+        """Return the frames of a datagram; a truncated frame is lost."""
         found, at = self._frames(data)
         self.stats.bad += len(data) - at
         return found
 
     def stream(self, data: bytes) -> list[Frame]:
-        """Return the frames that are whole now; the rest waits for its end."""
+        """Return the complete frames; an incomplete one is kept until its rest arrives."""
         data = self._left + data if self._left else data
         found, at = self._frames(data)
         self._left = data[at:]
         return found
 
     def _frames(self, data: bytes) -> tuple[list[Frame], int]:
-        """Return the frames and the place of the first byte that may begin another one."""
+        """Return the frames and the offset of the first byte that may start another one."""
         found: list[Frame] = []
         stats, known, crc = self.stats, self._known, self._crc
         at, end = 0, len(data)
@@ -140,7 +140,7 @@ class Framer:
         return found, at
 
     def _skip(self, data: bytes, at: int) -> int:
-        """Return the place of the next byte that may begin a frame."""
+        """Return the offset of the next byte that may start a frame."""
         places = [place for place in (data.find(b"\xfd", at), data.find(b"\xfe", at)) if place >= 0]
         place = min(places, default=len(data))
         self.stats.bad += place - at
@@ -150,6 +150,6 @@ class Framer:
         expected = self._next.get(sender)
         if expected is not None and seq != expected:
             missing = (seq - expected) & 0xFF
-            if missing < 128:  # more: it came late, or the sender began anew
+            if missing < 128:  # larger gaps: the frame is late, or the sender has restarted
                 self.stats.lost += missing
         self._next[sender] = (seq + 1) & 0xFF

@@ -27,9 +27,9 @@ PIECE = 239
 """Bytes of data in one message."""
 _HEAD = struct.Struct("<HBBBBBxI")
 _ACK, _NAK = 128, 129
-_AT_ONCE = 4  # pieces written that wait for their answer
-_LATE = 4096  # pieces of a burst that may still be on their way when it is given up
-_BURST_FROM = 4 * PIECE  # bytes that are worth a burst
+_AT_ONCE = 4  # chunks written but not yet acknowledged
+_LATE = 4096  # chunks that may still arrive after a burst is abandoned
+_BURST_FROM = 4 * PIECE  # bytes above which a burst is worthwhile
 _END_OF_FILE, _ERRNO, _NO_SESSION, _UNKNOWN = 6, 2, 5, 7
 _EXISTS, _NOT_FOUND = 8, 10
 _WORDS = {
@@ -38,7 +38,7 @@ _WORDS = {
     10: "no such file or directory",
 }  # fmt: skip
 _ENOENT, _EEXIST = 2, 17
-_PATIENT = 15  # times that it is asked for what takes long
+_PATIENT = 15  # requests for an operation that takes long
 
 
 class Op:
@@ -56,13 +56,13 @@ class Reply(NamedTuple):
     opcode: int
     request_opcode: int
     complete: bool
-    """Of a burst."""
+    """Whether it is the last message of a burst."""
     offset: int
     data: bytes
 
     @classmethod
     def of(cls, payload: bytes) -> Reply:
-        """Take a payload apart."""
+        """Parse a payload."""
         seq, session, opcode, size, request_opcode, complete, offset = _HEAD.unpack_from(payload)
         return cls(
             seq, session, opcode, request_opcode, bool(complete), offset, payload[12 : 12 + size]
@@ -70,7 +70,7 @@ class Reply(NamedTuple):
 
     @property
     def error(self) -> int:
-        """The error of a refusal; 0 is none."""
+        """The error code of a refusal; 0 for none."""
         if self.opcode != _NAK:
             return 0
         code = self.data[0] if self.data else 1
@@ -87,7 +87,7 @@ class Ftp:
         self._turn = asyncio.Lock()
         self._seq = 0
         self._waiting: dict[tuple[int, int], asyncio.Future[Reply]] = {}
-        """By number and opcode: late pieces of a burst bear the numbers of other answers."""
+        """By number and opcode: late chunks of a burst can carry the numbers of other replies."""
         self._burst: Callable[[Reply], None] | None = None
 
     @asynccontextmanager
@@ -119,7 +119,7 @@ class Ftp:
         self._hub.send(vehicle, message)
 
     def _next(self) -> int:
-        """Return the number of the next request; its answer has the one after it."""
+        """Return the next sequence number; the reply has the following one."""
         self._seq = (self._seq + 2) & 0xFFFF
         return self._seq
 
@@ -133,9 +133,9 @@ class Ftp:
         size: int | None = None,
         wait: float = 0.0,
     ) -> Reply:
-        """Send a request until it is answered, with the same sequence number.
+        """Send a request until a reply arrives, always with the same sequence number.
 
-        :raises DeviceTimeout: there is no response.
+        :raises DeviceTimeout: the vehicle does not respond.
         """
         config, seq = self._hub.config, self._next()
         pause = max(wait, config.timeout)
@@ -170,10 +170,10 @@ class Ftp:
         """Send a request that must succeed.
 
         :raises InvalidValue: no such file.
-        :raises DeviceRejected: it is refused.
+        :raises DeviceRejected: the vehicle refuses it.
         """
         reply = await self.request(op, session, offset, data, wait=wait)
-        if reply.error == _NO_SESSION:  # one that another client, or this one before, left open
+        if reply.error == _NO_SESSION:  # stale, or left open by another client
             await self.request(Op.RESET)
             reply = await self.request(op, session, offset, data)
         if reply.error:
@@ -182,12 +182,12 @@ class Ftp:
 
     @asynccontextmanager
     async def opened(self, op: int, path: bytes, what: str) -> AsyncGenerator[tuple[int, int]]:
-        """Open a file while entered: its session, and its size as the vehicle has it."""
+        """Open a file while entered; yields the session and the file's size."""
         reply = await self.do(op, what, path)
         size = int.from_bytes(reply.data[:4], "little") if op == Op.OPEN_TO_READ else 0
         try:
             yield reply.session, size
-        except BaseException:  # whoever is cancelled waits for nothing more
+        except BaseException:  # a cancelled caller does not wait for the close
             self._send(self._next(), Op.TERMINATE, reply.session, 0, b"", 0)
             raise
         ended = await self.request(Op.TERMINATE, reply.session)
@@ -264,7 +264,7 @@ class Ftp:
         what: str,
         on_progress: Callable[[float], None],
     ) -> None:
-        """Write at an offset, with several pieces in flight."""
+        """Write at an offset, with several chunks in flight."""
         written = 0
 
         async def work(pieces: Iterator[int]) -> None:

@@ -1,4 +1,4 @@
-"""Received and missing parts of a range of bytes."""
+"""Received and missing parts of a byte range."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Gaps"]
 
 
 class Gaps:
-    """The bytes from `start` to `stop`, which may turn out to end earlier."""
+    """The bytes from `start` to `stop`, which may prove to end earlier."""
 
     def __init__(self, start: int, stop: int) -> None:
         self._start, self._stop = start, stop
@@ -16,7 +16,7 @@ class Gaps:
         self._missing: list[tuple[int, int]] = [(start, stop)] if stop > start else []
 
     def first(self) -> tuple[int, int] | None:
-        """Return the first range that is missing."""
+        """Return the first missing range."""
         return self._missing[0] if self._missing else None
 
     def add(self, at: int, piece: bytes) -> int:
@@ -44,19 +44,19 @@ class Gaps:
         self._data[begin : begin + len(piece)] = piece
 
     def end(self, at: int) -> None:
-        """Note that there is nothing from a place on."""
+        """Set the end: there are no bytes from this offset on."""
         self._stop = max(self._start, min(self._stop, at))
         self._missing = [(a, min(b, at)) for a, b in self._missing if a < at]
         del self._data[self._stop - self._start :]
 
     @property
     def part(self) -> float:
-        """How much of it has come, 0…1."""
+        """The received fraction, 0…1."""
         whole = self._stop - self._start
         left = sum(b - a for a, b in self._missing)
         return 1 - left / whole if whole else 1.0
 
     @property
     def data(self) -> bytes:
-        """What came; whole once nothing is missing."""
+        """The received bytes; complete when nothing is missing."""
         return bytes(self._data)

@@ -23,7 +23,7 @@ _CLOSE = 0.035  # rad
 _MOUNT_CONTROL, _CONFIGURE, _PITCH_YAW = 205, 1001, 1000
 _STATUS, _INFORMATION = "GIMBAL_DEVICE_ATTITUDE_STATUS", "GIMBAL_MANAGER_INFORMATION"
 _YAW_LOCK, _IN_VEHICLE, _IN_EARTH = 16, 32, 64
-_FOLLOW = 0  # yaw counts from where the vehicle looks
+_FOLLOW = 0  # yaw is relative to the vehicle's heading
 _REPORTS = 5.0  # Hz
 
 
@@ -49,7 +49,7 @@ class Gimbals:
         return await self._turn_managed(given, manager.component, info["gimbal_device_id"])
 
     async def _find(self) -> Frame | None:
-        """Return what the manager says of itself; None: there is none."""
+        """Return the information of the gimbal manager; None if there is none."""
         if _INFORMATION not in self._hub.dialect.by_name:
             return None
         found: list[Frame] = []
@@ -70,7 +70,7 @@ class Gimbals:
         try:
             configure = Command(_CONFIGURE, us, z=float(device), component=manager)
             await self._commands.send(configure, "gimbal control")
-        except DeviceRejected:  # one that obeys anybody knows nothing of control
+        except DeviceRejected:  # a manager that accepts every sender does not implement control
             self._vehicle.check()
         pitch, yaw = math.degrees(given.pitch), math.degrees(given.yaw)
         command = Command(
@@ -91,7 +91,7 @@ class Gimbals:
             return await self._until(given, _STATUS, lambda: looks[0] if looks else None)
 
     def _seen(self, f: dict[str, Any]) -> m.Gimbal:
-        """Return its direction relative to the vehicle."""
+        """Return the direction relative to the vehicle."""
         w, x, y, z = f["q"]
         pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -109,7 +109,7 @@ class Gimbals:
         heading = 0 if frame is None else frame.fields()["hdg"]
         return math.radians(heading / 100) if heading != 65535 else 0.0
 
-    # The mount of old
+    # Legacy mount
 
     async def _turn_mount(self, given: m.Gimbal) -> m.Gimbal:
         pitch, yaw = math.degrees(given.pitch), math.degrees(given.yaw)
@@ -130,9 +130,9 @@ class Gimbals:
     async def _until(
         self, given: m.Gimbal, message: str, looks: Callable[[], m.Gimbal | None]
     ) -> m.Gimbal:
-        """Wait until it points there; return its direction.
+        """Wait until it reaches the direction; return the actual one.
 
-        :raises DeviceTimeout: it does not, or does not say.
+        :raises DeviceTimeout: it does not reach the direction, or does not report one.
         """
 
         def there() -> bool:

@@ -34,7 +34,7 @@ class _Sink:
 
 
 class Hub:
-    """Router between links and vehicles."""
+    """Routes between links and vehicles."""
 
     def __init__(self, config: MavlinkConfig, dialect: Dialect) -> None:
         self.config, self.dialect = config, dialect
@@ -42,7 +42,7 @@ class Hub:
         self.found: Callable[[Vehicle], None] = lambda _: None
         """Called with each newly detected vehicle."""
         self.changed: Callable[[Vehicle], None] = lambda _: None
-        """Called when one is lost or connected again."""
+        """Called when a vehicle is lost or connected again."""
         self._first = asyncio.Event()
         simulates = any(text.startswith("sim:") for text in config.links)
         self._patience = max(config.connect, STARTING) if simulates else config.connect
@@ -63,7 +63,7 @@ class Hub:
                 self._signing.apply(mav, link.number)
             self._sinks.append((mav, sink))
 
-    # In
+    # Receiving
 
     def _take(self, link: Link, address: Any, frames: list[Frame]) -> None:
         now = time.monotonic()
@@ -77,7 +77,7 @@ class Hub:
                 vehicle.overhear(frame)
                 continue
             vehicle.routes[link.number, address] = (link, address, now)
-            if vehicle.lost:  # before the frame is taken: nothing may be sent ahead of a stop
+            if vehicle.lost:  # before the frame is processed: the stop must be sent first
                 vehicle.lost = False
                 self.changed(vehicle)
             if frame.definition.id == self._texts.id:
@@ -101,7 +101,7 @@ class Hub:
         self._first.set()
         return vehicle
 
-    # Out
+    # Sending
 
     def send(self, vehicle: Vehicle, message: Any) -> None:
         """Send a message to a vehicle over its last active link."""
@@ -115,14 +115,14 @@ class Hub:
         return sink.frame
 
     def beat(self) -> None:
-        """Send a heartbeat over every link, by which vehicles detect the gateway."""
+        """Send a heartbeat over every link, so that vehicles detect the gateway."""
         message = self.dialect.module.MAVLink_heartbeat_message(
             _GROUND_STATION, _NO_AUTOPILOT, 0, 0, 4, 3
         )
         for link in self.links:
             link.send_all(self._packed(link, message))
 
-    # Life
+    # Lifecycle
 
     async def run(self) -> None:
         """Send heartbeats and detect lost vehicles, until cancelled."""
@@ -147,7 +147,7 @@ class Hub:
     async def first(self) -> None:
         """Wait for the first vehicle.
 
-        :raises NotReady: none is connected in time.
+        :raises NotReady: no vehicle connects in time.
         """
         try:
             async with asyncio.timeout(self._patience):
@@ -166,9 +166,9 @@ class Hub:
 
 @asynccontextmanager
 async def open_hub(config: MavlinkConfig, dialect: Dialect) -> AsyncGenerator[Hub]:
-    """Open the links; leaving closes them.
+    """Open the links while entered.
 
-    :raises NotReady: a port to wait at is taken.
+    :raises NotReady: a port to listen on is in use.
     """
     hub = Hub(config, dialect)
     running: asyncio.Task[None] | None = None

@@ -1,4 +1,4 @@
-"""Message rates: requested from the vehicle, and restored when nobody needs them."""
+"""Message rates: requested from the vehicle, and restored when no longer needed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rcp_mavlink.vehicle import Vehicle
 __all__ = ["FASTEST", "Intervals"]
 
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
-FASTEST = 50.0  # Hz, for those who want all there is
+FASTEST = 50.0  # Hz, for subscribers without a rate limit
 
 
 class Intervals:
@@ -42,18 +42,18 @@ class Intervals:
         return unwant
 
     def _rate(self, message: str) -> float:
-        """Return the requested rate; 0: the vehicle's own."""
+        """Return the requested rate; 0 for the vehicle's default."""
         return max([*self._wishes.get(message, ()), self._base.get(message, 0.0)])
 
     def begin(self) -> None:
-        """Request everything, at the start and after a reboot of the vehicle."""
+        """Request all rates, at the start and after a reboot of the vehicle."""
         self._requested.clear()
         self.refused.clear()
         for message in {*self._base, *self._wishes}:
             self._adjust(message)
 
     def _adjust(self, message: str) -> None:
-        """Send the request to the vehicle, unless this is already in progress."""
+        """Send the rate to the vehicle, unless this is already in progress."""
         settled = self._requested.get(message, 0.0) == self._rate(message)
         if self._closed or settled or message in self._tasks:
             return

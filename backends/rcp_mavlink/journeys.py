@@ -33,7 +33,7 @@ _CHANGE_MODE = 1.0
 _RELATIVE, _ABSOLUTE = 6, 5
 _REPOSITION, _CHANGE_SPEED, _CONDITION_YAW = 192, 178, 115
 _AIRSPEED, _GROUNDSPEED = 0.0, 1.0
-_LEVEL = 10.0  # m over or under it, for a plane
+_LEVEL = 10.0  # m of height tolerance, for a plane
 _USUAL = {
     "rover": (("WP_SPEED", 1.0), ("CRUISE_SPEED", 1.0)),
     "boat": (("WP_SPEED", 1.0), ("CRUISE_SPEED", 1.0)),
@@ -41,7 +41,7 @@ _USUAL = {
     "vtol": (("AIRSPEED_CRUISE", 1.0), ("TRIM_ARSPD_CM", 0.01)),
 }
 _USUAL_HOVERING = (("WPNAV_SPEED", 0.01), ("WP_SPD", 1.0))
-"""Parameters with the speed on the way, and what makes m/s of them."""
+"""Parameters with the travel speed, and the factor to m/s."""
 _LEAST = ("AIRSPEED_MIN", "ARSPD_FBW_MIN")
 _MOST = ("AIRSPEED_MAX", "ARSPD_FBW_MAX")
 
@@ -55,7 +55,7 @@ class Journeys:
         self._vehicle, self._commands = vehicle, commands
         self._motion, self._parameters = motion, parameters
         self._paced = False
-        """Whether the speed of an earlier flight may still be in force."""
+        """Whether the speed of an earlier flight may still be in effect."""
 
     async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
         """Go to a target and stay there; a plane circles around it."""
@@ -83,7 +83,7 @@ class Journeys:
         async with holding(self._motion):
             await self._prepare(goal, fix)
             since = time.monotonic()
-            async with self._stopping(DeviceTimeout):  # it may have taken it all the same
+            async with self._stopping(DeviceTimeout):  # it may have been accepted
                 with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
             async with self._stopping(RcpError):
@@ -96,7 +96,7 @@ class Journeys:
         """Wait until it arrives; abort if it deviates from the request."""
         vehicle, guided = self._vehicle, self._vehicle.family.guided
         if goal.yaw is not None and not vehicle.family.px4:
-            await self._turn(goal.yaw)  # a new place has it look where it goes to
+            await self._turn(goal.yaw)  # a new target makes it face its direction of travel
         await self._motion.seen(lambda: vehicle.mode == guided, "move_to")
 
         def stays() -> bool:
@@ -110,7 +110,7 @@ class Journeys:
     def _check(self, goal: m.MoveTo) -> None:
         """Refuse what the vehicle cannot do, before anything moves.
 
-        :raises InvalidValue: it has no heading of its own, or does not fly that fast or slow.
+        :raises InvalidValue: it accepts no yaw, or cannot fly at that speed.
         """
         family = self._vehicle.family
         if goal.yaw is not None and (family.drives or family.circles):
@@ -131,13 +131,13 @@ class Journeys:
         known = (self._parameters.known.get(name) for name in names)
         return next((parameter.value for parameter in known if parameter is not None), None)
 
-    # The commands
+    # Commands
 
     async def _prepare(self, goal: m.MoveTo, fix: Fix) -> None:
-        """Have ArduPilot take speed and heading while it stays where it is.
+        """Set speed and heading on an ArduPilot, while the vehicle stays where it is.
 
-        It reads neither of DO_REPOSITION, and forgets both when it begins to go to places. So it
-        is brought to that first, at the place where it is; what it refuses, it refuses at rest.
+        ArduPilot ignores both in DO_REPOSITION and resets them when it enters GUIDED. So the
+        vehicle first enters it at its present location; if it refuses, it does so at rest.
         """
         vehicle, family = self._vehicle, self._vehicle.family
         if family.px4:
@@ -161,7 +161,7 @@ class Journeys:
             await self._turn(goal.yaw)
 
     def _usual(self) -> float | None:
-        """Return the speed in its parameters, m/s; None if unknown."""
+        """Return the speed set in its parameters, m/s; None if unknown."""
         for name, factor in _USUAL.get(self._vehicle.family.kind, _USUAL_HOVERING):
             if value := self._value((name,)):
                 return value * factor
@@ -177,7 +177,7 @@ class Journeys:
             await self._reposition(lat, lon, altitude)
             return
         speed = -1.0 if goal.speed is None else goal.speed
-        yaw = math.nan if goal.yaw is None else goal.yaw  # NaN: the heading that it has
+        yaw = math.nan if goal.yaw is None else goal.yaw  # NaN: keep the present heading
         height = altitude + fix.above_sea - fix.height
         await self._reposition(lat, lon, height, speed, yaw, _ABSOLUTE)
 
@@ -196,13 +196,13 @@ class Journeys:
         flat = distance((fix.lat, fix.lon), (lat, lon))
         return level and flat <= reach(vehicle, self._parameters, near)
 
-    # What goes wrong
+    # Failures
 
     @asynccontextmanager
     async def _stopping(self, of: type[RcpError]) -> AsyncGenerator[None]:
-        """Have it hold where it is when the journey fails so while it may go there.
+        """Command a hold if the flight fails while the vehicle is still in the mode for it.
 
-        Not where something else has taken it away: a failsafe, somebody at the sticks.
+        Not after another mode has taken over: a failsafe or a pilot is then in control.
         """
         try:
             yield
@@ -214,7 +214,7 @@ class Journeys:
 
     @contextmanager
     def _explained(self, place: tuple[float, float], height: float) -> Generator[None]:
-        """Name the fence that caused a refusal without a text."""
+        """Name the fence that explains a refusal without a text."""
         try:
             yield
         except DeviceRejected as error:
@@ -230,7 +230,7 @@ class Journeys:
             ) from None
 
     def _failure(self, pace: Pace, error: DeviceRejected) -> DeviceRejected:
-        """Return the error of a flight that ended early."""
+        """Return the error for a flight that ended early."""
         if pace.fault is not None:
             return DeviceRejected(
                 f"move_to: {pace.fault}; the vehicle was commanded to hold", details=error.details

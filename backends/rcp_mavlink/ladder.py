@@ -23,7 +23,7 @@ class Rung(NamedTuple):
 
     @property
     def word(self) -> str:
-        """What it is called in messages and in the log."""
+        """Its name in messages and in the log."""
         return self.mode or _WORDS[self.group]
 
 
@@ -35,7 +35,7 @@ LOITER = Rung("hold", "", "still")
 
 
 def ladder(groups: Sequence[str], family: Family, *, hovering: bool) -> list[Rung]:
-    """List the steps of some groups for one kind of vehicle; those it has not are left out."""
+    """List the steps of some groups for a vehicle; unavailable ones are left out."""
     rungs: list[Rung] = []
     for group in dict.fromkeys(groups):
         match group:

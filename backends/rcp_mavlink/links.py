@@ -17,16 +17,16 @@ from rcp_mavlink.twins import keep_twin
 __all__ = ["Link", "Take"]
 
 _FIRST_WAIT, _LONGEST_WAIT = 0.5, 5.0  # s between attempts to connect
-_FORGET = 60.0  # s without a byte, after which a UDP address is not called any more
+_FORGET = 60.0  # s without data after which nothing more is sent to a UDP address
 _MOST_ADDRESSES = 256
-_RECEIVED = 4 << 20  # bytes that may wait while the loop is busy with something else
-_BACKLOG = 1_000_000  # bytes that may wait in a connection for a peer that does not read
+_RECEIVED = 4 << 20  # bytes of receive buffer, for when the loop is busy
+_BACKLOG = 1_000_000  # bytes that may be queued for a peer that does not read
 
 Take = Callable[["Link", Any, list[Frame]], None]
 
 
 class Link:
-    """One link; `take` gets its frames with the address they came from."""
+    """One link; `take` receives its frames with the sender's address."""
 
     def __init__(self, number: int, text: str, make: Callable[[], Framer], take: Take) -> None:
         self.number = number
@@ -35,7 +35,7 @@ class Link:
         self._make, self._take = make, take
         self.framer = make()
         self.framers: dict[Any, Framer] = {}
-        """Parser per address: data of different senders is kept apart."""
+        """Parser per address: the data of different senders is kept apart."""
         self._transports: dict[Any, Any] = {}
         self._last_seen: dict[Any, float] = {}
         self._datagrams: asyncio.DatagramTransport | None = None
@@ -46,20 +46,20 @@ class Link:
         self.joined: Callable[[], None] = lambda: None
         """Called when a peer becomes reachable."""
         self.error: str | None = None
-        """The reason why it is down."""
+        """Why it is down."""
 
     @property
     def port(self) -> int:
-        """The local port of listening links."""
+        """The local port of a listening link."""
         if self._datagrams is not None:
             return self._datagrams.get_extra_info("sockname")[1]
         assert self._server is not None
         return self._server.sockets[0].getsockname()[1]
 
     async def open(self) -> None:
-        """Begin.
+        """Open it.
 
-        :raises OSError: a port to wait at cannot be had.
+        :raises OSError: a port to listen on is not available.
         """
         loop, spec = asyncio.get_running_loop(), self.spec
         if spec.kind in ("udpin", "sim"):
@@ -80,7 +80,7 @@ class Link:
         self.error = why
 
     async def close(self) -> None:
-        """End."""
+        """Close it."""
         if self._task is not None:
             self._task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -152,7 +152,7 @@ class Link:
         return framer
 
     def _room(self) -> None:
-        """Remove silent senders of datagrams, as anybody can send one."""
+        """Evict silent senders of datagrams, because anybody can send one."""
         if self._datagrams is None:
             return
         now = time.monotonic()
@@ -162,7 +162,7 @@ class Link:
                 self.framers.pop(address, None)
 
     def send(self, frame: bytes, address: Any) -> None:
-        """Send a frame to a known address; a frame that cannot be sent is lost."""
+        """Send a frame to a known address; dropped if it cannot be sent."""
         transport = self._transports.get(address)
         if transport is not None:
             if transport.get_write_buffer_size() < _BACKLOG:
@@ -194,7 +194,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._link.datagram(None if self._done is not None else addr, data)
 
     def error_received(self, exc: Exception) -> None:
-        """Go on: whoever was called is not there yet."""
+        """Ignore it: the peer is not up yet."""
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._done is not None:

@@ -1,4 +1,4 @@
-"""On-board logs: listed, and read in ranges; lost pieces are requested again."""
+"""On-board logs: listed, and read in ranges; lost chunks are requested again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["LogPiece", "LogRange", "Logs", "OnBoard"]
 
 _PIECE = 90  # bytes of LOG_DATA
 _ROUNDS = 20
-MOST = 1 << 20  # bytes at once
+MOST = 1 << 20  # bytes per request
 
 Bytes = Annotated[int, Meta(ge=0, le=2**32 - 1, extra_json_schema={"unit": "By"})]
 Number = Annotated[int, Meta(ge=0, le=65535, extra_json_schema={"unit": "1"})]
@@ -29,7 +29,7 @@ class OnBoard(Struct, frozen=True):
     id: Number
     size: Bytes
     time: Annotated[int, Meta(extra_json_schema={"unit": "s"})]
-    """When it was written, since the UNIX epoch; 0 is not known."""
+    """Time of creation, seconds since the UNIX epoch; 0 if unknown."""
 
 
 class LogRange(Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,12 +41,12 @@ class LogRange(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LogPiece(Struct, frozen=True):
-    """A part of a log; it ends before `count` where the log does."""
+    """A part of a log; shorter than `count` at the end of the log."""
 
     id: Number
     offset: Bytes
     size: Bytes
-    """Of the whole log."""
+    """Size of the whole log."""
     data: bytes
 
 

@@ -1,4 +1,4 @@
-"""The motion of one vehicle as proved by telemetry, with the age of each proof."""
+"""The motion of one vehicle as measured by telemetry, with the age of each measurement."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["AT_REST", "Measurement"]
 
-AT_REST = 0.35  # m/s; a copter that holds its place in wind stays below it
-_MOVES = 0.5  # m/s from which one that rested moves again: a gust is no movement
-_SETTLED = 1.0  # s that it has to be still: a copter that brakes swings back once
+AT_REST = 0.35  # m/s; a copter that holds its position in wind stays below it
+_MOVES = 0.5  # m/s above which a vehicle at rest counts as moving again: a gust is not motion
+_SETTLED = 1.0  # s that it must be still: a braking copter swings back once
 _POSITIONS = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")
-_HEARTBEAT_LATE = 2.5  # s: two of those that come once a second
-_LANDED_LATE = 2.0  # s: four of those that are asked for twice a second
-_ESTIMATOR_LATE = 5.0  # s, after which its last report says nothing any more
+_HEARTBEAT_LATE = 2.5  # s, two periods of a message at 1 Hz
+_LANDED_LATE = 2.0  # s, four periods of a message at 2 Hz
+_ESTIMATOR_LATE = 5.0  # s after which the last report no longer counts
 _VELOCITY_HORIZONTAL, _CONSTANT_POSITION = 2, 128
-"""EKF_STATUS_FLAGS: ArduPilot sends zeros, or its last estimate, as a position it does not have."""
+"""EKF_STATUS_FLAGS: ArduPilot sends zeros or its last estimate while it has no position."""
 
 
 class Measurement:
@@ -33,7 +33,7 @@ class Measurement:
         self.limit = config.feedback_limit
         """Maximum age of a position, s."""
         self.doubtful_since = -math.inf
-        """What came before is not believed: nobody knows what happened to it meanwhile."""
+        """Earlier messages are ignored: the state may have changed while the vehicle was lost."""
         self._still_since: float | None = None
         self._looked = -math.inf
 
@@ -42,7 +42,7 @@ class Measurement:
         came = self._vehicle.came.get(message, -math.inf)
         return math.inf if came < self.doubtful_since else time.monotonic() - came
 
-    # Its state, by heartbeats
+    # State, from heartbeats
 
     @property
     def has_heartbeat(self) -> bool:
@@ -59,10 +59,10 @@ class Measurement:
         """Whether it is known to be on the ground."""
         return self._vehicle.landed is True and self.age("EXTENDED_SYS_STATE") <= _LANDED_LATE
 
-    # Its motion
+    # Motion
 
     def take_position(self) -> None:
-        """Update with each position whether it is still, and since when."""
+        """Update the time since when the positions show it still."""
         now, speed, since = time.monotonic(), self.speed, self._still_since
         gap = now - self._looked > self.limit or (since is not None and since < self.doubtful_since)
         settled = since is not None and now - since >= _SETTLED
@@ -108,26 +108,26 @@ class Measurement:
         return None
 
     def unknown(self) -> str:
-        """Describe why its speed is unknown."""
+        """Explain why its speed is unknown."""
         if not self.estimated:
             return "the autopilot has no velocity estimate"
         age = self.position_age
         return "no position received" if math.isinf(age) else f"no position for {age:.1f} s"
 
     def measured_since(self, moment: float) -> bool:
-        """Tell whether a position came after a moment of the monotonic clock."""
+        """Return whether a position arrived after a moment of the monotonic clock."""
         return any(self._vehicle.came.get(name, -math.inf) > moment for name in _POSITIONS)
 
     def stale(self, *, strict: bool = True) -> bool:
-        """Tell whether its position is too old to steer by; `strict` also if none ever came."""
+        """Return whether its position is too old for motion; `strict` also if it has none."""
         age = self.position_age
         return age > self.limit and (strict or not math.isinf(age))
 
     @property
     def blind(self) -> bool:
-        """Whether it is heard, but for longer than the limit without a position.
+        """Whether messages arrive, but no position for longer than the limit.
 
-        Where nothing is heard at all, it is the link that is lost, and that ends what runs.
+        If no messages arrive at all, the link counts as lost, which ends running commands.
         """
         last = max(self._vehicle.came.get(name, -math.inf) for name in _POSITIONS)
         return self.stale() and self._vehicle.last_message_at - last >= self.limit
@@ -135,7 +135,7 @@ class Measurement:
     def check(self, *, strict: bool = True) -> None:
         """Refuse motion without position feedback.
 
-        :raises PreconditionFailed: its position is older than the limit.
+        :raises PreconditionFailed: the position is older than the limit.
         """
         if self.stale(strict=strict):
             raise PreconditionFailed(

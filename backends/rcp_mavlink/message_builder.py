@@ -17,26 +17,26 @@ class Field(NamedTuple):
     unit: str
     factor: float
     length: int
-    """Of an array; 0 is none."""
+    """Length of an array; 0 if it is not an array."""
     enum: dict[int, str] | None
     missing: float | None
-    """The value that means that there is none."""
+    """The value that stands for "unknown"."""
     description: str
     place: int
-    """Of its first value in what the unpacker returns."""
+    """Index of its first value in the unpacked tuple."""
 
 
 def making(type_: Any, fields: Sequence[Field]) -> Callable[[tuple[Any, ...]], Any]:
-    """Return the function that makes a value of the type; generated, as every message passes it."""
+    """Return the function that builds a value; generated, because it runs for every message."""
     known: dict[str, Any] = {"T": type_, "bytes": bytes, "str": str, "text": _text}
     parts = [_part(n, field, known) for n, field in enumerate(fields)]
     source = f"lambda v: T({', '.join(parts)})"
     known["__builtins__"] = {}
-    return eval(source, known)  # noqa: S307 - of numbers and names that are made here
+    return eval(source, known)  # noqa: S307 - generated from numbers and names only
 
 
 def _part(n: int, field: Field, known: dict[str, Any]) -> str:
-    """Return the expression of one field; what is no number goes into `known`."""
+    """Return the expression of one field; constants that are not numbers go into `known`."""
     at, end = field.place, field.place + field.length
     if field.kind == "char":
         return f"text(v[{at}])"
@@ -57,7 +57,7 @@ def _one(n: int, field: Field, x: str, known: dict[str, Any]) -> str:
 
 
 def _scaled(factor: float) -> str:
-    """Return how a number is scaled; divided by a power of ten, it stays as short as it was."""
+    """Return the scaling of a number; dividing by powers of ten keeps the decimals short."""
     whole = round(1 / factor)
     tens = whole > 1 and 1 / whole == factor and str(whole).rstrip("0") == "1"
     return f"/ {whole}.0" if tens else f"* {factor!r}"

@@ -1,4 +1,4 @@
-"""The types of what a vehicle is told, and of what is made of several of its messages."""
+"""Types of the vehicle's commands, and of values derived from several messages."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832, extra_json_schema={"unit": 
 
 
 class Arm(Struct, frozen=True, forbid_unknown_fields=True):
-    """How to start or stop the motors."""
+    """Options for arming and disarming."""
 
     force: bool = False
-    """Past the vehicle's own checks; in the air a forced disarm lets it fall."""
+    """Skip the vehicle's own checks; in the air a forced disarm makes it fall."""
 
 
 class Armed(Struct, frozen=True):
@@ -36,21 +36,21 @@ class Armed(Struct, frozen=True):
 
 
 class TakeOff(Struct, frozen=True, forbid_unknown_fields=True):
-    """How high to rise."""
+    """Height of a take-off."""
 
     altitude: Annotated[float, Meta(gt=0, le=500, extra_json_schema={"unit": "m"})] = 10.0
-    """Over home, m."""
+    """Above home, m."""
 
 
 class Height(Struct, frozen=True):
-    """How high it is."""
+    """Present height."""
 
     altitude: Length
-    """Over home, m."""
+    """Above home, m."""
 
 
 class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where to go: latitude and longitude, or metres from home."""
+    """Target of a flight: latitude and longitude, or metres from home."""
 
     latitude: Latitude | None = None
     longitude: Longitude | None = None
@@ -58,56 +58,55 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     """From home, m."""
     east: Metres | None = None
     altitude: Over | None = None
-    """Over home, m; as high as it is without it."""
+    """Above home, m; default: the present height."""
     yaw: Angle | None = None
-    """Heading, clockwise from north; it looks where it likes without it. Not for what drives or
-    circles."""
+    """Heading, clockwise from north; default: free. Not for ground vehicles or planes."""
     speed: Annotated[float, Meta(gt=0, le=50, extra_json_schema={"unit": "m/s"})] | None = None
-    """On the way, over ground; of a plane through the air. The autopilot's own without it."""
+    """Ground speed on the way, of a plane its airspeed; default: the autopilot's own."""
     tolerance: Annotated[float, Meta(ge=0.2, le=50, extra_json_schema={"unit": "m"})] = 1.0
 
 
 class OnItsWay(Struct, frozen=True):
-    """How far it still is."""
+    """Remaining distance and present height."""
 
     distance: Length
     altitude: Length
-    """Over home, m."""
+    """Above home, m."""
     mode: str
 
 
 class Arrived(Struct, frozen=True):
-    """Where it came to."""
+    """Where the vehicle arrived."""
 
     latitude: Degrees
     longitude: Degrees
     altitude: Length
-    """Over home, m."""
+    """Above home, m."""
     error: Length
-    """From where it should be, m."""
+    """Distance from the target, m."""
     speed: Annotated[float, Meta(extra_json_schema={"unit": "m/s"})]
-    """The highest over ground on the way, m/s."""
+    """Maximum ground speed on the way, m/s."""
     yaw: Annotated[float, Meta(extra_json_schema={"unit": "rad"})] | None
-    """Heading, clockwise from north; null: it does not say."""
+    """Heading, clockwise from north; null if it is not reported."""
 
 
 class SetMode(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which flight mode, by the autopilot's own name."""
+    """The flight mode, by the autopilot's own name."""
 
     mode: Annotated[str, Meta(max_length=32, examples=["GUIDED", "LOITER"])]
 
 
 class Gimbal(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the camera should look."""
+    """Direction of the camera."""
 
     pitch: Annotated[float, Meta(ge=-1.5708, le=1.5708, extra_json_schema={"unit": "rad"})] = 0.0
-    """Up is positive."""
+    """Positive up."""
     yaw: Annotated[float, Meta(ge=-3.1416, le=3.1416, extra_json_schema={"unit": "rad"})] = 0.0
-    """From where the vehicle looks, clockwise."""
+    """Relative to the vehicle's heading, clockwise."""
 
 
 class Calibrate(Struct, frozen=True, forbid_unknown_fields=True):
-    """What to calibrate, while it stands still and level."""
+    """The sensor to calibrate; the vehicle must be still and level."""
 
     what: Literal["gyro", "barometer", "level", "accelerometer"] = "gyro"
 
@@ -121,34 +120,34 @@ class Item(Struct, frozen=True, forbid_unknown_fields=True):
     longitude: Longitude = 0.0
     altitude: Level = 0.0
     frame: Literal["relative", "absolute", "terrain", "mission"] = "relative"
-    """What the altitude counts from: home, the sea, the ground; `mission` has no place."""
+    """Reference of the altitude: home, sea or terrain; `mission` if it has no position."""
     params: Annotated[tuple[Number, ...], Meta(max_length=4)] = ()
-    """The first four parameters of the command; 0 where they are left off."""
+    """The first four parameters of the command; missing ones are 0."""
 
 
 class Items(Struct, frozen=True, forbid_unknown_fields=True):
-    """A whole plan, without home: that is the vehicle's own."""
+    """A whole plan, without home, which the vehicle manages itself."""
 
     items: Annotated[tuple[Item, ...], Meta(max_length=1000)]
 
 
 class Uploaded(Struct, frozen=True):
-    """How many items the vehicle has now."""
+    """The number of items that the vehicle now has."""
 
     count: Count
 
 
 class MissionProgress(Struct, frozen=True):
-    """How far a mission is."""
+    """Progress of a mission."""
 
     item: Count
-    """The one it flies now; the first is 1."""
+    """The current item; the first is 1."""
     total: Count
     mode: str
 
 
 class Velocity(Struct, frozen=True, forbid_unknown_fields=True):
-    """A velocity in the vehicle's own axes: x forward, y left, z up; turning left is positive."""
+    """A velocity in the body frame: x forward, y left, z up; turning left is positive."""
 
     x: Speed = 0.0
     y: Speed = 0.0
@@ -157,21 +156,21 @@ class Velocity(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def velocity(most: float) -> Any:
-    """Make the type of a velocity of at most so many m/s along each axis."""
+    """Make the type of a velocity of at most `most` m/s along each axis."""
     speed = Annotated[float, Meta(ge=-most, le=most, extra_json_schema={"unit": "m/s"})]
     fields = [(axis, speed, 0.0) for axis in "xyz"]
     return defstruct("Velocity", fields, bases=(Velocity,), frozen=True, forbid_unknown_fields=True)
 
 
 class Drive(Struct, frozen=True, forbid_unknown_fields=True):
-    """How fast to drive and to turn; turning left is positive."""
+    """Speed and turning rate; turning left is positive."""
 
     x: Speed = 0.0
     yaw_rate: Annotated[float, Meta(ge=-2, le=2, extra_json_schema={"unit": "rad/s"})] = 0.0
 
 
 def drive(most: float) -> Any:
-    """Make the type of what drives at most so many m/s."""
+    """Make the type of a ground vehicle's velocity of at most `most` m/s."""
     speed = Annotated[float, Meta(ge=-most, le=most, extra_json_schema={"unit": "m/s"})]
     fields = [("x", speed, 0.0)]
     return defstruct("Drive", fields, bases=(Drive,), frozen=True, forbid_unknown_fields=True)
@@ -181,26 +180,26 @@ class Attitude(Struct, frozen=True, forbid_unknown_fields=True):
     """An attitude and the thrust to hold it with."""
 
     roll: Annotated[float, Meta(ge=-0.7, le=0.7, extra_json_schema={"unit": "rad"})] = 0.0
-    """Right side down is positive."""
+    """Positive with the right side down."""
     pitch: Annotated[float, Meta(ge=-0.7, le=0.7, extra_json_schema={"unit": "rad"})] = 0.0
-    """Nose up is positive."""
+    """Positive with the nose up."""
     yaw: Angle | None = None
-    """Heading, clockwise from north; without it the vehicle keeps the heading that it has."""
+    """Heading, clockwise from north; default: keep the present heading."""
     thrust: Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})] = 0.5
-    """0.5 is hovering, or keeping the height."""
+    """0.5 hovers, or keeps the height."""
 
 
 class Prearm(Struct, frozen=True):
-    """Whether the vehicle would let itself be armed, and what it complains of."""
+    """Whether the vehicle can be armed, and the reasons if not."""
 
     ready: bool
     reasons: list[str]
     mode: str
-    """The answer is for this mode: a mode that flies by position asks for more."""
+    """The mode that this applies to: modes that use a position require more."""
 
 
 class VehicleInfo(Struct, frozen=True):
-    """What is behind the link."""
+    """The type and identity of the vehicle."""
 
     system: Count
     autopilot: Literal["ardupilot", "px4", "unknown"]
@@ -210,25 +209,25 @@ class VehicleInfo(Struct, frozen=True):
 
 
 class LinkState(Struct, frozen=True):
-    """What came and went over the links of the backend, since it was opened."""
+    """Statistics of the links of the backend, since it was opened."""
 
     link: str
     up: bool
     frames: Count
     lost: Count
-    """Missing in the senders' counts."""
+    """Gaps in the senders' sequence numbers."""
     bad: Count
-    """Bytes and frames that were damaged."""
+    """Damaged bytes and frames."""
     unknown: Count
     unsigned: Count
-    """Not signed, where there is a key."""
+    """Unsigned frames, if a key is configured."""
     rejected: Count
-    """Signed with another key, or come a second time."""
+    """Frames signed with another key, and replayed ones."""
     sent: Count
 
 
 class StatusText(Struct, frozen=True):
-    """What the vehicle said in words."""
+    """A status text of the vehicle."""
 
     severity: str
     text: str
@@ -248,26 +247,26 @@ class ReadParam(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ParamValue(Struct, frozen=True):
-    """A parameter as it is on the vehicle."""
+    """A parameter as stored on the vehicle."""
 
     name: str
     value: Number
 
 
 class Photo(Struct, frozen=True):
-    """A picture that was taken, and where."""
+    """A picture, and where it was taken."""
 
     number: Count
     latitude: Degrees
     longitude: Degrees
     altitude: Length
-    """Over home, m."""
+    """Above home, m."""
     url: str = ""
-    """Where the camera has it, if it says so."""
+    """Where the camera stores it, if it reports that."""
 
 
 class Calibrated(Struct, frozen=True):
-    """What was calibrated, and what the vehicle said of it."""
+    """The calibrated sensor, and the vehicle's messages about it."""
 
     what: str
     texts: list[str]

@@ -1,4 +1,4 @@
-"""What is known of parameters beyond their type: unit, range, words, a sentence. All of it only describes."""
+"""Parameter metadata: unit, range, meaning of values, description. Nothing is enforced."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ __all__ = ["About", "about"]
 
 
 class About(NamedTuple):
-    """What a parameter means."""
+    """Metadata of a parameter."""
 
     text: str
     unit: str = "1"
     range: tuple[float, float] | None = None
-    """Between which it makes sense; the autopilot may take others."""
+    """Recommended range; the autopilot may accept other values."""
     values: Mapping[str, str] = {}
-    """What single values mean."""
+    """Meaning of single values."""
     bits: Mapping[str, str] = {}
-    """What single bits mean, by their place."""
+    """Meaning of single bits, by their number."""
     restart: bool = False
-    """Whether it is heeded only after a restart."""
+    """Whether a change takes effect only after a reboot."""
 
     @property
     def schema(self) -> dict[str, Any]:
-        """What of it stands in the schema of its value; none of it is enforced."""
+        """Return its part of the JSON schema of the value; not enforced."""
         found: dict[str, Any] = {"unit": self.unit}
         if self.range is not None:
             found["range"] = list(self.range)
@@ -72,6 +72,6 @@ _KNOWN = {
 
 
 def about(name: str, published: Mapping[str, About]) -> About:
-    """Return what a parameter means, or that nothing is known but its name."""
+    """Return the metadata of a parameter; empty if nothing is known about it."""
     known = published.get(name) or _KNOWN.get(name)
     return known or About(f"Parameter {name} of the autopilot.")

@@ -1,4 +1,4 @@
-"""Missions as actions: uploaded, flown to their end, paused and gone on with."""
+"""Missions as actions: uploaded, flown to their end, paused and resumed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Missions:
         self._plans, self._motion = plans, motion
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
-        """Return what each path runs, but the run itself."""
+        """Return the handler of each path except the run."""
         return {
             "action/mission/upload": self.upload,
             "action/mission/pause": self.pause,
@@ -91,7 +91,7 @@ class Missions:
         vehicle = self._vehicle
         if vehicle.mode != vehicle.family.auto:
             raise PreconditionFailed(f"mission: none is running, the mode is {vehicle.mode}")
-        if vehicle.family.px4:  # it pauses by leaving the mode, and knows where it was
+        if vehicle.family.px4:  # it pauses by leaving the mode, and remembers its item
             await self._motion.to_mode(vehicle.family.hold)
         else:
             await self._commands.send(Command(193), "pause")
@@ -105,7 +105,7 @@ class Missions:
         return self._progress()
 
     async def resume(self, _: None, progress: Progress) -> m.MissionProgress:
-        """Go on."""
+        """Resume a paused mission."""
         if self._vehicle.family.px4:
             await self._motion.to_mode(self._vehicle.family.auto)
         else:

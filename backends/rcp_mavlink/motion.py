@@ -1,4 +1,4 @@
-"""Arming, modes and coming to rest: done when telemetry shows it, and not when it is acknowledged."""
+"""Arming, modes and coming to rest: complete when telemetry confirms the state."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from rcp_mavlink.vehicle import Vehicle
 __all__ = ["Motion", "unanswered"]
 
 _FORCE = 21196.0
-_SETTLE = 3.0  # s for the telemetry to show what was accepted
+_SETTLE = 3.0  # s for telemetry to show what was accepted
 _FEEDBACK = 0.25  # s
 _UNANSWERED = 0.3  # s
-_HOLDING = 3.0  # s for a hold to be accepted after a cancel
+_HOLDING = 3.0  # s for a hold to be accepted after a cancellation
 _WAY_DOWN = ("land", "return")
-"""What goes on without a position: holding would not be better."""
+"""Commands that do not need a position: holding would be no better."""
 
 
 class Motion:
-    """What one vehicle is told to be: armed, in a mode, at rest."""
+    """Commands one vehicle to arm, change its mode or come to rest."""
 
     def __init__(self, vehicle: Vehicle, commands: Commands, measurement: Measurement) -> None:
         self._vehicle, self._commands = vehicle, commands
         self.measurement = measurement
         self.parting: set[asyncio.Future[Any]] = set()
-        """What cancelled commands still do."""
+        """Stops still in progress for cancelled commands."""
 
     # Arming and modes
 
@@ -64,7 +64,7 @@ class Motion:
         params = (float(on), _FORCE if force else 0.0, 0.0, 0.0)
         with unanswered(progress):
             await self._commands.send(Command(400, params), what)
-        progress()  # the motors may turn from now on: what happens to the link is no refusal
+        progress()  # the motors may turn from here on, so a lost link no longer means a refusal
         await self.seen(lambda: self._vehicle.armed == on, what)
 
     async def set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
@@ -83,7 +83,7 @@ class Motion:
     async def to_mode(
         self, name: str, *, surely: bool = False, progress: Progress | None = None
     ) -> None:
-        """Bring the vehicle into a mode of its family; `surely` also if it seems to be in it."""
+        """Change to a mode of its family; `surely` sends it even if it seems to be in effect."""
         family = self._vehicle.family
         command, number = mode_command(family, name), family.number(name)
         if self._vehicle.mode_number == number and not surely:
@@ -95,11 +95,11 @@ class Motion:
         await self.seen(lambda: self._vehicle.mode_number == number, f"mode {name}")
 
     async def seen(self, holds: Callable[[], bool], what: str) -> None:
-        """Wait for the telemetry to show what was accepted.
+        """Wait for telemetry to show what was accepted.
 
         :raises DeviceTimeout: it does not.
         """
-        if not holds():  # a heartbeat comes once a second, and sooner if it is asked for
+        if not holds():  # heartbeats arrive once a second; a request brings one sooner
             with suppress(DeviceRejected, DeviceTimeout):
                 await self._commands.send(Command(512), "request for HEARTBEAT")
         if not await self._vehicle.until(holds, _SETTLE):
@@ -108,10 +108,10 @@ class Motion:
     async def follow(
         self, report: Callable[[], bool], what: str, stays: Callable[[], bool]
     ) -> None:
-        """Wait for `tell`, which reports, and see that the vehicle stays at it.
+        """Wait until `report` returns True, while `stays` holds.
 
-        :raises DeviceRejected: it does something else, with what it said meanwhile.
-        :raises DeviceTimeout: its position has not come for longer than is allowed.
+        :raises DeviceRejected: the vehicle does something else; includes its status texts.
+        :raises DeviceTimeout: no position for longer than the limit.
         """
         began = time.monotonic()
         reported, done = 0.0, False
@@ -138,7 +138,7 @@ class Motion:
         )
 
     async def _blind(self, what: str) -> None:
-        """Stop what cannot be seen any more.
+        """Command a hold when position feedback is lost.
 
         :raises DeviceTimeout: always.
         """
@@ -150,7 +150,7 @@ class Motion:
 
     @property
     def rests(self) -> bool:
-        """Whether it does not move, or circles where it was told to."""
+        """Whether it is still, or circles in a mode meant for it."""
         vehicle, fix = self._vehicle, self._vehicle.fix
         if not vehicle.armed or vehicle.landed is True:
             return True
@@ -159,7 +159,7 @@ class Motion:
         return fix is not None and fix.speed < AT_REST
 
     async def hold(self) -> None:
-        """Have it stay where it is, in the first of its modes for that which it takes."""
+        """Hold the position, in the first suitable mode that the vehicle accepts."""
         vehicle = self._vehicle
         if not vehicle.armed or vehicle.landed is True:
             return
@@ -170,7 +170,7 @@ class Motion:
         for mode in modes[:-1]:
             try:
                 await self._hold_in(mode)
-            except DeviceRejected:  # without a position, for one
+            except DeviceRejected:  # without a position, for example
                 continue
             return
         await self._hold_in(modes[-1])
@@ -181,9 +181,9 @@ class Motion:
             self._commands.send_once(PAUSE_PX4)
 
     async def shielded(self, do: Callable[[], Awaitable[Any]]) -> None:
-        """Do it although the command that asks is being cancelled.
+        """Finish a stop although the calling command is being cancelled.
 
-        :raises RcpError: it could not be done: the cancel has not reached the vehicle.
+        :raises RcpError: the stop failed: the cancellation has not reached the vehicle.
         """
         task = asyncio.ensure_future(do())
         self.parting.add(task)
@@ -192,7 +192,7 @@ class Motion:
             async with asyncio.timeout(_HOLDING):
                 await asyncio.shield(task)
         except EstopActive:
-            return  # what stops it is under way already
+            return  # a stop is already under way
         except TimeoutError as error:
             if isinstance(error, DeviceTimeout):
                 raise
@@ -200,14 +200,14 @@ class Motion:
 
 
 def _ignore_progress(feedback: Any = None, *, fraction: float | None = None) -> None:
-    """Tell nobody: what a command does while it is being cancelled is no progress of it."""
+    """Discard the progress of a command that is being cancelled."""
 
 
 @contextmanager
 def unanswered(progress: Callable[[], object]) -> Generator[None]:
     """Report progress if the vehicle has not responded for a while.
 
-    It may have started by then: without progress, a lost link would count as a refusal.
+    It may have started to move by then; without progress, a lost link would count as a refusal.
     """
 
     def report() -> None:

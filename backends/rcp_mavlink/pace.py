@@ -1,4 +1,4 @@
-"""Whether a vehicle flies as fast as it was asked to, and looks where it should."""
+"""Checks that a vehicle keeps the requested speed and heading."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Pace"]
 
-_OVER, _MARGIN = 1.25, 0.7  # times what was asked, and m/s over it, that are still that speed
-_SLOWING, _FIRST = 1.0, 2.0  # m/s2 in which it slows down at least, and s that it has in any case
-_TOO_LONG = 1.5  # s that it may be too fast, as in a gust
+_OVER, _MARGIN = 1.25, 0.7  # tolerance: a factor of the requested speed, and m/s above it
+_SLOWING, _FIRST = 1.0, 2.0  # m/s2, minimum deceleration, and s allowed in any case
+_TOO_LONG = 1.5  # s of overspeed allowed, as in a gust
 _ALIGNED = math.radians(6)
-_TURNING = 20.0  # s that it may turn at the place
+_TURNING = 20.0  # s allowed for turning at the target
 _NO_HEADING = 65535
 
 
 class Pace:
-    """The speed and heading of one journey, by GLOBAL_POSITION_INT."""
+    """The speed and heading during one flight, by GLOBAL_POSITION_INT."""
 
     def __init__(self, vehicle: Vehicle, speed: float | None, yaw: float | None) -> None:
         self._vehicle, self._yaw = vehicle, yaw
-        # With a plane it is its speed through the air, to which the wind is added.
+        # Of a plane it is the airspeed, to which the wind is added.
         self._speed = None if vehicle.family.circles else speed
         now = time.monotonic()
         self._settled = now + _FIRST + self._measured()[0] / _SLOWING
         self._fast_since: float | None = None
         self._there_since: float | None = None
         self.fastest = 0.0
-        """Over ground, m/s."""
+        """Maximum ground speed, m/s."""
         self.heading: float | None = None
-        """The present one, rad."""
+        """The present heading, rad."""
         self.fault: str | None = None
-        """What is not as it was asked for."""
+        """What deviates from the request."""
 
     def update(self, *, there: bool) -> bool:
-        """Take the latest measurement; tell whether it is there and looks where it should."""
+        """Take the latest measurement; return whether it is there, with the requested heading."""
         now = time.monotonic()
         speed, self.heading = self._measured()
         self.fastest = max(self.fastest, speed)
@@ -67,7 +67,7 @@ class Pace:
             self.fault = f"{limit:g} m/s requested, but it moves at {speed:.1f} m/s"
 
     def _aligned(self, now: float) -> bool:
-        """Tell whether it looks where it should, or whether nobody cares."""
+        """Return whether it has the requested heading, or none was requested."""
         if self._yaw is None:
             return True
         if self.heading is not None:

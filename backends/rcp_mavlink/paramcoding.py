@@ -1,4 +1,4 @@
-"""The four bytes of a parameter: a float that is the value, or the bits of an integer in its place."""
+"""The four bytes of a parameter: a float with the value, or the bits of an integer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FLOAT = struct.Struct("<f")
 
 
 def bounds(type_: int) -> tuple[int, int] | None:
-    """Return what an integer type holds; None for a real number."""
+    """Return the limits of an integer type; None for a real number."""
     code = _CODES.get(type_)
     if code is None:
         return None
@@ -23,7 +23,7 @@ def bounds(type_: int) -> tuple[int, int] | None:
 
 
 def decoded(raw: bytes, type_: int, *, bytewise: bool) -> float:
-    """Return the value that four bytes stand for."""
+    """Return the value of four bytes."""
     code = _CODES.get(type_)
     if code is not None and bytewise:
         return float(struct.unpack_from(f"<{code}", raw)[0])
@@ -32,7 +32,7 @@ def decoded(raw: bytes, type_: int, *, bytewise: bool) -> float:
 
 
 def encoded(value: float, type_: int, *, bytewise: bool) -> bytes:
-    """Return the four bytes that stand for a value."""
+    """Return the four bytes of a value."""
     code = _CODES.get(type_)
     if code is None:
         return _FLOAT.pack(value)
@@ -44,9 +44,9 @@ def encoded(value: float, type_: int, *, bytewise: bool) -> bytes:
 def param_set(
     module: Any, to: tuple[int, int], name: str, value: float, type_: int, *, bytewise: bool
 ) -> tuple[Any, float]:
-    """Make PARAM_SET; return it with the value that the vehicle will have then.
+    """Build PARAM_SET; return it with the value that the vehicle will store.
 
-    The bytes are put in as they are: as a float, some integers would be signalling NaNs, whose
+    The bytes are inserted as they are: as floats, some integers would be signalling NaNs, whose
     bits do not survive.
     """
     raw = encoded(value, type_, bytewise=bytewise)

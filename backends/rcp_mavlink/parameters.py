@@ -1,4 +1,4 @@
-"""Parameters: all of them listed once, then followed; written until the vehicle says the value back."""
+"""Parameters: listed once, then tracked; written until the vehicle reports the value back."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Parameter", "Parameters"]
 
-_QUIET = 0.7  # s without a value, after which those that are missing are asked for
+_QUIET = 0.7  # s without a value until missing ones are requested
 _ROUNDS = 8
 _AT_ONCE = 50
 _NOT_THERE = 1
 _UNLISTED = 0xFFFF
-"""The place of a value that is said by itself, and not in a list."""
+"""The index of a value that is sent outside a list."""
 _ERRORS = {
     2: "out of range", 3: "not permitted", 4: "no such component", 5: "read-only",
     6: "unknown type", 7: "wrong type", 8: "cannot be read",
@@ -30,7 +30,7 @@ _ERRORS = {
 
 
 class Parameter(NamedTuple):
-    """One parameter as the vehicle said it last."""
+    """One parameter as last reported by the vehicle."""
 
     value: float
     type: int
@@ -49,7 +49,7 @@ class Parameters:
         self.complete = asyncio.Event()
 
     def take(self, frame: Frame) -> None:
-        """Take PARAM_VALUE."""
+        """Handle PARAM_VALUE."""
         fields = frame.fields()
         name = fields["param_id"].split(b"\0", 1)[0].decode("ascii", "replace")
         type_, place = fields["param_type"], fields["param_index"]
@@ -65,7 +65,7 @@ class Parameters:
         self._on_value(name)
 
     async def list(self) -> None:
-        """Have the vehicle say all of them, and again those that are lost on the way."""
+        """Request the whole list, and then what was lost."""
         vehicle, module = self._vehicle, self._hub.dialect.module
         to = (vehicle.system, vehicle.component)
         self._hub.send(vehicle, module.MAVLink_param_request_list_message(*to))
@@ -87,9 +87,9 @@ class Parameters:
                 self._hub.send(vehicle, module.MAVLink_param_request_read_message(*to, b"", place))
 
     async def read(self, name: str) -> float:
-        """Ask for a value.
+        """Request a value.
 
-        :raises UnknownPath: the vehicle has no such parameter, which most say by silence.
+        :raises UnknownPath: no such parameter; most vehicles then do not respond.
         """
         module, vehicle = self._hub.dialect.module, self._vehicle
         message = module.MAVLink_param_request_read_message(
@@ -111,7 +111,7 @@ class Parameters:
         return UnknownPath(f"the vehicle has no parameter {name}", remedy=remedy)
 
     async def write(self, name: str, value: float) -> float:
-        """Bring a value into force; return what is in force then.
+        """Write a value; return the value in effect.
 
         :raises DeviceRejected: the vehicle kept the old one.
         """
@@ -123,7 +123,7 @@ class Parameters:
         message, wanted = param_set(
             self._hub.dialect.module, to, name, value, before.type, bytewise=vehicle.bytewise
         )
-        # One that was said a moment before, and is on its way yet, is no answer.
+        # A value sent just before the write may still arrive; it is not the reply.
         now = await self._exchange(name, message, lambda reported: reported in (wanted, value))
         if now is None:
             raise DeviceTimeout(f"the vehicle did not confirm {name}")
@@ -135,7 +135,7 @@ class Parameters:
     async def _exchange(
         self, name: str, message: Any, good: Callable[[float], bool], *, once: bool = False
     ) -> float | None:
-        """Send until a good value comes; return the last that came, None without any."""
+        """Send until an accepted value arrives; return the last one received, or None."""
         self._vehicle.check()
         config, own = self._hub.config, name.encode()
         answered: asyncio.Future[int] = asyncio.get_running_loop().create_future()
@@ -179,9 +179,9 @@ class Parameters:
 
 
 def _kept_type(listed: int, reported: int, value: float) -> int:
-    """Return the type of a parameter, of what the list said and a single value says.
+    """Return the type of a parameter, from the list rather than a single value.
 
-    ArduPilot says REAL32 of an integer that was set to the default that it had already.
+    ArduPilot reports REAL32 for an integer that is set to the default that it already has.
     """
     limits = bounds(listed)
     if reported != REAL or limits is None or not value.is_integer():

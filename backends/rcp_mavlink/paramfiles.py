@@ -1,4 +1,4 @@
-"""What autopilots publish of their parameters: ArduPilot's `apm.pdef.xml`, PX4's `parameters.json`."""
+"""Parameter metadata of the autopilots: ArduPilot's `apm.pdef.xml`, PX4's `parameters.json`."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _WRONG = (
 
 
 def described(data: bytes) -> dict[str, About]:
-    """Read what is known of parameters, from plain or packed XML or JSON.
+    """Parse parameter metadata, from plain or compressed XML or JSON.
 
-    :raises ValueError: it is neither.
+    :raises ValueError: the data is neither.
     """
     try:
         plain = _unpacked(data)
@@ -52,7 +52,7 @@ def _unpacked(data: bytes) -> bytes:
 
 
 def _of_xml(data: bytes) -> Iterable[tuple[str, About]]:
-    root = ET.fromstring(data)  # noqa: S314 - expat bounds what entities grow to
+    root = ET.fromstring(data)  # noqa: S314 - expat limits entity expansion
     if root.tag != "paramfile":
         raise KeyError("paramfile")
     for param in root.iter("param"):

@@ -1,4 +1,4 @@
-"""Where a vehicle is and where it should be."""
+"""The position of a vehicle and of its target."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from rcp_mavlink.vehicle import Fix, Vehicle
 __all__ = ["away", "fix_of", "located", "part", "place_of", "reach"]
 
 _POSITION_TIMEOUT = 3.0  # s
-_CIRCLE = 80.0  # m of radius, of a plane that does not say
+_CIRCLE = 80.0  # m, radius assumed for a plane that does not report one
 _RADII = ("WP_LOITER_RAD", "NAV_LOITER_RAD")
-_ROUND = 1.5  # radii off the place it circles round that count as there
+_ROUND = 1.5  # radii from the centre of the circle that count as arrived
 
 
 async def located(vehicle: Vehicle) -> Fix:
-    """Return where it is, after what was asked for a moment before has come."""
+    """Return the position, after the arrival of one that was just requested."""
     await vehicle.until(lambda: vehicle.fix is not None, _POSITION_TIMEOUT)
     return fix_of(vehicle)
 
 
 def fix_of(vehicle: Vehicle) -> Fix:
-    """Return where it is.
+    """Return the position.
 
-    :raises PreconditionFailed: it does not know.
+    :raises PreconditionFailed: the vehicle has no position.
     """
     fix = vehicle.fix
     if fix is None:
@@ -38,7 +38,7 @@ def fix_of(vehicle: Vehicle) -> Fix:
 
 
 def place_of(vehicle: Vehicle, goal: m.MoveTo, fix: Fix) -> tuple[float, float]:
-    """Return latitude and longitude of a goal, deg; those of `fix` where it names none."""
+    """Return latitude and longitude of a goal, deg; of `fix` if the goal has none."""
     metres = goal.north is not None or goal.east is not None
     degrees = goal.latitude is not None or goal.longitude is not None
     if metres and degrees:
@@ -56,13 +56,13 @@ def place_of(vehicle: Vehicle, goal: m.MoveTo, fix: Fix) -> tuple[float, float]:
 
 
 def away(vehicle: Vehicle, fix: Fix, lat: float, lon: float, altitude: float) -> float:
-    """Return how far off a place is, m; height is nothing to what drives."""
+    """Return the distance to a target, m; ground vehicles ignore height."""
     flat = distance((fix.lat, fix.lon), (lat, lon))
     return flat if vehicle.family.drives else math.hypot(flat, fix.height - altitude)
 
 
 def reach(vehicle: Vehicle, parameters: Parameters, near: float) -> float:
-    """Return how far off a place counts as there, m."""
+    """Return the distance from a target that counts as arrived, m."""
     if not vehicle.family.circles:
         return near
     known = (parameters.known.get(name) for name in _RADII)

@@ -1,4 +1,4 @@
-"""Missions, fences and rally points, up and down."""
+"""Missions, fences and rally points: upload and download."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Plans:
     def number(self, item: Item, place: int) -> int:
         """Return the number of an item's command.
 
-        :raises InvalidValue: the dialect has none of that name.
+        :raises InvalidValue: the dialect has no such command.
         """
         name = item.command.removeprefix("MAV_CMD_")
         number = int(name) if name.isdigit() else self._commands.get(name)
@@ -59,7 +59,7 @@ class Plans:
         return number
 
     def _home(self) -> Any:
-        """Return item 0 of an ArduPilot's mission, which is home whatever is sent."""
+        """Return item 0 of an ArduPilot mission, which is always home."""
         lat, lon, alt = self._vehicle.home or (0.0, 0.0, 0.0)
         return self._item(MISSION, 0, 16, 0, (), round(lat * 1e7), round(lon * 1e7), alt)
 
@@ -90,9 +90,9 @@ class Plans:
     async def upload(
         self, kind: int, items: Sequence[Item], progress: Callable[[float], None] | None = None
     ) -> int:
-        """Replace a plan; return how many items the vehicle took.
+        """Replace a plan; return how many items the vehicle accepted.
 
-        :raises DeviceRejected: it takes them not, with its reason.
+        :raises DeviceRejected: the vehicle refuses the plan; includes its reason.
         """
         messages = self._messages(kind, items)
         vehicle, module = self._vehicle, self._hub.dialect.module
@@ -121,7 +121,7 @@ class Plans:
                         progress(seq / len(messages))
 
     async def download(self, kind: int) -> tuple[Item, ...]:
-        """Return the plan that the vehicle has."""
+        """Return the plan stored on the vehicle."""
         vehicle, module = self._vehicle, self._hub.dialect.module
         to = (vehicle.system, vehicle.component)
         found: list[Item] = []
@@ -157,9 +157,9 @@ class Plans:
     async def _next_message(
         self, received: asyncio.Queue[tuple[str, dict[str, Any]]], request: Any, kind: int, what: str, wanted: str | None = None
     ) -> tuple[str, dict[str, Any]]:  # fmt: skip
-        """Return the next message of this transfer; what was sent last is sent again meanwhile.
+        """Return the next message of this transfer; repeats the last request meanwhile.
 
-        :raises DeviceTimeout: nothing comes.
+        :raises DeviceTimeout: the vehicle does not respond.
         """
         config = self._hub.config
         if wanted is None and "COUNT" in request.get_type():

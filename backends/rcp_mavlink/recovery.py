@@ -13,16 +13,16 @@ _KNOWN = 5.0  # s for its first heartbeat
 
 
 class Recovery:
-    """Carries out `on_loss` for one vehicle, as telemetry shows it."""
+    """Applies `on_loss` to one vehicle, confirmed by telemetry."""
 
     def __init__(self, vehicle: Vehicle, motion: Motion, stop: Stop) -> None:
         self._vehicle, self._motion, self._stop = vehicle, motion, stop
 
     async def run(self, policy: str) -> str:
-        """Do it; return what was done.
+        """Apply it; return a description of what was done.
 
         :raises AdapterUnavailable: the vehicle is lost again.
-        :raises DeviceTimeout: telemetry does not show that it does what it was told.
+        :raises DeviceTimeout: telemetry does not confirm it.
         """
         vehicle, measurement = self._vehicle, self._motion.measurement
         if not await vehicle.until(lambda: measurement.has_heartbeat, _KNOWN):

@@ -1,4 +1,4 @@
-"""Why a vehicle refused a command without a word, by what its telemetry shows."""
+"""Explains a refusal without a text by the vehicle's telemetry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ARM, _TAKEOFF, _REBOOT = 400, 22, 246  # MAV_CMD
 
 
 class Reason(NamedTuple):
-    """A reason, and what to do about it."""
+    """A reason and its remedy."""
 
     reason: str
     remedy: str
@@ -28,7 +28,7 @@ _ARMED = Reason("the vehicle is armed", "Disarm it first.")
 
 
 def silent_reason(vehicle: Vehicle, number: int, first: float) -> Reason | None:
-    """Say why a command (`first` is its first parameter) was refused; None: nothing shows it."""
+    """Explain why a command (`first` is its first parameter) was refused; None if unknown."""
     flying = vehicle.landed is False
     if number == _ARM and not first and flying:
         return _IN_AIR_DISARM

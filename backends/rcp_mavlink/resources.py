@@ -1,4 +1,4 @@
-"""What a vehicle offers: paths with their types, sentences and examples."""
+"""The resources of a vehicle: paths with types, descriptions and examples."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _RALLY = {
 def resources(
     hub: Hub, vehicle: Vehicle, sensors: list[Sensor], name: Callable[[str], str]
 ) -> list[Resource]:
-    """List the resources of a vehicle but its parameters."""
+    """List the resources of a vehicle except its parameters."""
     found = [
         Resource(
             name=sensor.name,

@@ -1,4 +1,4 @@
-"""One vehicle in the tree: its resources, and what reads, writes and executes them."""
+"""One vehicle in the tree: its resources, and their reads, writes and executions."""
 
 from __future__ import annotations
 
@@ -51,24 +51,24 @@ from rcp_mavlink.watchdogs import Watchdogs
 
 __all__ = ["Robot"]
 
-_RETRY_AFTER = 3.0  # s without a message that is wanted
+_RETRY_AFTER = 3.0  # s without a required message
 _GLOBAL = 33
-_REBOOTED = 10.0  # s by which the vehicle's clock has gone back
+_REBOOTED = 10.0  # s by which the vehicle's clock must have gone back
 _TIMES = (2, 111)
-"""Messages that tell of its clock: SYSTEM_TIME, TIMESYNC."""
+"""Messages with the vehicle's time: SYSTEM_TIME, TIMESYNC."""
 _TIMED_AT_FIRST, _TIMED = (
     5,
     10,
-)  # looks: its clock is asked for at each of the first, then of so many
+)  # polls: the time is requested at each of the first, then at every so many
 _FIRST_POSITION = 3.0  # s
 _ALLOWED_BLIND = ("action/land", "action/rtl")
-_COMING_BACK = 30.0  # s that a reboot may take
+_COMING_BACK = 30.0  # s for a reboot
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
 
 
 class Robot:
-    """One vehicle; `prefix` is its name where there are several."""
+    """One vehicle; `prefix` is its name if there are several."""
 
     def __init__(self, hub: Hub, vehicle: Vehicle, host: Host, prefix: str) -> None:
         self.vehicle = vehicle
@@ -96,7 +96,7 @@ class Robot:
             for sensor in sensors(hub.dialect, config.messages, px4=vehicle.family.px4)
         }
         self._watched: dict[str, int] = {}
-        """Names of the messages that are watched, with by how many."""
+        """Number of subscribers by message name."""
         self._paths: dict[int, list[tuple[str, bool]]] = {}
         for sensor in self._sensors.values():
             number = hub.dialect.by_name[sensor.message].id
@@ -104,7 +104,7 @@ class Robot:
         self._declared: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
-        self._booted = 0  # ms that its clock said last
+        self._booted = 0  # ms, the last reported time since boot
         self._clock = Clock()
         self._polls = 0
         self.telemetry_events = TelemetryEvents(
@@ -149,25 +149,25 @@ class Robot:
 
     @property
     def scope(self) -> str | None:
-        """What the kernel calls it where there are several; None: it is all of the backend."""
+        """Its name for the kernel if there are several; None: the whole backend."""
         return self._prefix or None
 
     @property
     def name_in_texts(self) -> str:
-        """What it is called in messages and in the log."""
+        """Its name in messages and in the log."""
         return self._prefix or f"vehicle {self.vehicle.system}"
 
     def name(self, name: str) -> str:
-        """Return a name of the tree for one of the vehicle's own."""
+        """Return the path in the tree for one of the vehicle's own paths."""
         if not self._prefix:
             return name
         branch, _, rest = name.partition("/")
         return f"{branch}/{self._prefix}/{rest}"
 
-    # Life
+    # Lifecycle
 
     def begin(self) -> None:
-        """Declare what it has and ask for its messages and parameters."""
+        """Declare its resources; request its messages and parameters."""
         found = resources(self._hub, self.vehicle, list(self._sensors.values()), self.name)
         self._declare(found)
         self.vehicle.on_frame.append(self._frame)
@@ -180,7 +180,7 @@ class Robot:
         self._start(self._list_parameters())
 
     def back(self) -> None:
-        """Ask for everything again: it is heard once more."""
+        """Request everything again: the vehicle is connected again."""
         self.intervals.begin()
         self._start(self._first("HOME_POSITION"))
         if not self.parameters.complete.is_set():
@@ -193,7 +193,7 @@ class Robot:
         self._declared.update(resource.name for resource in resources)
 
     async def close(self) -> None:
-        """Let go of it."""
+        """Release the vehicle."""
         self._closed = True
         self.setpoints.end()
         self.guard.take_back()
@@ -207,14 +207,14 @@ class Robot:
         self.vehicle.on_text.clear()
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
-        if self._closed:  # the vehicle may be heard again before the links are closed
+        if self._closed:  # the vehicle may reconnect before the links are closed
             work.close()
             return
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    # What comes
+    # Receiving
 
     def _publish(self, name: str, value: Any) -> None:
         full = self.name(name)
@@ -255,7 +255,7 @@ class Robot:
             self._see_reboot(frame)
 
     def _see_reboot(self, frame: Frame) -> None:
-        """See by its clock whether it has begun anew, and has forgotten what it was asked for."""
+        """Detect a reboot by its clock; a reboot resets the requested rates."""
         clock = int.from_bytes(frame.payload[:4], "little")
         if clock + _REBOOTED * 1000 < self._booted:
             self.telemetry_events.boot()
@@ -264,12 +264,12 @@ class Robot:
         self._booted = clock
 
     def poll(self) -> None:
-        """Ask again for what is wanted and does not come; called now and then."""
+        """Repeat requests for messages that do not arrive; called periodically."""
         now = time.monotonic()
         came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.last_message_at - 1)
         if not self.vehicle.lost and now - came > _RETRY_AFTER:
             self.intervals.begin()
-        if self.vehicle.lost:  # the way to it may work although the way back does not
+        if self.vehicle.lost:  # the uplink may work although the downlink does not
             self.stop_if_latched()
         self.telemetry_events.links()
         self.guard.renew()
@@ -322,7 +322,7 @@ class Robot:
         return m.Items(await self.plans.download(kind))
 
     async def _reboot(self, _: None, __: Progress) -> None:
-        """Start it anew; done when it is heard again with a clock that begins anew."""
+        """Reboot the vehicle; completes when its heartbeats return."""
         vehicle = self.vehicle
         await self._commands.send(Command(246, (1.0, 0.0, 0.0, 0.0)), "reboot")
         since = time.monotonic()
@@ -334,7 +334,7 @@ class Robot:
             returned = await vehicle.until(back, _COMING_BACK)
         except AdapterUnavailable:
             async with asyncio.timeout(_COMING_BACK):
-                while vehicle.lost:  # noqa: ASYNC110 - whoever is lost wakes nobody
+                while vehicle.lost:  # noqa: ASYNC110 - a lost vehicle wakes no waiter
                     await asyncio.sleep(0.1)
             returned = True
         if not returned:
@@ -350,7 +350,7 @@ class Robot:
         return await self.motion.set_mode(given, progress)
 
     def _ending(self, name: str, verb: Verb) -> Verb:
-        """Let a command of its own end the set-points that are in force."""
+        """Wrap a command so that it ends the active set-points."""
         verb = verb if name in _ALLOWED_BLIND else self._seen_to_move(verb)
 
         async def run(given: Any, progress: Progress) -> Any:
@@ -360,20 +360,20 @@ class Robot:
         return run
 
     def _seen_to_move(self, verb: Verb) -> Verb:
-        """Refuse to move it while its position is too old to see it move."""
+        """Refuse motion while the position is too old to observe it."""
 
         async def run(given: Any, progress: Progress) -> Any:
-            if math.isinf(self.measurement.position_age):  # it was asked for a moment ago
+            if math.isinf(self.measurement.position_age):  # it may just have been requested
                 await self.vehicle.until(lambda: not self.measurement.stale(), _FIRST_POSITION)
             self.measurement.check()
             return await verb(given, progress)
 
         return run
 
-    # What the kernel asks
+    # Calls from the kernel
 
     async def read(self, name: str) -> Any:
-        """Return the present value of one of its own names."""
+        """Return the present value of one of its own paths."""
         vehicle = self.vehicle
         vehicle.check()
         sensor = self._sensors.get(name)
@@ -396,7 +396,7 @@ class Robot:
         return value
 
     async def write(self, name: str, value: Any) -> Any:
-        """Bring a value into force."""
+        """Apply a value."""
         if name.startswith("param/"):
             own = name.removeprefix("param/")
             await self.parameters.write(own, value)
@@ -417,7 +417,7 @@ class Robot:
         return await verb(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Have the vehicle send what is watched, as often as that is wanted."""
+        """Request a message at a rate while entered."""
         return self._watch(name, FASTEST if rate is None else min(rate, FASTEST))
 
     @asynccontextmanager
@@ -439,15 +439,15 @@ class Robot:
                 del self._watched[message]
 
     async def _first(self, message: str) -> None:
-        """Have the first value at once, for what comes rarely."""
+        """Request the first value at once, for messages that are rare."""
         with suppress(RcpError):
             await self.intervals.request(message)
 
     def stop_if_latched(self) -> None:
-        """Send the stop to one that is latched: before anything else, and blindly while it is lost."""
+        """Send the stop first of all if the vehicle is latched, even while it is lost."""
         if self._host.is_latched(self.scope):
             self.stop.hold_stop()
 
     def restore(self) -> None:
-        """Have the kernel stop it, or settle what it was left with: it is heard now."""
+        """Let the kernel stop the vehicle or apply `on_loss`: it is connected again."""
         self._host.link_restored(self.scope)

@@ -1,4 +1,4 @@
-"""Which message stands at which path, by the kind of autopilot."""
+"""The message behind each path, by the kind of autopilot."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ __all__ = ["BASE", "ESTIMATOR", "Sensor", "sensors"]
 
 
 class Sensor(NamedTuple):
-    """A path and the message that is its value."""
+    """A path and the message with its value."""
 
     name: str
     message: str
     description: str
     live: bool = False
-    """It comes whether anybody watches or not: the gateway needs it itself."""
+    """Whether the gateway itself needs it, so that it is always received."""
 
 
 _SENSORS = (
@@ -52,14 +52,14 @@ _PX4 = (
 )  # fmt: skip
 
 BASE = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE", "SYS_STATUS", "MISSION_CURRENT")
-"""Messages that the gateway needs itself."""
+"""Messages that the gateway itself needs."""
 
 ESTIMATOR = "EKF_STATUS_REPORT"
-"""Of an ArduPilot, likewise: it sends positions also while it has none."""
+"""Needed from an ArduPilot as well: it sends positions even while it has none."""
 
 
 def sensors(dialect: Dialect, patterns: tuple[str, ...], *, px4: bool) -> list[Sensor]:
-    """Return what stands in the tree: the usual ones, and what the configuration names."""
+    """Return the sensors in the tree: the standard ones, and those of the configuration."""
     usual = [*_SENSORS, *(_PX4 if px4 else _ARDUPILOT)]
     found = [sensor for sensor in usual if sensor.message in dialect.by_name]
     for name, definition in sorted(dialect.by_name.items()):

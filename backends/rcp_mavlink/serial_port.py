@@ -1,4 +1,4 @@
-"""A serial line as a transport of asyncio: raw, without a thread and without a library."""
+"""A serial port as an asyncio transport: raw, without a thread or a library."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _BACKLOG = 65_536
 
 
 class SerialPort:
-    """Enough of a transport for a link."""
+    """The subset of an asyncio transport that a link needs."""
 
     def __init__(self, device: str, baud: int, protocol: asyncio.Protocol) -> None:
         self._device, self._baud, self._protocol = device, baud, protocol
@@ -24,7 +24,7 @@ class SerialPort:
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
         """Open the device.
 
-        :raises OSError: it is not there, not ours, or has no such speed.
+        :raises OSError: it does not exist, is not accessible, or does not support the baud rate.
         """
         import termios
         import tty
@@ -47,15 +47,15 @@ class SerialPort:
         self._protocol.connection_made(self)  # pyright: ignore[reportArgumentType]
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """Return nothing: a line has no address."""
+        """Return None: a serial port has no peer address."""
         return default
 
     def get_write_buffer_size(self) -> int:
-        """Return how many bytes wait."""
+        """Return the number of buffered bytes."""
         return len(self._waiting)
 
     def write(self, data: bytes) -> None:
-        """Send, as fast as the line takes it."""
+        """Send, as fast as the port accepts it."""
         if self._fd < 0 or len(self._waiting) > _BACKLOG:
             return
         if not self._waiting and self._loop is not None:

@@ -1,4 +1,4 @@
-"""Set-points: a velocity or an attitude, sent over and over as long as it stands."""
+"""Set-points: a velocity or an attitude, repeated while it is active."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from rcp_mavlink.vehicle import Vehicle
 __all__ = ["Setpoints"]
 
 _RATE = 10.0  # Hz
-_PARTING = 10  # times that rest is sent before it is left at that
-_LEADING = 6  # times that PX4 wants one before it lets itself be led
+_PARTING = 10  # messages with zero velocity before the set-point ends
+_LEADING = 6  # messages that PX4 requires before it enters the mode
 _BODY_FRAME = 8
 _VELOCITY_AND_YAW_RATE = 0b0101_1100_0111
 _ATTITUDE_ALONE = 0b0000_0111
 _FRESH = 0.1  # s for which a heading counts as the present one
-_ANSWER = 0.5  # s for one to come
+_ANSWER = 0.5  # s for a heading to arrive
 _NO_HEADING = 65535
 
 
 class Setpoints:
-    """What one vehicle is led by; a new one takes the place of the one before it.
+    """The set-point of one vehicle; a new one replaces the previous.
 
-    `ask` has the vehicle send one message.
+    `ask` requests one message from the vehicle.
     """
 
     def __init__(
@@ -40,14 +40,14 @@ class Setpoints:
     ) -> None:
         self._hub, self._vehicle, self._motion, self._ask = hub, vehicle, motion, ask
         self._kept: float | None = None
-        """The heading that is kept, rad, while nobody asks for another one."""
+        """The heading to keep while none is requested, rad."""
         self._task: asyncio.Task[None] | None = None
         self._entering: asyncio.Task[None] | None = None
         self._message: Any = None
         self._left: int | None = None
 
     async def velocity(self, value: Any) -> None:
-        """Move so in its own axes; all zeros is rest."""
+        """Send a velocity in the body frame; all zeros is rest."""
         x, y, z = value.x, getattr(value, "y", 0.0), getattr(value, "z", 0.0)
         resting = not (x or y or z or value.yaw_rate)
         if resting and (self._task is None or not self._leads()):
@@ -65,7 +65,7 @@ class Setpoints:
         )  # fmt: skip
 
     async def attitude(self, value: m.Attitude) -> None:
-        """Hold an attitude; level with half the thrust is rest, and handed back to the autopilot."""
+        """Hold an attitude; level with half thrust is rest and ends the set-point."""
         vehicle = self._vehicle
         if value == m.Attitude():
             led = self._task is not None and self._leads()
@@ -75,7 +75,7 @@ class Setpoints:
             return
         self._check()
         heading = await self._heading(value.yaw)
-        self._check()  # another command may have come meanwhile
+        self._check()  # another command may have arrived meanwhile
         q = _quaternion(value.roll, value.pitch, heading)
         message = self._hub.dialect.module.MAVLink_set_attitude_target_message(
             0, vehicle.system, vehicle.component, _ATTITUDE_ALONE, q, 0.0, 0.0, 0.0, value.thrust
@@ -85,7 +85,7 @@ class Setpoints:
     async def _heading(self, requested: float | None) -> float:
         """Return the heading to hold: an attitude always has one, and 0 would be north.
 
-        :raises PreconditionFailed: the present one is to be kept, and the vehicle does not say it.
+        :raises PreconditionFailed: the present heading is needed and not reported.
         """
         if requested is not None:
             self._kept = None
@@ -101,7 +101,7 @@ class Setpoints:
                 await self._ask("ATTITUDE")
             if await vehicle.until(lambda: vehicle.came.get("ATTITUDE", 0.0) >= since, _ANSWER):
                 return vehicle.latest["ATTITUDE"].fields()["yaw"]
-        except RcpError:  # it has no such message, or does not answer
+        except RcpError:  # the vehicle does not have the message, or does not respond
             vehicle.check()
         if vehicle.came.get("GLOBAL_POSITION_INT", 0.0) >= since - _ANSWER:
             heading = vehicle.latest["GLOBAL_POSITION_INT"].fields()["hdg"]
@@ -116,9 +116,9 @@ class Setpoints:
         return vehicle.mode == vehicle.family.led and vehicle.armed
 
     def _check(self) -> None:
-        """Make sure that it would follow.
+        """Check that the vehicle would follow.
 
-        :raises ModeForbids: it is in a mode in which it does not.
+        :raises ModeForbids: it accepts no set-points in its mode.
         :raises PreconditionFailed: it is not in the air.
         """
         vehicle, family = self._vehicle, self._vehicle.family
@@ -144,7 +144,7 @@ class Setpoints:
             await self._enter()
 
     async def _enter(self) -> None:
-        """Have it let itself be led: PX4 wants to hear set-points before it does."""
+        """Enter the mode for set-points: PX4 requires a stream of them first."""
         entering = self._entering
         if entering is None or entering.done():
             entering = asyncio.get_running_loop().create_task(self._entered())
@@ -166,19 +166,19 @@ class Setpoints:
         await self._motion.to_mode(self._vehicle.family.led)
 
     async def offboard(self) -> None:
-        """Begin to lead it with being at rest."""
+        """Enter OFFBOARD with a set-point of rest."""
         if not self._vehicle.armed:
             raise PreconditionFailed("OFFBOARD: the vehicle is not armed", remedy="Arm it first.")
         await self._lead(self._moving(0.0, 0.0, 0.0, 0.0), None)
 
     async def _repeat(self) -> None:
-        hold = self._vehicle.family.px4  # it would call their absence a failure
+        hold = self._vehicle.family.px4  # PX4 would treat their absence as a failure
         while self._left is None or self._left > 0:
             await asyncio.sleep(1 / _RATE)
             entering = self._entering is not None and not self._entering.done()
             if fenced_off() or self._vehicle.lost or not (entering or self._leads()):
                 break
-            if self._motion.measurement.stale(strict=False):  # nobody sees where it is led
+            if self._motion.measurement.stale(strict=False):  # the motion can no longer be observed
                 hold = True
                 break
             self._hub.send(self._vehicle, self._message)
@@ -190,7 +190,7 @@ class Setpoints:
                 await self._motion.shielded(self._motion.hold)
 
     def end(self) -> None:
-        """Say nothing more."""
+        """Stop sending."""
         for task in (self._task, self._entering):
             if task is not None:
                 task.cancel()

@@ -1,4 +1,4 @@
-"""Signatures of MAVLink 2: what is sent carries one, and what carries none is not taken."""
+"""MAVLink 2 signatures: sent messages are signed, unsigned ones are rejected."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 __all__ = ["Signing", "key_of"]
 
-_EPOCH = 1_420_070_400  # s: 2015-01-01, from which the time in a signature counts
-_TICKS = 100_000  # a second
+_EPOCH = 1_420_070_400  # s: 2015-01-01, the epoch of signature timestamps
+_TICKS = 100_000  # ticks per second
 _LATE = 60 * _TICKS
 _MOST_STREAMS = 1024
 
 
 def key_of(text: str) -> bytes:
-    """Return the key that a passphrase stands for, or the one written in 64 hexadecimal digits."""
+    """Return the key for a passphrase, or the one given as 64 hexadecimal digits."""
     if len(text) == 64:
         try:
             return bytes.fromhex(text)
@@ -30,21 +30,21 @@ def _now() -> int:
 
 
 class Signing:
-    """One key, and the times of what was signed with it, so that nothing is taken twice."""
+    """One key and the timestamps of signed frames, which prevent replays."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
         self._seen: dict[bytes, int] = {}
 
     def apply(self, mav: Any, link: int) -> None:
-        """Have a `MAVLink` object of pymavlink sign what it sends."""
+        """Configure a pymavlink `MAVLink` object to sign what it sends."""
         mav.signing.secret_key = self._key
         mav.signing.sign_outgoing = True
         mav.signing.link_id = link
         mav.signing.timestamp = _now()
 
     def genuine(self, frame: bytes) -> bool:
-        """Tell whether a frame was signed with the key, and later than the one before it."""
+        """Return whether a frame is signed with the key, and later than the previous one."""
         if not hmac.compare_digest(sha256(self._key + frame[:-6]).digest()[:6], frame[-6:]):
             return False
         at = int.from_bytes(frame[-12:-6], "little")

@@ -1,4 +1,4 @@
-"""The stop of one vehicle: a ladder of steps, each commanded until telemetry shows what it is for."""
+"""The stop of one vehicle: steps in sequence, each commanded until telemetry confirms it."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ log = structlog.get_logger("rcp.mavlink")
 _FORCE = 21196.0
 _NAN = math.nan
 PAUSE_PX4 = Command(192, (-1.0, 1.0, 0.0, _NAN), _NAN, _NAN, _NAN)
-"""DO_REPOSITION to nowhere: PX4 goes to a place in HOLD, and HOLD alone would not end that."""
+"""DO_REPOSITION without a position: PX4 goes to targets in HOLD, which HOLD alone would not end."""
 
-_AGAIN = 0.2  # s between two transmissions that are not answered
-_QUICKEST = 0.05  # s between two at all
-_REMIND = 0.25  # s between two looks at its mode while it rests, for a foreign commander
-_BLINDLY = 1.0  # s between two to a vehicle that is not heard
-_FRESH = 0.2  # s for which a heartbeat tells the mode it is in now
-_ANSWER = 0.4  # s that a heartbeat may take that was asked for
-_RESTART = 1.0  # s after a failed run, before `hold_stop` begins another
-_TAKEN = 2.0  # s in which telemetry has to show the mode
-_REFUSALS = 2  # a single one may be the late answer to the step before
-_LATE_ANSWERS = 0.1  # s in which those come, and the reasons in words
-_LEVEL = 3.0  # s for a mode without a position to prove that it holds
+_AGAIN = 0.2  # s between repetitions without a response
+_QUICKEST = 0.05  # s, minimum interval
+_REMIND = 0.25  # s between checks of its mode while at rest, in case of another commander
+_BLINDLY = 1.0  # s between repetitions to a lost vehicle
+_FRESH = 0.2  # s for which a heartbeat counts as the present mode
+_ANSWER = 0.4  # s for a requested heartbeat to arrive
+_RESTART = 1.0  # s after a failed run, until `hold_stop` starts another
+_TAKEN = 2.0  # s for telemetry to show the mode
+_REFUSALS = 2  # one alone may be the late reply to the previous step
+_LATE_ANSWERS = 0.1  # s for late replies, and the reasons as text
+_LEVEL = 3.0  # s for a mode without a position to show that it holds
 _LANDING = 600.0  # s
-_DISARMING = 2.0  # s for a vehicle on the ground to disarm when told to
-_FORGOTTEN = 2.0  # s without a call, after which the next stop begins with the first step
+_DISARMING = 2.0  # s for a vehicle on the ground to disarm when commanded
+_FORGOTTEN = 2.0  # s without a call, after which the next stop starts at the first step
 _POLL_PERIOD = 0.05  # s
 _ARM, _TERMINATE, _LOITER, _REQUEST = 400, 185, 17, 512
 _POSITION, _HEARTBEAT = 33.0, 0.0
@@ -50,16 +50,16 @@ _FALL = Command(_ARM, (0.0, _FORCE, 0.0, 0.0))
 
 
 class _Attempt:
-    """How far one step of a stop has come."""
+    """The progress of one step of a stop."""
 
     def __init__(self, rung: Rung, *, pause: bool) -> None:
         self.rung, self.pause = rung, pause
         self.began = self.waits = time.monotonic()
-        """Since when it is tried, and since when its mode is not in force."""
+        """Start time of the step, and since when its mode is not in effect."""
         self.taken: float | None = None
         """Since when telemetry shows its mode."""
         self.stands: float | None = None
-        """Since when the vehicle stands on the ground."""
+        """Since when the vehicle is on the ground."""
         self.refusals = 0
 
 
@@ -81,37 +81,37 @@ class Stop:
         self._end_setpoints, self._latched = end_setpoints, latched
         self._task: asyncio.Task[None] | None = None
         self._at = 0
-        """The step that has been reached: those before it were refused or did not do."""
+        """Index of the present step: the previous ones were refused or ineffective."""
         self._tried: list[str] = []
         self._called = self._sent = self._requested = self._failed = -math.inf
         self._shown = -math.inf
-        """A heartbeat from before it proves nothing."""
+        """Earlier heartbeats prove nothing."""
         self._was_latched = False
         self._taken = False
-        """Whether a step was in force since the stop began."""
+        """Whether a step has been in effect since the stop began."""
         self._complained = ""
         self._unsure: float | None = None
 
-    # What is known
+    # State
 
     @property
     def running(self) -> bool:
-        """Whether a stop is being carried out."""
+        """Whether a stop is in progress."""
         return self._task is not None and not self._task.done()
 
     @property
     def rung(self) -> Rung:
-        """The step that is in force, or would be the first."""
+        """The step in effect, or otherwise the first."""
         rungs = self._rungs()
         return rungs[min(self._at, len(rungs) - 1)] if self.in_force else rungs[0]
 
     @property
     def in_force(self) -> bool:
-        """Whether a stop is being carried out or kept up."""
+        """Whether a stop is in progress or maintained."""
         return self.running or time.monotonic() - self._called <= _FORGOTTEN
 
     def state(self) -> MotionState:
-        """Report whether it is at rest: as the stop means it, or without one, whether it is still."""
+        """Report whether it is at rest as the stop requires; without one, whether it is still."""
         if not self.in_force:
             return self._measurement.rest(LOITER)
         found = self._measurement.rest(self.rung)
@@ -126,21 +126,21 @@ class Stop:
         if config.estop_terminate:
             groups.append("terminate")
         vehicle = self._vehicle
-        # An autopilot without modes that are known is told what the standard has for all.
+        # The standard command for autopilots with unknown modes.
         return ladder(groups, vehicle.family, hovering=vehicle.hovering) or [LOITER]
 
     # The e-stop
 
     async def halt(self) -> None:
-        """Bring it to rest; return when that is measured.
+        """Stop it; return once it is measured at rest.
 
-        :raises AdapterUnavailable: it is not heard; the stop is sent all the same.
-        :raises DeviceTimeout: it was told and is not at rest, or its motion cannot be measured.
+        :raises AdapterUnavailable: the vehicle is lost; the stop is sent nevertheless.
+        :raises DeviceTimeout: it is not at rest in time, or its motion cannot be measured.
         """
         await asyncio.shield(self.begin())
 
     def begin(self) -> asyncio.Task[None]:
-        """Send the stop at once, and return what sees to it that the vehicle comes to rest."""
+        """Send the stop at once; return the task that brings the vehicle to rest."""
         now = time.monotonic()
         self._note_call(now)
         with unfenced():
@@ -157,14 +157,14 @@ class Stop:
         return self._task
 
     def hold_stop(self) -> None:
-        """Send what keeps it stopped, if that is due: called ten times a second."""
+        """Send what maintains the stop, if due; called ten times per second."""
         now = time.monotonic()
         self._note_call(now)
         if self.running and not self._doubtful():
             return
         with unfenced():
             if self._vehicle.lost:
-                # The way to it may work although the way back does not.
+                # The uplink may work although the downlink does not.
                 if now - self._sent >= _BLINDLY and self._vehicle.armed:
                     self._send(self.rung)
             elif self._doubtful() or self.state().at_rest is not True:
@@ -177,12 +177,12 @@ class Stop:
                 self._request(_HEARTBEAT)
 
     def doubt(self) -> None:
-        """Believe nothing that was known of it: it was not heard for a while."""
+        """Discard the known state: the vehicle was lost for a while."""
         self._measurement.doubtful_since = time.monotonic()
         self._sent = -math.inf
 
     def _doubtful(self) -> bool:
-        """Tell whether it has returned, and has not been sent the stop since."""
+        """Return whether it is connected again, but has not been sent the stop since."""
         return not self._vehicle.lost and self._sent < self._measurement.doubtful_since
 
     def _note_call(self, now: float) -> None:
@@ -193,7 +193,7 @@ class Stop:
         self._called = now
 
     async def close(self) -> None:
-        """End what is under way; what was sent stays in force on the vehicle."""
+        """Cancel the task; commands already sent remain in effect on the vehicle."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -210,7 +210,7 @@ class Stop:
         rungs = self._rungs()
         at, tried = await self._climb(rungs, min(self._at, len(rungs) - 1), self._reached)
         if at is None:
-            self._at = 0  # all over again: what was refused a minute ago may be taken now
+            self._at = 0  # start over: what was refused earlier may be accepted now
             raise DeviceTimeout(f"vehicle {self._vehicle.system}: {'; '.join(tried)}")
         if tried:
             log.warning(
@@ -224,10 +224,10 @@ class Stop:
         self._at = at
         self._tried = list(tried)
 
-    # A pause
+    # Hold without an e-stop
 
     async def hold(self) -> None:
-        """Bring it to rest without an e-stop, in the air and never on the ground; as `halt` raises."""
+        """Hold its position without an e-stop, only in the air; raises like `halt`."""
         if self._latched() or self.running:
             await self.halt()
             return
@@ -247,7 +247,7 @@ class Stop:
         if at is None:
             raise DeviceTimeout(f"vehicle {self._vehicle.system}: {'; '.join(tried)}")
 
-    # The ladder
+    # Steps
 
     async def _climb(
         self,
@@ -257,7 +257,7 @@ class Stop:
         *,
         pause: bool = False,
     ) -> tuple[int | None, list[str]]:
-        """Try one step after the other; return the one that did it (None: none), and the others."""
+        """Try the steps in order; return the successful one, if any, and the failures."""
         tried = list(self._tried) if at else []
         while at < len(rungs):
             reached(at, tried)
@@ -271,8 +271,8 @@ class Stop:
             at += 1
             if attempt.refusals >= _REFUSALS:
                 continue
-            # It was taken and did not do: another mode of its group does no better, and without
-            # its position it would only drift.
+            # The mode was accepted but ineffective: another mode of the group is no better, and
+            # without its position the vehicle would only drift.
             useless = {rung.group}
             if rung.group == "hold" and self._measurement.estimated:
                 useless.add("level")
@@ -281,10 +281,10 @@ class Stop:
         return None, tried
 
     async def _try(self, attempt: _Attempt) -> str:
-        """Command a step until telemetry shows rest; else say why it failed.
+        """Command a step until telemetry shows rest; otherwise return why it failed.
 
-        :raises AdapterUnavailable: the vehicle is not heard.
-        :raises DeviceTimeout: it does not do it, or nobody can see whether it does.
+        :raises AdapterUnavailable: the vehicle is lost.
+        :raises DeviceTimeout: it does not execute the step, or its state cannot be observed.
         """
         vehicle, number = self._vehicle, _command(attempt.rung, self._vehicle).number
 
@@ -306,7 +306,7 @@ class Stop:
                 await vehicle.until(lambda b=before: self._signature(attempt) != b, _POLL_PERIOD)
 
     def _check(self, attempt: _Attempt, now: float) -> str | None:
-        """Go on with a step by what is known; return the empty text at rest, or why it failed."""
+        """Advance a step by the known state; return an empty text at rest, or why it failed."""
         rung = attempt.rung
         if self._shown_disarmed():
             return ""
@@ -336,7 +336,7 @@ class Stop:
         return None
 
     def _check_wanted(self, *, pause: bool) -> None:
-        """End a stop whose latch was reset, and a pause that a stop has overtaken."""
+        """Abort a stop whose latch was reset, and a hold that a stop has replaced."""
         if pause:
             check_fence()
             if self.running:
@@ -348,7 +348,7 @@ class Stop:
         self._was_latched = latched
 
     def _signature(self, attempt: _Attempt) -> tuple[Any, ...]:
-        """Return what is worth a look when it changes."""
+        """Return the state whose changes require a check."""
         v = self._vehicle
         return v.armed, v.mode_number, v.landed, attempt.refusals, v.came.get("HEARTBEAT")
 
@@ -358,9 +358,9 @@ class Stop:
         return f"refused ({texts[-1]})" if texts else "refused"
 
     def _too_long(self, rung: Rung, seconds: float) -> str | None:
-        """Say why a step that is in force does not do; None: it may yet.
+        """Return why a step in effect has failed; None while it may still succeed.
 
-        :raises DeviceTimeout: it may do, but nobody can see it: another step would not be better.
+        :raises DeviceTimeout: it may be effective but is not observable: another is no better.
         """
         measurement = self._measurement
         if rung.rests == "landed":
@@ -369,7 +369,7 @@ class Stop:
             most = _LEVEL if measurement.speed is None else self._hub.config.estop_timeout
         else:
             most = self._hub.config.estop_timeout
-            if not measurement.estimated:  # it holds nothing without one
+            if not measurement.estimated:  # it cannot hold without an estimate
                 most = min(most, _LEVEL)
         if seconds <= most:
             return None
@@ -394,9 +394,9 @@ class Stop:
         return shown and bool(rung.mode) and self._vehicle.mode == rung.mode
 
     def _lands_itself(self, rung: Rung) -> bool:
-        """Tell whether it began to land after it had been stopped: an empty battery, for one.
+        """Return whether it began to land after the stop, with an empty battery for example.
 
-        Held in the air by the stop it would fall in the end.
+        If the stop held it in the air, it would fall eventually.
         """
         held = self._taken and rung.group in ("hold", "level")
         land = self._vehicle.family.land
@@ -410,16 +410,16 @@ class Stop:
         measured = rung.rests != "still" or self._measurement.measured_since(since)
         return state.at_rest is True and measured
 
-    # What is sent
+    # Sending
 
     def _send_due(self, now: float, rung: Rung, *, at_once: bool = False) -> None:
         if now - self._sent >= (_QUICKEST if at_once else _AGAIN):
             self._send(rung)
 
     def _send(self, rung: Rung) -> None:
-        """Send a step once, and have the vehicle tell its state.
+        """Send a step once, and request the vehicle's state.
 
-        One that is disarmed, as far as is known, is asked only: a mode would outlast the stop.
+        A disarmed vehicle is only queried: a flight mode would outlast the stop.
         """
         vehicle, now = self._vehicle, time.monotonic()
         if vehicle.armed and self._needs_mode_first(now):
@@ -436,9 +436,9 @@ class Stop:
         self._request(_HEARTBEAT)
 
     def _needs_mode_first(self, now: float) -> bool:
-        """Tell whether its mode has to be known first: it may have begun to land by itself.
+        """Return whether its mode must be known first: it may have begun to land by itself.
 
-        Only once the stop was in force, and not for long: it may not answer.
+        Only after the stop was in effect, and not for long, because it may not respond.
         """
         if not self._taken or self._vehicle.lost or self._doubtful():
             return False

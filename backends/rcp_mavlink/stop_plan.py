@@ -1,4 +1,4 @@
-"""What the guard process sends to a vehicle when the gateway's event loop has stopped."""
+"""What the guard process sends to a vehicle when the gateway's event loop hangs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["GuardPlan"]
 
 log = structlog.get_logger("rcp.mavlink")
 _PERIOD = 0.2  # s
-_LASTS = 1.0  # s: the failsafe of the vehicle acts some seconds later, once, and is to have its way
+_LASTS = 1.0  # s: some seconds later the vehicle's failsafe acts, once, and must not be overridden
 _CUSTOM_MODE = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _SET_MODE = 176
-_WITHIN = 0.7  # s: the guard waits for 0.5 s, and sends every 0.2 s
+_WITHIN = 0.7  # s: the guard waits 0.5 s, then sends every 0.2 s
 
 
 class GuardPlan:
-    """Keeps the guard's plan for one vehicle up to date: frames that are packed beforehand."""
+    """Keeps the guard's plan for one vehicle up to date, with prebuilt frames."""
 
     def __init__(
         self, hub: Hub, vehicle: Vehicle, host: Host, stop: Stop, robot: str | None
@@ -42,14 +42,14 @@ class GuardPlan:
         return Watchdog("guard process: holding mode, over UDP", _WITHIN, robot=self._robot)
 
     def renew(self) -> None:
-        """Give the guard another plan where the address, the vehicle or the stop has changed."""
+        """Update the guard's plan if the address, the vehicle or the stop has changed."""
         vehicle, address = self._vehicle, self._address()
         rung = self._rung()
         why = self._why_not(address)
         if why and why != self._why_none:
             log.warning("no_guard", vehicle=self._name, why=why)
         self._why_none = why
-        # One that is disarmed moves nothing, and a mode would outlast what it was sent for.
+        # A disarmed vehicle does not move, and a flight mode would outlast its purpose.
         wanted = not why and vehicle.armed and rung is not None
         key = (address, vehicle.component, vehicle.family, rung) if wanted else None
         if key == self._given:
@@ -62,15 +62,15 @@ class GuardPlan:
         self._host.guard(self._name, StopPlan("udp", data, _PERIOD, _LASTS))
 
     def take_back(self) -> None:
-        """Leave the guard nothing to do for a vehicle that the gateway lets go of."""
+        """Withdraw the plan of a vehicle that the gateway releases."""
         if self._given is not None:
             self._given = None
             self._host.guard(self._name, None)
 
     def _rung(self) -> Rung | None:
-        """Return the step to send: the stop's own where one is in force, else one that holds.
+        """Return the step to send: the stop's own if one is in effect, otherwise one that holds.
 
-        Never one that stops the motors: a frozen process is no reason to let a vehicle fall.
+        Never one that stops the motors: a hung process is no reason to let a vehicle fall.
         """
         rung = self._stop.rung
         vehicle = self._vehicle
@@ -80,7 +80,7 @@ class GuardPlan:
         return holding[0] if holding else None
 
     def _address(self) -> tuple[str, int] | None:
-        """Return the UDP address of the vehicle; None: it is not heard over UDP."""
+        """Return the UDP address of the vehicle; None if it is not connected over UDP."""
         routes = self._vehicle.routes.values()
         if not routes:
             return None
@@ -99,7 +99,7 @@ class GuardPlan:
         return "" if address is not None else "the link is not UDP"
 
     def _frames(self, rung: Rung) -> list[bytes]:
-        """Pack the stop twice over: as a command, and as the message for autopilots of old."""
+        """Build the stop twice: as a command, and as the message for older autopilots."""
         hub, vehicle = self._hub, self._vehicle
         module = hub.dialect.module
         number = vehicle.family.number(rung.mode)

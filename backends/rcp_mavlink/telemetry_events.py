@@ -1,4 +1,4 @@
-"""What is made of several messages, and what happens: mode, arming, health, texts, links."""
+"""Derived sensors and events: mode, arming, health, status texts, links."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ __all__ = ["TelemetryEvents"]
 
 _FAILSAFES = ("failsafe", "breach", "crash", "ekf variance", "terminat")
 _PREARM = ("PreArm: ", "Arm: ", "Preflight Fail: ", "Arming denied: ", "Arming denied! ")
-_COMPLAINTS = 35.0  # s for which a complaint counts: the vehicle repeats them every 30 s
-_SETTLED = 1.5  # s after a complaint, in which SYS_STATUS may still be that of before it
+_COMPLAINTS = 35.0  # s for which a reason counts: the vehicle repeats them every 30 s
+_SETTLED = 1.5  # s after a reason within which SYS_STATUS may predate it
 _RETRY_AFTER = 10.0  # s
-_APART = 3.0  # s after which a complaint begins a new round of them
+_APART = 3.0  # s after which a reason starts a new list
 _RECENT = 2.5  # s
 
 
 class TelemetryEvents:
-    """Publishes what one vehicle's messages mean; `check` has it say what speaks against arming."""
+    """Publishes one vehicle's derived values; `check` makes it report what prevents arming."""
 
     heeded = frozenset({0, 1, 46})
-    """Messages that change what is told here: HEARTBEAT, SYS_STATUS, MISSION_ITEM_REACHED."""
+    """The messages handled here: HEARTBEAT, SYS_STATUS, MISSION_ITEM_REACHED."""
 
     def __init__(
         self,
@@ -41,18 +41,18 @@ class TelemetryEvents:
         self._mode = vehicle.mode
         self._armed = vehicle.armed
         self._complaints: list[str] = []
-        """Those of the latest round: the vehicle says all that hold, one after the other."""
+        """Reasons of the latest check: the vehicle reports all of them in sequence."""
         self._complained = self._requested = -math.inf
 
     def begin(self) -> None:
-        """Publish what is known at first."""
+        """Publish the initial state."""
         self._mode, self._armed = self._vehicle.mode, self._vehicle.armed
         for name in ("sensor/mode", "sensor/armed", "sensor/vehicle"):
             self._publish(name, self.value(name))
         self.links()
 
     def value(self, name: str) -> Any:
-        """Return the present value of a path that is made here; None: there is none."""
+        """Return the present value of a derived path; None if there is none."""
         vehicle = self._vehicle
         match name:
             case "sensor/mode":
@@ -78,7 +78,7 @@ class TelemetryEvents:
         return m.Prearm(ready, reasons, vehicle.mode)
 
     def _health(self) -> None:
-        """Forget complaints once it is ready; ask for them where it is not and none is known."""
+        """Clear the reasons once it is ready; request them if it is not and none is known."""
         told, now = self._prearm(), time.monotonic()
         if told.ready and now - self._complained > _SETTLED:
             self._complaints = []
@@ -89,7 +89,7 @@ class TelemetryEvents:
         self._publish("sensor/prearm", told)
 
     def _complain(self, reason: str, now: float) -> None:
-        """Take a complaint; one that is repeated, or comes after a while, begins a new round."""
+        """Add a reason; a repeated one, or one after a pause, starts a new list."""
         if reason in self._complaints or now - self._complained > _APART:
             self._complaints = []
         self._complaints.append(reason)
@@ -122,7 +122,7 @@ class TelemetryEvents:
         self._publish("sensor/links", self._links())
 
     def frame(self, frame: Frame) -> None:
-        """See what a message changes."""
+        """Handle a message."""
         match frame.definition.id:
             case 0:
                 self._heartbeat()
@@ -146,7 +146,7 @@ class TelemetryEvents:
             self._publish("event/armed", m.Armed(vehicle.armed, vehicle.mode))
 
     def text(self, status_text: Text) -> None:
-        """Publish a text, and as an event of its own where a failsafe acts."""
+        """Publish a status text, and a separate event if it reports a failsafe."""
         severity = SEVERITIES[min(status_text.severity, len(SEVERITIES) - 1)]
         told = m.StatusText(severity, status_text.text)
         self._publish("event/statustext", told)
@@ -158,6 +158,6 @@ class TelemetryEvents:
             self._publish("sensor/prearm", self._prearm())
 
     def boot(self) -> None:
-        """Publish that it has begun anew."""
+        """Publish a reboot."""
         self._complaints, self._requested = [], -math.inf
         self._publish("event/boot", m.StatusText("notice", "The vehicle has rebooted."))

@@ -1,4 +1,4 @@
-"""STATUSTEXT: what a vehicle says in words, long ones put together again."""
+"""STATUSTEXT: status texts of a vehicle, with long ones reassembled."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ __all__ = ["SEVERITIES", "Texts"]
 
 SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _PIECE = 50
-_MOST = 16  # pieces of one text
+_MOST = 16  # chunks of one text
 
 
 class Texts:
-    """Puts the pieces of texts together and keeps the latest with their vehicle."""
+    """Reassembles texts and stores the latest with their vehicle."""
 
     id = 253
 
@@ -23,7 +23,7 @@ class Texts:
         self._begun: dict[tuple[int, int], list[str]] = {}
 
     def take(self, vehicle: Vehicle, frame: Frame) -> None:
-        """Take a piece; what is whole is noted with its vehicle."""
+        """Add a chunk; a complete text is stored with its vehicle."""
         fields = frame.fields()
         piece = fields["text"].split(b"\0", 1)[0].decode("utf-8", "replace")
         number, full = fields.get("id", 0), len(piece) == _PIECE

@@ -1,4 +1,4 @@
-"""Links to vehicles that are simulated: each flies in a process of its own and calls the gateway."""
+"""Links to simulated vehicles: each runs in its own process and connects to the gateway."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from rcp_mavlink.signing import key_of
 
 __all__ = ["STARTING", "keep_twin", "orders"]
 
-STARTING = 20.0  # s that a busy machine may take to start one
+STARTING = 20.0  # s to start one on a busy machine
 
-_AGAIN = 1.0  # s until one that ended is started anew
-_PATIENCE = 2.0  # s for one to end by itself
-_APART = 5e-5  # deg between two that start side by side
+_AGAIN = 1.0  # s until one that exited is restarted
+_PATIENCE = 2.0  # s for one to exit by itself
+_APART = 5e-5  # deg between neighbouring start positions
 
 
 def orders(config: MavlinkConfig, number: int) -> dict[str, object]:
-    """Return what the simulated vehicle behind a link is made with."""
+    """Return the settings of the simulated vehicle behind a link."""
     mine = [at for at, text in enumerate(config.links) if text.startswith("sim:")]
     place = mine.index(number)
     lat, lon, height = config.twin.home
@@ -36,10 +36,10 @@ def orders(config: MavlinkConfig, number: int) -> dict[str, object]:
 
 
 async def keep_twin(options: dict[str, object], port: int, failed: Callable[[str], None]) -> None:
-    """Keep a vehicle flying that calls a port of loopback, until cancelled.
+    """Keep a simulated vehicle running that connects to a loopback port, until cancelled.
 
-    `failed` is told why one ended. It ends with the gateway, however that ends: its standard input
-    does.
+    `failed` receives the reason when it exits. It exits with the gateway in any case, when its
+    standard input closes.
     """
     line = msgspec.json.encode({"options": options, "links": [f"udpout:127.0.0.1:{port}"]})
     while True:
@@ -48,7 +48,7 @@ async def keep_twin(options: dict[str, object], port: int, failed: Callable[[str
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is the gateway's, which lands it first
+            start_new_session=True,  # Ctrl-C is meant for the gateway, which lands it first
         )  # fmt: skip
         assert process.stdin is not None
         assert process.stderr is not None

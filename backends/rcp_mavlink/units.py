@@ -1,4 +1,4 @@
-"""The units of MAVLink's definitions, and what they are in the units of the gateway (UCUM)."""
+"""The units of MAVLink's definitions, and the corresponding units of the gateway (UCUM)."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _UNITS: dict[str, tuple[str, float]] = {
 
 
 def converted(unit: str, kind: str) -> tuple[str, float]:
-    """Return the unit that a field has in the tree, and the factor that leads to it.
+    """Return the unit of a field in the tree, and the conversion factor.
 
-    Latitude and longitude stay degrees; the pulses of servos and sticks stay microseconds.
+    Latitude and longitude stay in degrees, pulses of servos and sticks in microseconds.
     """
     if unit == "us" and kind in ("uint16_t", "int16_t"):
         return "us", 1.0

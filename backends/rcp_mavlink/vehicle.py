@@ -1,4 +1,4 @@
-"""One vehicle as it is known from its messages: the latest of each, its state, who waits for what."""
+"""One vehicle as known from its messages: the latest of each, its state, and who waits for them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _ARMED = 128
 _PREARM = 1 << 28
 _BYTEWISE, _C_CAST = 1 << 4, 1 << 17
 _TEXTS = 50
-_PARTS = 32  # components of one system that are kept
+_PARTS = 32  # maximum number of components kept per system
 _STAMPED = frozenset({"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE"})
-"""Messages that begin with the time of their measurement."""
+"""Messages that start with their time of measurement."""
 _LANDED, _IN_AIR = 1, (2, 3, 4)
-_ON_ROTORS = (2, 3)  # MAV_VTOL_STATE: becoming a multicopter, being one
+_ON_ROTORS = (2, 3)  # MAV_VTOL_STATE: transition to multicopter, multicopter
 
 
 class Text(NamedTuple):
@@ -36,17 +36,17 @@ class Text(NamedTuple):
 
 
 class Fix(NamedTuple):
-    """Where it is and how it moves."""
+    """Position and motion."""
 
     lat: float  # deg
     lon: float  # deg
-    height: float  # m over home
+    height: float  # m above home
     above_sea: float  # m
-    speed: float  # m/s, over ground and up together
+    speed: float  # m/s, horizontal and vertical combined
 
 
 class Vehicle:
-    """Takes frames, remembers them, and wakes whoever waits."""
+    """Stores the latest frames and wakes waiters."""
 
     def __init__(self, dialect: Dialect, system: int, component: int) -> None:
         self.dialect = dialect
@@ -54,11 +54,11 @@ class Vehicle:
         self.family: Family = family(0, 0)
         self.latest: dict[str, Frame] = {}
         self.came: dict[str, float] = {}
-        """When the latest of each message came, on the monotonic clock."""
+        """Arrival time of the latest of each message, on the monotonic clock."""
         self._stamps: dict[str, bytes] = {}
         self.last_message_at = time.monotonic()
         self.routes: dict[tuple[int, Any], tuple[Any, Any, float]] = {}
-        """Links and addresses it was heard over, with the time."""
+        """Links and addresses that it uses, with the time of the last frame."""
         self.texts: deque[Text] = deque(maxlen=_TEXTS)
         self.mode_number = 0
         self.armed = False
@@ -66,15 +66,15 @@ class Vehicle:
         self.on_frame: list[Callable[[Frame], None]] = []
         self.on_text: list[Callable[[Text], None]] = []
         self.components: dict[int, int] = {}
-        """What else is on board: component ids with their MAV_TYPE."""
+        """Other components on board: component ids with their MAV_TYPE."""
         self._eavesdroppers: dict[int, list[Callable[[Frame], None]]] = {}
         self._listeners: dict[int, list[Callable[[Frame], None]]] = {}
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
-    # What comes in
+    # Receiving
 
     def take(self, frame: Frame, now: float) -> None:
-        """Take a frame of its autopilot; `now` is monotonic."""
+        """Handle a frame of its autopilot; `now` is monotonic."""
         definition = frame.definition
         name, number = definition.name, definition.id
         self.latest[name] = frame
@@ -93,10 +93,10 @@ class Vehicle:
             self._poll()
 
     def _is_repeated(self, name: str, frame: Frame) -> bool:
-        """Tell whether a position is the one of before, by the vehicle's own time stamp.
+        """Return whether a position repeats the previous one, by the vehicle's time stamp.
 
-        What a hung process says over and over is as old as when it was measured. Some leave the
-        stamp at 0.
+        The repeated messages of a hung process are as old as their measurement. Some vehicles
+        leave the stamp at 0.
         """
         if name not in _STAMPED:
             return False
@@ -105,7 +105,7 @@ class Vehicle:
         return stamp == before and any(stamp)
 
     def overhear(self, frame: Frame) -> None:
-        """Take a frame of another component on board: a camera, a gimbal."""
+        """Handle a frame of another component on board, such as a camera or gimbal."""
         number = frame.definition.id
         if number == 0 and (frame.component in self.components or len(self.components) < _PARTS):
             self.components[frame.component] = frame.fields()["type"]
@@ -127,7 +127,7 @@ class Vehicle:
     ) -> Generator[None]:
         """Call `listener` with each frame of a message while entered, if the dialect has it.
 
-        `anybody` stands for whatever is on board, not only the autopilot.
+        `anybody` includes every component on board, not only the autopilot.
         """
         definition = self.dialect.by_name.get(name)
         number = -1 if definition is None else definition.id
@@ -140,7 +140,7 @@ class Vehicle:
             for table in tables:
                 table[number].remove(listener)
 
-    # What is known
+    # State
 
     @property
     def mode(self) -> str:
@@ -149,7 +149,7 @@ class Vehicle:
 
     @property
     def landed(self) -> bool | None:
-        """Whether it stands on the ground; None: it has not said, or is never anywhere else."""
+        """Whether it is on the ground; None if it has not reported that or cannot fly."""
         if self.family.drives:
             return None
         frame = self.latest.get("EXTENDED_SYS_STATE")
@@ -158,13 +158,13 @@ class Vehicle:
 
     @property
     def hovering(self) -> bool:
-        """Whether a VTOL flies on its rotors now."""
+        """Whether a VTOL flies as a multicopter now."""
         frame = self.latest.get("EXTENDED_SYS_STATE")
         return frame is not None and frame.fields()["vtol_state"] in _ON_ROTORS
 
     @property
     def prearm(self) -> bool | None:
-        """Whether its own checks let it be armed; None: it has not said."""
+        """Whether its own checks allow arming; None if it has not reported that."""
         frame = self.latest.get("SYS_STATUS")
         if frame is None:
             return None
@@ -175,14 +175,14 @@ class Vehicle:
 
     @property
     def bytewise(self) -> bool:
-        """Whether it puts the bits of integers into the float of a parameter, as PX4 does."""
+        """Whether it encodes integer parameters bytewise into the float, as PX4 does."""
         frame = self.latest.get("AUTOPILOT_VERSION")
         can = 0 if frame is None else frame.fields()["capabilities"]
         return bool(can & _BYTEWISE) or (self.family.px4 and not can & _C_CAST)
 
     @property
     def fix(self) -> Fix | None:
-        """Where it is; None: it does not know."""
+        """Position and motion; None if it has no position."""
         frame = self.latest.get("GLOBAL_POSITION_INT")
         if frame is None:
             return None
@@ -194,7 +194,7 @@ class Vehicle:
 
     @property
     def home(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude (deg) and height over the sea (m) of home."""
+        """Latitude, longitude (deg) and height above sea level (m) of home."""
         frame = self.latest.get("HOME_POSITION")
         if frame is None:
             return None
@@ -202,21 +202,21 @@ class Vehicle:
         return f["latitude"] / 1e7, f["longitude"] / 1e7, f["altitude"] / 1e3
 
     def texts_since(self, at: float, *, severity: int = 5) -> list[str]:
-        """List what it said since a time, as grave as that at least."""
+        """List its texts since a time, of at least that severity."""
         return [t.text for t in self.texts if t.at >= at and t.severity <= severity]
 
     # Waiting
 
     def check(self) -> None:
-        """Make sure that it is there.
+        """Check that it is connected.
 
-        :raises AdapterUnavailable: it is not.
+        :raises AdapterUnavailable: it is lost.
         """
         if self.lost:
             raise AdapterUnavailable(f"no message from vehicle {self.system}")
 
     async def until(self, holds: Callable[[], bool], seconds: float | None = None) -> bool:
-        """Wait until something holds, looked at with each frame; tell whether it came to.
+        """Wait until a condition holds, checked at each frame; return whether it does.
 
         :raises AdapterUnavailable: the vehicle was lost meanwhile.
         """
@@ -242,7 +242,7 @@ class Vehicle:
                 waiter.set_result(None)
 
     def lose(self, why: str) -> None:
-        """Note that nothing is heard of it any more."""
+        """Mark the vehicle as lost."""
         self.lost = True
         for _, waiter in self._waiters:
             if not waiter.done():

@@ -1,4 +1,4 @@
-"""The vehicle's own failsafes for a gateway that falls silent: read, set where asked for, and told."""
+"""The vehicle's own failsafes for a silent gateway: read, enabled if configured, and reported."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _CONTINUE_IN_AUTO, _CONTINUE_IF_PILOTED = 2, 16  # FS_OPTIONS
 
 
 class _Failsafe(NamedTuple):
-    """A failsafe that one parameter switches on and another one times."""
+    """A failsafe with a parameter that enables it and one for its time-out."""
 
     switches: tuple[str, ...]
-    """By the names that firmwares have for it."""
+    """Its names in different firmware versions."""
     timers: tuple[str, ...]
     usual: float
-    """Seconds, where no parameter says it."""
+    """Time-out in seconds, if no parameter has it."""
     actions: dict[str, int]
     """The value to set, by `on_loss`."""
 
 
-_COPTER = {"hold": 5, "land": 5, "return": 1}  # holding without an end would empty the battery
+_COPTER = {"hold": 5, "land": 5, "return": 1}  # holding without a limit would drain the battery
 _ENABLED = {"hold": 1, "land": 1, "return": 1}
 _SUB = {"hold": 3, "land": 4, "return": 4}
 _PX4 = {"hold": 1, "land": 3, "return": 2}
@@ -44,7 +44,7 @@ _OBEYED_TO = "MAV_GCS_SYSID_HI"
 
 
 class Watchdogs:
-    """The failsafes of one vehicle, as its parameters say."""
+    """The failsafes of one vehicle, according to its parameters."""
 
     def __init__(
         self, vehicle: Vehicle, config: MavlinkConfig, parameters: Parameters, robot: str | None
@@ -56,10 +56,10 @@ class Watchdogs:
         )
         self._warned: tuple[str, ...] = ()
         self.verified = asyncio.Event()
-        """Set once they have been looked at."""
+        """Set once they have been checked."""
 
     async def verify(self) -> None:
-        """Read what the vehicle has, and set what is asked for; warn where there is none."""
+        """Read the failsafes, enable them if configured, and warn if there are none."""
         if self._config.watchdog == "off":
             self.found = ()
             return
@@ -72,7 +72,7 @@ class Watchdogs:
         self.verified.set()
 
     def _value(self, *names: str) -> tuple[str, float] | None:
-        """Return the first parameter that there is, with its value."""
+        """Return the first existing parameter, with its value."""
         for name in names:
             known = self._parameters.known.get(name)
             if known is not None:
@@ -80,7 +80,7 @@ class Watchdogs:
         return None
 
     async def _on(self, failsafe: _Failsafe) -> tuple[str, float] | None:
-        """Return the switch of a failsafe, after it was set where that is asked for."""
+        """Return the value that enables a failsafe, after setting it if configured."""
         switch = self._value(*failsafe.switches)
         wanted = failsafe.actions.get(self._config.on_loss)
         if switch is None or switch[1] or wanted is None or self._config.watchdog != "set":
@@ -132,7 +132,7 @@ class Watchdogs:
         return found
 
     def _limited(self, watchdog: Watchdog) -> Watchdog:
-        """Take a failsafe for none that does not listen to this gateway, or does nothing."""
+        """Mark a failsafe as ineffective if it ignores this gateway or does nothing."""
         if watchdog.within is None:
             return watchdog
         own, obeyed = self._config.source_system, self._value(*_OBEYED)

@@ -1,4 +1,4 @@
-"""A dialect of one's own: pymavlink makes a module of its XML, in a process of its own."""
+"""A custom dialect: pymavlink generates a module from its XML, in a separate process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rcp_kernel.errors import ConfigError
 __all__ = ["module_of"]
 
 _PATIENCE = 120.0  # s
-_EXCERPT = 400  # characters of what the generator complains of
+_EXCERPT = 400  # characters of the generator's error output
 _GENERATE = """
 import sys
 from pymavlink.generator import mavgen
@@ -31,11 +31,11 @@ _made = itertools.count()
 
 
 def module_of(path: Path) -> Any:
-    """Generate and import the module of an XML file; takes seconds, so not for the event loop.
+    """Generate and import the module of an XML file; takes seconds, so not on the event loop.
 
-    What it includes is looked for beside it, then among pymavlink's own.
+    Included files are searched beside it, then among pymavlink's own.
 
-    :raises ConfigError: it is not there, or is no dialect.
+    :raises ConfigError: it does not exist, or is not a dialect.
     """
     if not path.is_file():
         raise ConfigError(f"`dialect`: no such file: {path}")
@@ -54,7 +54,7 @@ def module_of(path: Path) -> Any:
 def _generate(path: Path, copy: Path, out: Path) -> None:
     command = [sys.executable, "-c", _GENERATE, str(copy), str(out)]
     try:
-        done = subprocess.run(  # noqa: S603 - the paths are the operator's own
+        done = subprocess.run(  # noqa: S603 - the paths come from the configuration
             command, capture_output=True, text=True, timeout=_PATIENCE, check=False
         )
     except subprocess.TimeoutExpired as error:
@@ -65,7 +65,7 @@ def _generate(path: Path, copy: Path, out: Path) -> None:
 
 
 def _complaint(output: str) -> str:
-    """Return the lines that tell what is wrong, without the way that led there."""
+    """Return the lines with the error, without the traceback."""
     lines = [line.strip() for line in output.splitlines()]
     lines = [line for line in lines if line and not line.startswith('File "')]
     wrong = [line for line in lines if "ERROR" in line.upper()]

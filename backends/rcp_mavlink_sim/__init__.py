@@ -1,7 +1,7 @@
-"""A vehicle without hardware: an ArduCopter of our own that speaks MAVLink 2 over UDP and TCP.
+"""A simulated ArduPilot vehicle that speaks MAVLink 2 over UDP and TCP.
 
-It needs no gateway: `python -m rcp_mavlink_sim`, or `fly(Vehicle(Options()), …)` on an
-event loop of one's own.
+It does not need a gateway: run `python -m rcp_mavlink_sim`, or `fly(Vehicle(Options()), …)` on an
+event loop.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m rcp_mavlink_sim`: fly a vehicle until it is interrupted."""
+"""`python -m rcp_mavlink_sim`: run a vehicle until interrupted."""
 
 from __future__ import annotations
 

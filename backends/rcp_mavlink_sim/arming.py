@@ -1,4 +1,4 @@
-"""Whether the motors may start: the checks before arming, with the words of the real one."""
+"""Pre-arm checks, with the texts of ArduPilot."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from rcp_mavlink_sim.state import VehicleState
 __all__ = ["complaints", "mode_complaint"]
 
 _ARM_IN_AUTO = 1
-_GYROS, _HOME = 0.2, 0.5  # parts of the time to warm up
+_GYROS, _HOME = 0.2, 0.5  # fractions of the warm-up time
 
 
 def complaints(
     vehicle: VehicleState, flight: Flight, failsafes: Failsafes, fence: Fence
 ) -> list[str]:
-    """List what speaks against arming, as the real one words it; nothing: it may."""
+    """List what prevents arming, in ArduPilot's words; empty if it may arm."""
     if not vehicle.params["ARMING_CHECK"]:
         return []
     found: list[str] = []
@@ -41,7 +41,7 @@ def complaints(
 
 
 def mode_complaint(vehicle: VehicleState, flight: Flight) -> str | None:
-    """Say what speaks against arming in the mode it is in."""
+    """Return what prevents arming in the present mode."""
     mode = flight.mode
     if not armable(mode):
         return f"{mode.name} mode not armable"

@@ -1,4 +1,4 @@
-"""What every body has: where it is, how it lies, how it moves. Axes are north, east, down; rad."""
+"""State common to all bodies: position, attitude, velocity. Axes are north, east, down; rad."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ GRAVITY = 9.80665  # m/s2
 
 
 class Body(ABC):
-    """A body; what it should do is set in its `want_…`, `step` lets time pass."""
+    """A body; set its demands in `want_…`, then `step` advances time."""
 
     def __init__(self) -> None:
         self.n = self.e = self.d = 0.0
-        """Position, m from the place where it was put; `d` is 0 on the floor."""
+        """Position relative to the start, m; `d` is 0 on the ground."""
         self.vn = self.ve = self.vd = 0.0  # m/s
         self.roll = self.pitch = self.yaw = 0.0
         self.p = self.q = self.r = 0.0
-        """Rates of the body, rad/s."""
+        """Body rates, rad/s."""
         self.an = self.ae = self.ad = 0.0
-        """Acceleration, m/s2, gravity included: 0 at rest."""
-        self.wind_n = self.wind_e = 0.0  # m/s, where it blows to
+        """Acceleration, m/s2, including gravity: 0 at rest."""
+        self.wind_n = self.wind_e = 0.0  # m/s, direction it blows towards
         self.landed = True
         self.impact = 0.0
-        """Speed of the last touchdown, m/s."""
+        """Vertical speed of the last touchdown, m/s."""
 
     @property
     @abstractmethod
     def throttle(self) -> float:
-        """The part of the power in use, 0…1."""
+        """Fraction of the power in use, 0…1."""
 
     @abstractmethod
     def pulses(self, *, armed: bool) -> list[int]:
-        """Return what its servos and motors are told, µs, in ArduPilot's order."""
+        """Return the servo and motor outputs, µs, in ArduPilot's order."""
 
     @abstractmethod
     def cut_power(self) -> None:
-        """Have its motors give nothing for the next step."""
+        """Disable the motors for the next step."""
 
     @abstractmethod
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advance by `dt` seconds."""
 
 
 def wrap(angle: float) -> float:
-    """Return an angle between -π and π."""
+    """Wrap an angle to -π…π."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

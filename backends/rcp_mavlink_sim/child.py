@@ -1,7 +1,7 @@
-"""`python -m rcp_mavlink_sim.child`: a vehicle that belongs to whoever started it, and ends with it.
+"""`python -m rcp_mavlink_sim.child`: a vehicle that exits with its parent process.
 
-Standard input carries one line of JSON, a `Start`, and stays open. Its end, which a `kill -9` of the
-other side brings too, ends the vehicle.
+Standard input carries one line of JSON, a `Start`, and stays open. When it closes, which happens
+even if the parent is killed, the vehicle exits.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from rcp_mavlink_sim.parameters_table import table
 
 __all__ = ["Start", "main"]
 
-_LONGEST = 1 << 20  # bytes of the line
+_LONGEST = 1 << 20  # bytes, limit of the line
 
 
 class Start(msgspec.Struct, frozen=True):
-    """What to fly, and where it is talked to."""
+    """The vehicle's options and links."""
 
     options: Options
     links: tuple[str, ...]
@@ -40,7 +40,7 @@ async def _run() -> None:
 
 
 def main() -> None:
-    """Fly until standard input ends."""
+    """Run until standard input closes."""
     asyncio.run(_run())
 
 

@@ -1,4 +1,4 @@
-"""COMMAND_LONG and COMMAND_INT: what each does, and with which result it is acknowledged."""
+"""COMMAND_LONG and COMMAND_INT: the effect and the result of each."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_DENIED,
 )
 _UNSUPPORTED, _INT_ONLY = mav.MAV_RESULT_UNSUPPORTED, mav.MAV_RESULT_UNSUPPORTED
-_BAD_FRAME = 9  # MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME, of which the dialect knows nothing
+_BAD_FRAME = 9  # MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME, which the dialect lacks
 _HIGHEST = 1e5  # m above the sea
 _QUICKEST = 1e3  # m/s
 _LAST_MESSAGE = 65535
@@ -30,25 +30,25 @@ _CHANGE_MODE = 1
 _MYSELF = -2
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
-"""Modes that heed CONDITION_YAW; others accept it, and do nothing."""
+"""Modes that obey CONDITION_YAW; others accept it without effect."""
 _GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
 
 
 class Peer(Protocol):
-    """Who sends commands, as far as they concern it."""
+    """The sender of a command, as far as commands need it."""
 
     vehicle: Vehicle
     streams: Streams
 
     def send(self, message: Any) -> None:
-        """Send a message to it, with the next turn."""
+        """Send a message to it with the next batch."""
 
     def later(self, do: Callable[[], None]) -> None:
-        """Do something once what is to be answered has been sent."""
+        """Run something after the reply has been sent."""
 
 
 class CommandRequest(msgspec.Struct, frozen=True):
-    """A command as it came, LONG or INT."""
+    """A received command, LONG or INT."""
 
     peer: Peer
     number: int
@@ -61,7 +61,7 @@ class CommandRequest(msgspec.Struct, frozen=True):
 
 
 def run(peer: Peer, message: Any) -> int:
-    """Do it; return its MAV_RESULT."""
+    """Execute it; return its MAV_RESULT."""
     whole = message.get_type() == "COMMAND_INT"
     if whole:
         p5, p6, p7, frame = message.x / 1e7, message.y / 1e7, message.z, message.frame
@@ -78,11 +78,11 @@ def run(peer: Peer, message: Any) -> int:
     sender = (message.get_srcSystem(), message.get_srcComponent())
     try:
         return do(CommandRequest(peer, message.command, p, frame, whole, sender))
-    except (ValueError, OverflowError):  # not a number where one is needed
+    except (ValueError, OverflowError):  # NaN in a required parameter
         return _DENIED
 
 
-def _result(done: bool) -> int:  # noqa: FBT001 - what was done, as a result
+def _result(done: bool) -> int:  # noqa: FBT001 - the outcome, as a result code
     return _OK if done else _FAILED
 
 
@@ -112,7 +112,7 @@ def _set_mode(c: CommandRequest) -> int:
 
 
 def _reposition(c: CommandRequest) -> int:
-    """Go to a place: a copter reads neither the speed nor the yaw, a plane no speed."""
+    """Go to a position: a copter ignores speed and yaw, a plane ignores speed."""
     vehicle = c.peer.vehicle
     flight = vehicle.flight
     relative = _GLOBAL_FRAMES.get(c.frame)
@@ -128,7 +128,7 @@ def _reposition(c: CommandRequest) -> int:
         return _DENIED
     height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
-        return _FAILED  # as the real one: without a word
+        return _FAILED  # without a text, like ArduPilot
     if flight.mode is not Mode.GUIDED and not vehicle.flight.set_mode(Mode.GUIDED):
         return _FAILED
     if vehicle.kind.drives and c.p[0] > 0 and not flight.change_speed(c.p[0]):
@@ -139,7 +139,7 @@ def _reposition(c: CommandRequest) -> int:
 
 
 def _speed(c: CommandRequest) -> int:
-    """Change a speed, where the mode and what it does in it let it."""
+    """Change a speed, if the mode and submode allow it."""
     vehicle = c.peer.vehicle
     kind, speed = c.p[0], c.p[1]
     if vehicle.kind.name == "plane":
@@ -162,7 +162,7 @@ def _airspeed(vehicle: Any, kind: float, speed: float) -> bool:
 
 
 def _yaw(c: CommandRequest) -> int:
-    """Turn a copter; it stands until the next place or set-point. Others do not know it."""
+    """Turn a copter until the next position or set-point; other vehicles do not support it."""
     vehicle = c.peer.vehicle
     if vehicle.kind.name != "copter":
         return _UNSUPPORTED
@@ -190,7 +190,7 @@ def _home(c: CommandRequest) -> int:
 
 def _start(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
-    if c.p[0] or c.p[1]:  # a part of a mission is not flown
+    if c.p[0] or c.p[1]:  # running part of a mission is not supported
         return _DENIED
     if not vehicle.armed or not vehicle.flight.set_mode(Mode.AUTO):
         return _FAILED
@@ -211,7 +211,7 @@ def _current(c: CommandRequest) -> int:
 
 
 def _terminate(c: CommandRequest) -> int:
-    """Stop the motors of a copter at once; others want AFS_ENABLE for it."""
+    """Stop the motors of a copter at once; other vehicles require AFS_ENABLE."""
     vehicle = c.peer.vehicle
     if vehicle.kind.name != "copter":
         vehicle.send_text(6, "AFS not enabled, can't terminate the vehicle")
@@ -360,4 +360,4 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_DO_SET_RELAY: _accept,
 }
 KNOWN = frozenset(_DOERS)
-"""The commands that it does."""
+"""The supported commands."""

@@ -1,4 +1,4 @@
-"""The body of a vehicle of each kind, and what steers it."""
+"""The body and the controller of each kind of vehicle."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def body_of(kind: Kind) -> Any:
 
 
 def pilot_of(kind: Kind, body: Any) -> Any:
-    """Return what steers the body."""
+    """Return the controller of the body."""
     return _PILOTS[kind.name](body)

@@ -1,4 +1,4 @@
-"""What watches over a flight: battery, ground station, transmitter, GPS. The words are the real one's."""
+"""Failsafes: battery, ground station, transmitter, GPS; with the texts of ArduPilot."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["Failsafes"]
 
-_RADIO_LATE = 1.5  # s without pulses of the receiver
+_RADIO_LATE = 1.5  # s without pulses from the receiver
 _BLIND = 1.0  # s without a position
 _LAND_ON_GCS, _LAND_ON_RADIO, _LAND_ON_LOW = 5, 3, 1
 _BRAKE_ON_GCS, _HOLD_ON_EKF = 7, 2
-_IN_AUTO, _WHILE_LANDING, _IN_PILOTED = 1 << 1, 1 << 3, 1 << 4  # of FS_OPTIONS
+_IN_AUTO, _WHILE_LANDING, _IN_PILOTED = 1 << 1, 1 << 3, 1 << 4  # bits of FS_OPTIONS
 _PILOTED = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD, Mode.BRAKE})
 
 
 class Failsafes:
-    """What has failed, and what was done about it."""
+    """The active failsafes and their actions."""
 
     def __init__(self, vehicle: VehicleState, flight: Flight) -> None:
         self._vehicle, self._flight = vehicle, flight
@@ -29,27 +29,27 @@ class Failsafes:
 
     @property
     def any(self) -> bool:
-        """Whether the state of the vehicle is critical."""
+        """Whether any failsafe is active."""
         return self.battery_low or self.station_lost or self.radio_lost or self.blind
 
     def check(self, seconds: float) -> None:
-        """See what has failed in the simulated seconds that passed."""
+        """Check all failsafes; `seconds` of simulated time have passed."""
         self._battery(seconds)
         self._station()
         self._radio(seconds)
         self._position(seconds)
 
     def on_station_heartbeat(self) -> None:
-        """Note a heartbeat of the ground station that it obeys."""
+        """Handle a heartbeat of the ground station that it accepts."""
         self._last_heartbeat, self._station_seen = self._vehicle.wall, True
         if self.station_lost:
             self.station_lost = False
             self._vehicle.send_text(4, "GCS Failsafe Cleared")
 
     def act(self, why: str, *, return_home: bool, to: Mode | None = None) -> None:
-        """Come back, or down where the way back is not known; the real one's words say what.
+        """Return home, or land if the way home is unknown; report it in ArduPilot's words.
 
-        `to` is a mode for it, where that can be entered.
+        `to` is the mode for it, if that can be entered.
         """
         vehicle, flight = self._vehicle, self._flight
         copter = vehicle.kind.name == "copter"
@@ -104,7 +104,7 @@ class Failsafes:
             self.act("GCS", return_home=action != _LAND_ON_GCS)
 
     def _goes_on(self) -> str | None:
-        """Return what a copter goes on with although its ground station is lost."""
+        """Return what a copter continues despite the loss of its ground station."""
         vehicle = self._vehicle
         if vehicle.kind.name != "copter" or vehicle.body.landed or self._flight.landing:
             return None

@@ -1,4 +1,4 @@
-"""What a test breaks of a twin: its link, in each direction, its autopilot, its telemetry, its power."""
+"""Faults that tests inject: link, in each direction, autopilot, telemetry, power."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ __all__ = ["Faults"]
 
 @dataclass(slots=True)
 class Faults:
-    """Set any of them at any time, on `vehicle.faults`; setting it back mends it."""
+    """Set any of them at any time, on `vehicle.faults`; resetting it repairs the fault."""
 
     uplink_cut: bool = False
-    """What ground stations send is lost; telemetry goes on."""
+    """Messages of ground stations are lost; telemetry continues."""
     downlink_cut: bool = False
-    """What the vehicle sends is lost; it obeys all the same."""
+    """Messages of the vehicle are lost; it still obeys."""
     frozen: bool = False
-    """The autopilot hangs: it takes nothing, sends nothing and watches over nothing, while its
-    outputs stay as they are and the body goes on with them. What came meanwhile is lost."""
+    """The autopilot hangs: it receives and sends nothing and its failsafes do not act, while its
+    outputs keep their values and the body moves on. Messages received meanwhile are lost."""
     telemetry: Literal["live", "silent", "stale"] = "live"
-    """Heartbeats and answers go on, and all else is not sent (`silent`), or is sent as it was when
-    this began, with the time stamps of then (`stale`)."""
+    """Heartbeats and replies continue, but other messages are not sent (`silent`), or repeat their
+    values and time stamps from the start of the fault (`stale`)."""
     powerless: bool = False
-    """No motor turns, and the autopilot does not know: a copter falls, a plane glides."""
+    """The motors stop without the autopilot knowing: a copter falls, a plane glides."""

@@ -1,4 +1,4 @@
-"""The geofence: height, a circle round home, polygons and circles that were uploaded."""
+"""The geofence: height limits, a circle around home, uploaded polygons and circles."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from rcp_mavlink_sim.wire import mav
 __all__ = ["Fence"]
 
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8
-_LAND, _BRAKE = 2, 4  # of FENCE_ACTION
+_LAND, _BRAKE = 2, 4  # bits of FENCE_TYPE
 _NAMES = {_CEILING: "Max Alt", _CIRCLE: "Circle", _POLYGON: "Polygon", _FLOOR: "Min Alt"}
 Point = tuple[float, float]
 
 
 class Fence:
-    """What is fenced in and out, and whether it was left."""
+    """The fences, and whether the vehicle violates them."""
 
     def __init__(self, vehicle: VehicleState, flight: Flight) -> None:
         self._vehicle, self._flight = vehicle, flight
         self.plan = Plan(mav.MAV_MISSION_TYPE_FENCE)
         self.breached = 0
-        """The kinds of fences that are crossed now, as bits of FENCE_TYPE."""
+        """The fences violated now, as bits of FENCE_TYPE."""
         self.count = 0
 
     def crossed(self, place: Point, height: float) -> int:
-        """Return the kinds of fences of which a place (deg) and height over home (m) are outside."""
+        """Return the fences that a position (deg) and height above home (m) violate."""
         params, home = self._vehicle.params, self._vehicle.home
         kinds, found = int(params["FENCE_TYPE"]), 0
         if kinds & _CEILING and height > params["FENCE_ALT_MAX"]:
@@ -48,7 +48,7 @@ class Fence:
         return found
 
     def check(self) -> None:
-        """See whether it was crossed; what was crossed anew is told and acted upon."""
+        """Check for violations; report new ones and act on them."""
         vehicle = self._vehicle
         if not vehicle.params["FENCE_ENABLE"] or vehicle.home is None:
             self.breached = 0
@@ -65,7 +65,7 @@ class Fence:
             self._act(int(vehicle.params["FENCE_ACTION"]))
 
     def _act(self, action: int) -> None:
-        """Do what FENCE_ACTION says: nothing, come home, land, or brake."""
+        """Apply FENCE_ACTION: nothing, return home, land, or brake."""
         vehicle = self._vehicle
         if not action:
             return

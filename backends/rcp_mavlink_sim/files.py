@@ -1,4 +1,4 @@
-"""The files on board, in memory: logs, what is stored by others, and what ArduPilot makes when read."""
+"""On-board files, in memory: logs, uploaded files, and files that ArduPilot generates when read."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rcp_mavlink_sim.parameters_table import CASTS, table
 __all__ = ["Files"]
 
 _LOGS = "APM/LOGS"
-_MOST = 4 << 20  # bytes of all that others have stored
+_MOST = 4 << 20  # bytes, limit of all uploaded files
 _PACKED = 0x671B
 _WITH_DEFAULTS = 0x671C
 
 
 class Files:
-    """Directories and files by their path without slashes around it; the root is empty."""
+    """Directories and files by path, without leading or trailing slashes; the root is empty."""
 
     def __init__(self, kind: str, params: Parameters, log: FlightLog) -> None:
         self._kind, self._params, self._flights = kind, params, log
@@ -30,11 +30,11 @@ class Files:
         self._folders = {"", "@PARAM", "@ROMFS", "@SYS", "APM", _LOGS, "APM/scripts"}
 
     def folder(self, path: str) -> bool:
-        """Tell whether there is such a directory."""
+        """Return whether a directory exists."""
         return path in self._folders
 
     def listed(self, path: str) -> list[tuple[str, int | None]]:
-        """Return name and size of what a directory holds; no size is a directory."""
+        """Return name and size of each entry of a directory; directories have no size."""
         start = f"{path}/" if path else ""
         found: dict[str, int | None] = {}
         for one in self._folders:
@@ -48,7 +48,7 @@ class Files:
         return sorted(found.items())
 
     def read(self, path: str) -> bytes | None:
-        """Return what a file holds; None: there is none."""
+        """Return the content of a file; None if it does not exist."""
         plain, _, query = path.partition("?")
         if plain == "@PARAM/param.pck":
             return self._packed(query)
@@ -60,7 +60,7 @@ class Files:
         return None if stored is None else bytes(stored)
 
     def write(self, path: str, offset: int, data: bytes) -> bool:
-        """Store a part of a file that was created; tell whether there is room."""
+        """Write to a created file; return whether there is space."""
         content = self._stored[path]
         used = sum(map(len, self._stored.values()))
         if used + max(0, offset + len(data) - len(content)) > _MOST:
@@ -70,7 +70,7 @@ class Files:
         return True
 
     def create(self, path: str) -> bool:
-        """Make an empty file, in place of one of that name; tell whether it can be."""
+        """Create an empty file, replacing one of that name; return whether this succeeded."""
         folder, _, name = path.rpartition("/")
         if not name or path.startswith("@") or folder not in self._folders or path in self._folders:
             return False
@@ -78,18 +78,18 @@ class Files:
         return True
 
     def truncate(self, path: str, size: int) -> bool:
-        """Cut a file; tell whether there is one."""
+        """Truncate a file; return whether it exists."""
         if path not in self._stored:
             return False
         del self._stored[path][size:]
         return True
 
     def remove(self, path: str) -> bool:
-        """Remove a file; tell whether it could be."""
+        """Remove a file; return whether this succeeded."""
         return not path.startswith("@") and self._stored.pop(path, None) is not None
 
     def make_folder(self, path: str) -> bool:
-        """Make a directory; tell whether it could be."""
+        """Create a directory; return whether this succeeded."""
         parent, _, name = path.rpartition("/")
         taken = path in self._folders or path in self._stored
         if not name or path.startswith("@") or taken or parent not in self._folders:
@@ -98,14 +98,14 @@ class Files:
         return True
 
     def remove_folder(self, path: str) -> bool:
-        """Remove an empty directory; tell whether it could be."""
+        """Remove an empty directory; return whether this succeeded."""
         if path not in self._folders or path.startswith("@") or not path or self.listed(path):
             return False
         self._folders.remove(path)
         return True
 
     def rename(self, old: str, new: str) -> bool:
-        """Give a file another name; tell whether it could be."""
+        """Rename a file; return whether this succeeded."""
         if old not in self._stored or old.startswith("@") or self.exists(new):
             return False
         if not self.create(new):
@@ -114,7 +114,7 @@ class Files:
         return True
 
     def exists(self, path: str) -> bool:
-        """Tell whether there is a file or directory of that name."""
+        """Return whether a file or directory exists."""
         return path in self._folders or path in self._stored or path in self._made()
 
     def _made(self) -> list[str]:
@@ -127,7 +127,7 @@ class Files:
         return None if log is None else bytes(log)
 
     def _packed(self, query: str) -> bytes:
-        """Return the parameters as ArduPilot packs them: a name leaves out what the last one had."""
+        """Return the parameters in ArduPilot's packed format: names omit common prefixes."""
         options = {name: values[0] for name, values in parse_qs(query).items()}
         start, most = int(options.get("start", 0)), int(options.get("count", 0))
         defaults = options.get("withdefaults") == "1"

@@ -1,4 +1,4 @@
-"""What each mode makes the pilot do, as far as it is the same for every kind of vehicle."""
+"""Flight logic common to all kinds of vehicles: what each mode makes the pilot do."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from rcp_mavlink_sim.state import VehicleState
 __all__ = ["FORCE", "Flight", "Submode"]
 
 FORCE = (21196.0, 2989.0)
-"""Of the second parameter of COMPONENT_ARM_DISARM: whatever speaks against it."""
+"""Second parameter of COMPONENT_ARM_DISARM: overrides all checks."""
 
 Submode = Literal["", "takeoff", "place", "velocity", "attitude"]
 
 
 class Flight(ABC):
-    """The mode in force and how far it has come."""
+    """The present mode and its progress."""
 
     radius = 1.0
-    """Within which a waypoint is reached, m."""
+    """Radius within which a waypoint counts as reached, m."""
     starts_itself = False
-    """Whether a mission begins in AUTO as soon as it is armed."""
+    """Whether a mission starts in AUTO on arming."""
     patience = 3.0
-    """Real seconds that a set-point stands."""
+    """Real seconds until a set-point expires."""
     paced = frozenset({Mode.GUIDED, Mode.AUTO})
-    """Modes in which DO_CHANGE_SPEED is heeded; it fails in others."""
+    """Modes that obey DO_CHANGE_SPEED; it fails in others."""
 
     def __init__(self, vehicle: VehicleState) -> None:
         self._vehicle = vehicle
         self.mode = vehicle.kind.first
         self.mission = Mission(vehicle, self)
         self.landed_for = 0.0
-        """Simulated seconds on the floor."""
+        """Simulated seconds on the ground."""
         self.taking_off = False
         self.phase = ""
-        """Of RTL and LAND."""
+        """Phase of RTL and LAND."""
         self.submode: Submode = ""
-        """What it does in GUIDED; a change of it has a copter forget the speed it was told."""
+        """What it does in GUIDED; a change makes a copter discard a commanded speed."""
         self._speeds: dict[str, float] = {}
-        """What DO_CHANGE_SPEED asked for, by the name of the limit."""
+        """Speeds set by DO_CHANGE_SPEED, by the name of the limit."""
         self._setpoint_ends: float | None = None
 
     def set_mode(self, mode: Mode) -> bool:
-        """Change the mode; tell whether it could be."""
+        """Change the mode; return whether this succeeded."""
         if mode is self.mode:
             return True
         if (reason := self.refusal(mode)) is not None:
@@ -55,7 +55,7 @@ class Flight(ABC):
         return True
 
     def retreat(self, *, return_home: bool, to: Mode | None = None) -> None:
-        """Enter the mode of a failsafe, or of a crossed fence."""
+        """Enter the mode of a failsafe or of a fence action."""
         vehicle = self._vehicle
         done = Mode.RTL if return_home and vehicle.position_ok else vehicle.kind.down
         if to is not None and self.refusal(to) is None:
@@ -64,7 +64,7 @@ class Flight(ABC):
             self.enter(done)
 
     def disarm(self, force: float = 0.0) -> bool:
-        """Stop the motors; not in the air, unless forced."""
+        """Stop the motors; refused in the air, unless forced."""
         vehicle = self._vehicle
         if not vehicle.armed:
             return True
@@ -77,7 +77,7 @@ class Flight(ABC):
         return True
 
     def refusal(self, mode: Mode) -> str | None:
-        """Say why a mode cannot be entered now; None: it can."""
+        """Return why a mode cannot be entered now; None if it can."""
         vehicle = self._vehicle
         if not vehicle.armed:
             return None
@@ -88,7 +88,7 @@ class Flight(ABC):
         return None
 
     def enter(self, mode: Mode) -> None:
-        """Change the mode."""
+        """Enter a mode."""
         vehicle, before = self._vehicle, self.mode
         self.mode = mode
         self.phase, self.taking_off, self._setpoint_ends = "", False, None
@@ -108,13 +108,13 @@ class Flight(ABC):
         self.tune()
 
     def tune(self) -> None:
-        """Take the speeds from the parameters, but for those that a command asked for."""
+        """Apply the speeds of the parameters, except those set by a command."""
         self.limits()
         for name, speed in self._speeds.items():
             setattr(self._vehicle.pilot.limits, name, speed)
 
     def change_speed(self, speed: float, which: str = "speed") -> bool:
-        """Take DO_CHANGE_SPEED (`speed`, `up` or `down`, m/s); tell whether that can be now."""
+        """Handle DO_CHANGE_SPEED (`speed`, `up` or `down`, m/s); return whether it is accepted."""
         if self.mode not in self.paced:
             return False
         if self.mode is Mode.GUIDED and not self._paces:
@@ -125,11 +125,11 @@ class Flight(ABC):
 
     @property
     def _paces(self) -> bool:
-        """What drives has a speed in GUIDED only on its way to a place."""
+        """Whether a speed is accepted; ground vehicles in GUIDED need a target position."""
         return self._vehicle.kind.flies or self.submode == "place"
 
     def aim(self, place: tuple[float, float] | None, depth: float | None) -> None:
-        """Go to a place in GUIDED; it looks where it goes to."""
+        """Go to a position in GUIDED, facing the direction of travel."""
         pilot = self._vehicle.pilot
         if self.submode != "place":
             self._become("place")
@@ -145,18 +145,18 @@ class Flight(ABC):
 
     @property
     def faces_travel(self) -> bool:
-        """Whether it turns to where it goes to, unless it is told otherwise."""
+        """Whether it faces the direction of travel by default."""
         return False
 
     def follow(self, submode: Submode) -> None:
-        """Let the set-point that the pilot was given stand for a while."""
+        """Activate the set-point that was given to the pilot, until it expires."""
         if self.submode != submode:
             self._become(submode)
         self._setpoint_ends = self._vehicle.wall + self.patience
         self.taking_off = False
 
     def _expire(self) -> None:
-        """End a set-point that was not repeated: one of attitude leaves it level, and drifting."""
+        """End an expired set-point; an attitude leaves the vehicle level, and drifting."""
         pilot = self._vehicle.pilot
         self._setpoint_ends = None
         if self.submode == "attitude":
@@ -167,7 +167,7 @@ class Flight(ABC):
             pilot.hold()
 
     def step(self, dt: float) -> None:
-        """Lead the pilot for `dt` simulated seconds."""
+        """Control the pilot for `dt` simulated seconds."""
         vehicle = self._vehicle
         self.landed_for = self.landed_for + dt if vehicle.body.landed else 0.0
         if not vehicle.armed:
@@ -184,49 +184,49 @@ class Flight(ABC):
         self.rest()
 
     def finished(self) -> None:  # noqa: B027 - a copter does nothing
-        """Do what is due at the end of a mission."""
+        """Act at the end of a mission."""
 
     @abstractmethod
     def limits(self) -> None:
-        """Take the speeds from the parameters."""
+        """Apply the speeds of the parameters."""
 
     @abstractmethod
     def lead(self, dt: float) -> None:
-        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        """Control the pilot for `dt` seconds in any mode except AUTO."""
 
     @abstractmethod
     def rest(self) -> None:
-        """Stop the motors where that is due."""
+        """Stop the motors when due."""
 
     @abstractmethod
     def take_off(self, height: float) -> bool:
-        """Rise to a height over home, m; tell whether that can be done now."""
+        """Climb to a height above home, m; return whether this is possible now."""
 
     @abstractmethod
     def lift(self, height: float) -> None:
-        """Rise from here, as an item of a mission."""
+        """Take off from here, as a mission item."""
 
     @abstractmethod
     def risen(self) -> bool:
-        """Tell whether it has risen as high as it should."""
+        """Return whether the take-off has reached its height."""
 
     @abstractmethod
     def begin_landing(self, place: tuple[float, float]) -> None:
-        """Go to a place in order to land there, as an item of a mission."""
+        """Go to a position and land there, as a mission item."""
 
     @abstractmethod
     def come_down(self) -> bool:
-        """Go on with the landing of a mission; tell whether it is over."""
+        """Continue the landing of a mission; return whether it is complete."""
 
     @abstractmethod
     def begin_return(self) -> None:
-        """Go home, as an item of a mission; `come_down` goes on with it."""
+        """Go home, as a mission item; `come_down` continues it."""
 
     @abstractmethod
     def go_home(self) -> None:
-        """Begin RTL."""
+        """Start RTL."""
 
     @property
     @abstractmethod
     def landing(self) -> bool:
-        """Whether it is on its way down to the floor."""
+        """Whether it is landing."""

@@ -1,4 +1,4 @@
-"""What it writes down of each flight: lines of text, to be downloaded like the logs of a real one."""
+"""Flight logs: lines of text, downloaded like the logs of a real vehicle."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ __all__ = ["FlightLog"]
 
 _PERIOD = 0.1  # s
 _KEPT = 8
-_SIZE = 1_000_000  # bytes of one log
+_SIZE = 1_000_000  # bytes, limit of one log
 
 
 class FlightLog:
-    """The last flights, a line each 0.1 simulated seconds while armed."""
+    """The last flights, one line per 0.1 simulated seconds while armed."""
 
     def __init__(self) -> None:
         self.logs: dict[int, bytearray] = {}
@@ -21,7 +21,7 @@ class FlightLog:
         self._since = 0.0
 
     def begin(self, time: float) -> None:
-        """Start the log of another flight."""
+        """Start the log of a new flight."""
         self._number += 1
         self.logs[self._number] = bytearray(b"time,mode,n,e,d,roll,pitch,yaw,volt\n")
         while len(self.logs) > _KEPT:
@@ -29,7 +29,7 @@ class FlightLog:
         self._since = _PERIOD
 
     def step(self, vehicle: VehicleState, mode: Mode, dt: float) -> None:
-        """Write, if a line is due."""
+        """Write a line, if due."""
         if not vehicle.armed:
             return
         self._since += dt

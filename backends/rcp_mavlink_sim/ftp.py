@@ -1,4 +1,4 @@
-"""MAVLink FTP, the side that has the files: sessions, and replies as ArduPilot's."""
+"""MAVLink FTP server: sessions, and replies like ArduPilot's."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _HEAD = struct.Struct("<HBBBBBxI")
 _ROOM = 239  # bytes of data in one message
 _ACK, _NAK = 128, 129
 _FAIL, _BAD_SIZE, _NO_SESSION, _EOF, _UNKNOWN, _EXISTS, _NOT_FOUND = 1, 3, 4, 6, 7, 8, 10
-_BURST = 500  # messages of one burst
-_A_TURN = 8  # of them
-_SILENT = 3.0  # s without a request, after which a session may be taken over
+_BURST = 500  # messages per burst
+_A_TURN = 8  # maximum number of sessions
+_SILENT = 3.0  # s without a request after which a session may be taken over
 
 
 class _Refused(Exception):
@@ -48,7 +48,7 @@ class _Session(msgspec.Struct):
     path: str
     writes: bool
     content: bytes
-    """As it was when it was opened to be read."""
+    """The content when the file was opened for reading."""
     used: float
 
 
@@ -60,7 +60,7 @@ class _Burst(msgspec.Struct):
 
 
 class Ftp:
-    """The files, for one peer."""
+    """The FTP server for one peer."""
 
     def __init__(self, vehicle: Vehicle, send: Callable[[Any], None]) -> None:
         self._vehicle, self._send = vehicle, send
@@ -93,7 +93,7 @@ class Ftp:
         return self._vehicle.files
 
     def take(self, message: Any) -> None:
-        """Answer a request; one that is asked again gets the same answer again."""
+        """Handle a request; a repeated request gets the same reply."""
         head = bytes(message.payload[: _HEAD.size])
         number, session, opcode, size, _, _, offset = _HEAD.unpack(head)
         data = bytes(message.payload[_HEAD.size :])
@@ -118,7 +118,7 @@ class Ftp:
         self._push(reply)
 
     def turn(self) -> None:
-        """Send on a burst that is under way."""
+        """Continue a burst."""
         for _ in range(_A_TURN):
             if self._burst is None:
                 return
@@ -258,7 +258,7 @@ class Ftp:
         return _done(self._files.rename(old, new), _FAIL)
 
 
-def _done(done: bool, code: int) -> bytes:  # noqa: FBT001 - what was done, as a reply
+def _done(done: bool, code: int) -> bytes:  # noqa: FBT001 - the outcome, as a reply
     if not done:
         raise _Refused(code)
     return b""

@@ -1,4 +1,4 @@
-"""One who talks to the vehicle: what comes in is answered, what is due goes out."""
+"""The connection of a ground station: handles its messages and sends what is due."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ __all__ = ["GroundStation"]
 
 _PARAMS_A_TURN = 20
 _LOG_PIECE, _LOG_A_TURN = 90, 40
-_EPOCH = 1_420_070_400  # s: where the time of signatures begins
+_EPOCH = 1_420_070_400  # s: epoch of signature timestamps
 
 
 class _Sink:
-    """What pymavlink writes to: frames that are gathered and sent together."""
+    """The output of pymavlink: collects frames to send together."""
 
     def __init__(self) -> None:
         self.frames: list[bytes] = []
 
     def write(self, frame: bytes) -> None:
-        """Keep a frame until the next sending."""
+        """Keep a frame until the next batch is sent."""
         self.frames.append(frame)
 
 
@@ -84,19 +84,19 @@ class GroundStation:
         vehicle.on_message.append(self.send)
 
     def close(self) -> None:
-        """Forget it."""
+        """Release it."""
         self.vehicle.on_message.remove(self.send)
 
     def send(self, message: Any) -> None:
-        """Send a message to it, with the next turn."""
+        """Send a message to it with the next batch."""
         self._mav.send(message)
 
     def later(self, do: Callable[[], None]) -> None:
-        """Do something once what is to be answered has been sent."""
+        """Run something after the reply has been sent."""
         self._tasks.append(do)
 
     def feed(self, data: bytes, *, datagram: bool = False) -> None:
-        """Take bytes that came from it; what one datagram leaves unfinished ends with it."""
+        """Process received bytes; an incomplete frame at the end of a datagram is discarded."""
         faults = self.vehicle.faults
         if faults.uplink_cut or faults.frozen:
             return
@@ -121,7 +121,7 @@ class GroundStation:
         self.flush()
 
     def flush(self) -> None:
-        """Send what is waiting."""
+        """Send the queued messages."""
         frames, self._sink.frames = self._sink.frames, []
         for frame in frames if not self.vehicle.faults.downlink_cut else ():
             self._send_bytes(frame)
@@ -266,7 +266,7 @@ class GroundStation:
         if self.vehicle.flight.mission.go_to(message.seq):
             self.send(mav.MAVLink_mission_current_message(message.seq))
 
-    # The rest
+    # Other messages
 
     def _streams(self, message: Any) -> None:
         on = bool(message.start_stop)

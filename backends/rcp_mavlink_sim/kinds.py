@@ -1,4 +1,4 @@
-"""The kinds of vehicles: what each is on the wire, and the modes it has."""
+"""The kinds of vehicles: their MAVLink identity and their modes."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True):
 
     name: Name
     title: str
-    """Of its firmware."""
+    """Firmware name."""
     frame: str
-    """As its banner tells."""
+    """Frame, as in its banner."""
     type: int
     """MAV_TYPE."""
     modes: dict[int, Mode]
     first: Mode
     """The mode after boot."""
     flies: bool
-    """Whether it leaves the floor."""
+    """Whether it can fly."""
     hold: Mode
-    """Where it waits."""
+    """The mode for holding."""
     down: Mode
-    """What it does when the way back is not known."""
+    """The failsafe mode if the way home is unknown."""
     own: dict[str, str] = {}
-    """Its names of parameters that a copter calls otherwise."""
+    """Its names for parameters that a copter names differently."""
 
     @property
     def drives(self) -> bool:
-        """Whether it stays on the ground or on the water."""
+        """Whether it is a ground or water vehicle."""
         return not self.flies
 
     def number(self, mode: Mode) -> int:
@@ -51,11 +51,11 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True):
         return next(number for number, one in self.modes.items() if one is mode)
 
     def param(self, name: str) -> str:
-        """Return its name of a parameter of a copter."""
+        """Return its name for a parameter of a copter."""
         return self.own.get(name, name)
 
     def by_hand(self, mode: Mode) -> bool:
-        """Tell whether somebody steers in it, and not the autopilot."""
+        """Return whether a mode is steered manually."""
         return mode in _BY_HAND
 
 

@@ -1,4 +1,4 @@
-"""Flying a stored mission: one item after the other, as AUTO does."""
+"""Running a stored mission: one item after the other, as in AUTO."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ _TRAVELS = frozenset({16, 17, 18, 19, 82})
 
 
 class Manoeuvres(Protocol):
-    """What a mission has the vehicle do."""
+    """The manoeuvres that a mission needs."""
 
     radius: float
-    """Within which a waypoint is reached, m."""
+    """Radius within which a waypoint counts as reached, m."""
 
     def lift(self, height: float) -> None:
-        """Rise from here."""
+        """Take off from here."""
 
     def risen(self) -> bool:
-        """Tell whether it has risen as high as it should."""
+        """Return whether the take-off has reached its height."""
         ...
 
     def begin_landing(self, place: tuple[float, float]) -> None:
-        """Go to a place in order to land there."""
+        """Go to a position and land there."""
 
     def begin_return(self) -> None:
-        """Go home; `come_down` goes on with it."""
+        """Go home; `come_down` continues it."""
 
     def come_down(self) -> bool:
-        """Go on with the landing; tell whether it is over."""
+        """Continue the landing; return whether it is complete."""
         ...
 
     def change_speed(self, speed: float) -> bool:
-        """Take DO_CHANGE_SPEED, m/s; tell whether that can be now."""
+        """Handle DO_CHANGE_SPEED, m/s; return whether it is accepted."""
         ...
 
     def finished(self) -> None:
-        """Do what is due at the end."""
+        """Act at the end of the mission."""
 
 
 class Mission:
-    """The mission that is stored, and the item that is flown."""
+    """The stored mission and its current item."""
 
     def __init__(self, vehicle: VehicleState, flight: Manoeuvres) -> None:
         self._vehicle, self._flight = vehicle, flight
@@ -57,24 +57,24 @@ class Mission:
         self.running = self.complete = self.paused = False
         self.landing = False
         self.reached = 0
-        """The item that was reached last; 0 is none."""
+        """The last item reached; 0 if none."""
         self._began = False
         self._waited = 0.0
         self._jumps: dict[int, int] = {}
 
     @property
     def flyable(self) -> bool:
-        """Whether there is anything behind the home item."""
+        """Whether there are items besides home."""
         return len(self.plan.items) > 1
 
     @property
     def takes_off(self) -> bool:
-        """Whether the first item that moves it is a take-off."""
+        """Whether its first movement is a take-off."""
         moves = [item.command for item in self.plan.items[1:] if item.command < _LAST_MOVE]
         return moves[:1] == [mav.MAV_CMD_NAV_TAKEOFF]
 
     def start(self) -> None:
-        """Begin, or go on where it was left."""
+        """Start or resume it."""
         if not self.flyable:
             return
         over = self.complete or not 1 <= self.current < len(self.plan.items)
@@ -84,11 +84,11 @@ class Mission:
         self.paused = self.landing = False
 
     def leave(self) -> None:
-        """Stop where it is."""
+        """Suspend it."""
         self.running = self._began = self.landing = False
 
     def changed(self) -> None:
-        """Begin anew after an upload."""
+        """Restart after an upload."""
         self.current, self.complete, self._began = 0, False, False
         self.reached = 0
         if self.running:
@@ -96,7 +96,7 @@ class Mission:
             self._vehicle.pilot.hold()
 
     def go_to(self, number: int) -> bool:
-        """Make an item the current one; tell whether there is one of that number."""
+        """Set the current item; return whether it exists."""
         if not 0 <= number < max(1, len(self.plan.items)):
             return False
         self.current, self._began, self.complete = number, False, False
@@ -104,14 +104,14 @@ class Mission:
         return True
 
     def pause(self, *, paused: bool) -> None:
-        """Hold, or go on."""
+        """Pause or resume."""
         self.paused = paused
         if paused:
             self._vehicle.pilot.hold()
         self._began = False
 
     def step(self, dt: float) -> None:
-        """Fly on for `dt` simulated seconds."""
+        """Continue for `dt` simulated seconds."""
         if not self.running or self.paused:
             return
         if self.current == 0:

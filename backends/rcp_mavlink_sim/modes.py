@@ -1,4 +1,4 @@
-"""The modes that are flown, and what each asks for before the motors may start in it."""
+"""The flight modes, and what each requires for arming."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Mode", "armable", "needs_position"]
 
 
 class Mode(Enum):
-    """Modes by their names; what number one has depends on the kind of vehicle."""
+    """Modes by name; their numbers depend on the kind of vehicle."""
 
     MANUAL = auto()
     STABILIZE = auto()
@@ -37,10 +37,10 @@ _BLIND = frozenset(
 
 
 def armable(mode: Mode) -> bool:
-    """Tell whether the motors may be started in it."""
+    """Return whether the vehicle can be armed in a mode."""
     return mode not in _NOT_ARMABLE
 
 
 def needs_position(mode: Mode) -> bool:
-    """Tell whether it flies by position and thus waits for GPS and EKF."""
+    """Return whether a mode needs a position and thus waits for GPS and EKF."""
     return mode not in _BLIND

@@ -1,4 +1,4 @@
-"""The camera on its mount: a gimbal that takes its time, and a trigger. Angles are deg but on the wire."""
+"""The camera mount: a gimbal with a limited rate, and a trigger. Angles are in degrees."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ _IN_VEHICLE = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 
 
 class Mount:
-    """Where the camera looks, and what it has taken."""
+    """Direction of the camera, and its pictures."""
 
     def __init__(self, vehicle: VehicleState) -> None:
         self._vehicle = vehicle
         self.roll = self.pitch = self.yaw = 0.0
-        """Yaw from where the vehicle looks."""
+        """Yaw relative to the vehicle's heading."""
         self._wanted = (0.0, 0.0, 0.0)
         self._locked = False
         self.control: tuple[int, int] = (0, 0)
-        """System and component of who has taken it."""
+        """System and component that have control."""
         self.photos = 0
 
     def turn(self, pitch: float, yaw: float, *, roll: float = 0.0, locked: bool = False) -> bool:
-        """Turn to angles, yaw from north where it is `locked`; tell whether they are any."""
+        """Turn to angles, with yaw from north if `locked`; return whether they are valid."""
         if not all(map(math.isfinite, (pitch, yaw, roll))):
             return False
         p = self._vehicle.params
@@ -38,7 +38,7 @@ class Mount:
         return True
 
     def step(self, seconds: float) -> None:
-        """Let it turn on."""
+        """Continue to turn."""
         most = _QUICKEST * seconds
         roll, pitch, yaw = self._wanted
         if self._locked:
@@ -50,11 +50,11 @@ class Mount:
         self.yaw += _within(yaw - self.yaw, -most, most)
 
     def flags(self) -> int:
-        """Return the GIMBAL_DEVICE_FLAGS in force; its yaw is told from where the vehicle looks."""
+        """Return the GIMBAL_DEVICE_FLAGS in effect; yaw is reported relative to the vehicle."""
         return _LEVEL | _IN_VEHICLE | (_YAW_LOCK if self._locked else 0)
 
     def shoot(self) -> None:
-        """Take a picture and tell everybody of it."""
+        """Take a picture and report it to everybody."""
         self.photos += 1
         v = self._vehicle
         lat, lon = (round(angle * 1e7) for angle in v.geographic())

@@ -1,4 +1,4 @@
-"""The messages of gimbal and camera. Angles are deg but on the wire."""
+"""The messages of gimbal and camera. Angles are deg except on the wire."""
 
 from __future__ import annotations
 
@@ -88,4 +88,4 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: _camera,
     mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: _captures,
 }
-"""What is told of gimbal and camera, by message id."""
+"""The messages of gimbal and camera, by id."""

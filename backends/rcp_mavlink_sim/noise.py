@@ -1,4 +1,4 @@
-"""What the sensors make of the truth: white noise, and errors that wander slowly. Seeded."""
+"""Sensor errors: white noise, and errors that drift slowly. Seeded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from random import Random
 
 __all__ = ["Noise"]
 
-_PERIOD = 0.1  # s between two steps of what wanders
+_PERIOD = 0.1  # s between steps of the drift
 _LEAST_WANDER = 1e-9
 _WANDERS = {
     "gps_n": (0.5, 30.0),
@@ -24,28 +24,28 @@ _WANDERS = {
     "yaw": (0.01, 20.0),
     "baro": (0.02, 60.0),
 }
-"""Standard deviation and time in which it is forgotten, s: m, m/s, rad, hPa."""
+"""Standard deviation and correlation time, s: m, m/s, rad, hPa."""
 
 
 class Noise:
-    """Errors of one vehicle; a scale of 0 has none."""
+    """Errors of one vehicle; a scale of 0 disables them."""
 
     def __init__(self, seed: int, scale: float) -> None:
-        self._random = Random(seed)  # noqa: S311 - a simulation that can be repeated
+        self._random = Random(seed)  # noqa: S311 - a reproducible simulation
         self.scale = scale
         self._wandering = dict.fromkeys(_WANDERS, 0.0)
         self._left = 0.0
 
     def white(self, sigma: float) -> float:
-        """Return an error that has nothing to do with the last one."""
+        """Return an uncorrelated error."""
         return self._random.gauss(0.0, sigma * self.scale) if self.scale else 0.0
 
     def slow(self, name: str) -> float:
-        """Return an error that is nearly what it was before."""
+        """Return a correlated error, which changes slowly."""
         return self._wandering[name]
 
     def step(self, seconds: float) -> None:
-        """Let the slow errors wander on."""
+        """Advance the slow errors."""
         if not self.scale:
             return
         self._left += seconds

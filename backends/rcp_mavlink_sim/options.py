@@ -1,4 +1,4 @@
-"""What a twin is made with."""
+"""The options of a simulated vehicle."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     system: int = 1
     """MAVLink system id; its component is 1, the autopilot."""
     home: tuple[float, float, float] = (-35.3632621, 149.1652374, 584.0)
-    """Latitude, longitude (deg) and height above sea level (m) of where it stands at first."""
+    """Latitude, longitude (deg) and height above sea level (m) of the start."""
     heading: float = 0.0
-    """Where it looks at first, deg."""
+    """Initial heading, deg."""
     speed: float = 1.0
-    """Simulated seconds in a real one. Rates of messages and the time-outs for a ground station
-    that falls silent are in real time whatever it is."""
+    """Simulated seconds per real second. Message rates and the time-outs for a silent ground
+    station are always in real time."""
     warmup: float = 40.0
-    """Simulated seconds from boot until it can be armed in a mode that flies by position."""
+    """Simulated seconds from boot until it can be armed in a mode that needs a position."""
     charge: float = 1.0
-    """Of the battery at first, 0…1."""
+    """Initial charge of the battery, 0…1."""
     capacity: float = 3300.0
-    """Of the battery, mAh."""
+    """Capacity of the battery, mAh."""
     wind: tuple[float, float] = (0.0, 0.0)
-    """Where it blows to, m/s north and east."""
+    """Direction it blows towards, m/s north and east."""
     noise: float = 1.0
-    """Of the sensors, times the usual one; 0 has none."""
+    """Scale of the sensor noise; 0 disables it."""
     seed: int = 0
-    """Of the noise."""
+    """Seed of the noise."""
     parameters: dict[str, float] = {}
-    """Other values than usual."""
+    """Parameters that differ from their defaults."""
     streaming: bool = False
-    """Send the usual telemetry at 4 Hz unasked; a real one waits to be asked."""
+    """Whether to send telemetry at 4 Hz without a request; a real vehicle waits for one."""
     latency: float = 0.0
-    """Real seconds that whatever it sends is on its way, as over a slow radio."""
+    """Delay of everything it sends, real seconds, as over a slow radio."""
     key: bytes | None = None
-    """32 bytes: sign what is sent, and take only what is signed with it."""
+    """Key of 32 bytes: messages are signed, and only messages signed with it are accepted."""

@@ -1,7 +1,7 @@
-"""The parameters and their protocol: a value of any type is taken as the parameter's own.
+"""The parameters and their protocol: a value of any type is converted to the parameter's own.
 
-An unknown name gets no answer at all. An integer that was never stored, set to the default that it
-has already, is told as a REAL32: nothing is stored then, and the real one forgets its type.
+There is no reply to an unknown name. An integer that was never stored, set to its default, is
+reported as REAL32: nothing is stored, and ArduPilot forgets its type.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BITS = {"b": 7, "h": 15, "i": 31}
 
 
 class Parameters:
-    """Names with types and values; a change is told to whoever asked to hear of it."""
+    """Names with types and values."""
 
     def __init__(self, vehicle: str, other: dict[str, float]) -> None:
         self._kinds: dict[str, str] = {}
@@ -47,7 +47,7 @@ class Parameters:
         return len(self._values)
 
     def set(self, name: str, value: float) -> bool:
-        """Give a parameter a value of its type; tell whether there is one of that name."""
+        """Set a parameter, converted to its type; return whether this succeeded."""
         kind = self._kinds.get(name)
         if kind is None or not math.isfinite(value):
             return False
@@ -60,7 +60,7 @@ class Parameters:
         return True
 
     def message(self, name: str, place: int | None = None, type_: int | None = None) -> Any:
-        """Return the PARAM_VALUE of a name, at its place in the list."""
+        """Return the PARAM_VALUE of a name, with its index in the list."""
         at = self._places[name] if place is None else place
         reported = _CODES[self._kinds[name]] if type_ is None else type_
         return mav.MAVLink_param_value_message(
@@ -72,7 +72,7 @@ class Parameters:
         return self._names
 
     def read(self, message: Any, answer: Callable[[Any], None]) -> None:
-        """Answer PARAM_REQUEST_READ, if there is such a parameter."""
+        """Handle PARAM_REQUEST_READ, if there is such a parameter."""
         if message.param_index >= 0:
             if message.param_index < len(self._names):
                 answer(self.message(self._names[message.param_index]))
@@ -82,7 +82,7 @@ class Parameters:
             answer(self.message(name))
 
     def write(self, message: Any, answer: Callable[[Any], None]) -> bool:
-        """Take PARAM_SET and answer with what is in force; tell whether it was changed."""
+        """Handle PARAM_SET and reply with the value in effect; return whether it changed."""
         name = _text(message.param_id)
         if name not in self._values:
             return False

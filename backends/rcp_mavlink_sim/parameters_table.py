@@ -1,6 +1,6 @@
-"""The names, types and usual values of the parameters: those of an ArduCopter, most of them.
+"""Names, types and defaults of the parameters, mostly those of an ArduCopter.
 
-Types: b int8, h int16, i int32, f float. `{}` runs over the numbers of the group.
+Types: b int8, h int16, i int32, f float. `{}` stands for the numbers of the group.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import cache
 __all__ = ["CASTS", "table"]
 
 CASTS: dict[str, Callable[[float], float]] = {"b": int, "h": int, "i": int, "f": float}
-"""What a value is, by the letter of its type."""
+"""Conversion of a value, by the letter of its type."""
 
 _PLAIN = """
 ACRO_BAL_PITCH f 1|ACRO_BAL_ROLL f 1|ACRO_OPTIONS b 0|ACRO_RP_RATE f 360|ACRO_THR_MID f 0|ACRO_TRAINER b 2|ACRO_Y_RATE f 202.5
@@ -106,7 +106,7 @@ _OTHER["boat"] = (_COPTER_ONLY, _ROVER.replace("FRAME_CLASS b 1", "FRAME_CLASS b
 
 @cache
 def table(vehicle: str) -> dict[str, tuple[str, float]]:
-    """Return type and usual value of each parameter by name, in the order they are listed in."""
+    """Return type and default of each parameter by name, in the order of the list."""
     plain = [entry for line in _PLAIN.split("\n") for entry in line.split("|") if entry]
     for numbers, text in _GROUPS:
         plain += [e.format(number) for number in numbers for e in text.split("|")]

@@ -1,4 +1,4 @@
-"""What every controller is told: a place, a velocity or an attitude to have."""
+"""The interface of all controllers: a target position, velocity or attitude."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Limits", "Pilot", "clip", "pace"]
 
 
 class Limits:
-    """How fast it goes, from the parameters of the vehicle."""
+    """Maximum speeds and accelerations, from the vehicle's parameters."""
 
     def __init__(self) -> None:
         self.speed = 10.0  # m/s
@@ -21,32 +21,32 @@ class Limits:
 
 
 class Pilot(ABC):
-    """Steers a body; north, east and down are each led by a place or by a velocity."""
+    """Controls a body; the horizontal and vertical axes each follow a position or a velocity."""
 
     def __init__(self, body: Any) -> None:
         self.body = body
         self.limits = Limits()
         self.place: tuple[float, float] | None = (0.0, 0.0)
-        """North and east to be at, m; None follows `velocity`."""
+        """North and east target, m; None follows `velocity`."""
         self.velocity = (0.0, 0.0)
-        """North and east, m/s; with a place it is where that place moves to."""
+        """North and east, m/s; with a target it is the velocity of the target."""
         self.depth: float | None = None
-        """Down to be at, m; None follows `sinking`."""
+        """Down target, m; None follows `sinking`."""
         self.sinking = 0.0  # m/s, down
         self.yaw = 0.0
-        self.yaw_rate = 0.0  # rad/s, lets `yaw` run
+        self.yaw_rate = 0.0  # rad/s, changes `yaw`
         self.faces_travel = False
-        """A copter looks where it goes to, and `yaw` follows."""
+        """Whether a copter faces its direction of travel, and `yaw` follows."""
         self.attitude: tuple[float, float, float] | None = None
-        """Roll, pitch (rad) and thrust (0…1, half is hovering) that rule instead of all else."""
+        """Roll, pitch (rad) and thrust (0…1, half is hovering) that override everything else."""
         self.lean: tuple[float, float] | None = None
-        """Roll and pitch (rad) that rule instead of place and velocity."""
+        """Roll and pitch (rad) that override position and velocity."""
         self.passes = False
-        """A wing goes straight at the place, and not round it."""
+        """Whether a plane flies straight at the target instead of circling it."""
         self.spinning = False
 
     def hold(self) -> None:
-        """Stay where it would come to rest if it braked now."""
+        """Hold the point where it would come to rest if it braked now."""
         body, limits = self.body, self.limits
         speed = math.hypot(body.vn, body.ve)
         way = speed / (2 * limits.acceleration) + 0.4
@@ -58,7 +58,7 @@ class Pilot(ABC):
         self.faces_travel = False
 
     def at_place(self, tolerance: float) -> bool:
-        """Tell whether it is where it should be, within `tolerance` m."""
+        """Return whether it is at its target, within `tolerance` m."""
         body = self.body
         if self.place is None or self.depth is None:
             return False
@@ -66,23 +66,23 @@ class Pilot(ABC):
         return math.dist((body.n, body.e, body.d), (n, e, self.depth)) <= tolerance
 
     def away(self) -> float:
-        """Return how far the place to be at is, m over ground."""
+        """Return the horizontal distance to the target, m."""
         if self.place is None:
             return 0.0
         return math.dist((self.body.n, self.body.e), self.place)
 
     def reset(self) -> None:
-        """Begin from rest, as after arming."""
+        """Start from rest, as after arming."""
         self.yaw, self.yaw_rate, self.attitude = self.body.yaw, 0.0, None
         self.faces_travel = False
 
     @abstractmethod
     def step(self, dt: float) -> None:
-        """Say what the body should do for the next `dt` seconds."""
+        """Set the demands of the body for the next `dt` seconds."""
 
 
 def pace(way: float, fastest: float, acceleration: float, gain: float = 1.0) -> float:
-    """Return the speed at which `way` m are still enough to brake in."""
+    """Return the maximum speed from which it can brake within `way` m."""
     linear = acceleration / (gain * gain)
     if way <= linear:
         return min(fastest, gain * way)
@@ -90,5 +90,5 @@ def pace(way: float, fastest: float, acceleration: float, gain: float = 1.0) -> 
 
 
 def clip(value: float, most: float) -> float:
-    """Return a value between `-most` and `most`."""
+    """Limit a value to ±`most`."""
     return min(most, max(-most, value))

@@ -1,4 +1,4 @@
-"""Missions, fences and rally points: the protocol by which they go up and down."""
+"""Missions, fences and rally points: the upload and download protocol."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rcp_mavlink_sim.wire import mav
 __all__ = ["MISSION_COMMANDS", "Item", "Plan", "Transfer"]
 
 _SCALE = 1e7
-_MOST_OF_ALL = 1e6  # of any parameter
-_AGAIN = 1.0  # s, until an item is asked for again
-_PATIENCE = 8  # times
+_MOST_OF_ALL = 1e6  # limit of any parameter
+_AGAIN = 1.0  # s until an item is requested again
+_PATIENCE = 8  # requests
 _MOST = {mav.MAV_MISSION_TYPE_MISSION: 724, mav.MAV_MISSION_TYPE_FENCE: 84, mav.MAV_MISSION_TYPE_RALLY: 60}  # fmt: skip
 MISSION_COMMANDS = frozenset({16, 17, 18, 19, 20, 21, 22, 82, 93, 112, 115, 177, 178, 179, 181, 183, 201, 203, 205, 206, 207, 1000, 2000})  # fmt: skip
 _FENCE_COMMANDS = frozenset({5000, 5001, 5002, 5003, 5004})
@@ -36,26 +36,26 @@ class Item(msgspec.Struct, frozen=True):
     lon: float  # deg
     alt: float  # m
     raw: tuple[int, int]
-    """The first two coordinates as they came."""
+    """The first two coordinates as received."""
 
 
 class Plan:
-    """What is stored of one type, with item 0 of a mission its home."""
+    """A stored plan of one type; item 0 of a mission is home."""
 
     def __init__(self, kind: int) -> None:
         self.kind = kind
         self.items: list[Item] = []
         self.number = 0
-        """How often it was changed."""
+        """Number of changes."""
 
     def replace(self, items: list[Item]) -> None:
-        """Store another plan."""
+        """Replace the plan."""
         self.items = items
         self.number += 1
 
 
 class Transfer:
-    """An upload on its way, from one peer."""
+    """An upload in progress, from one peer."""
 
     def __init__(self, plan: Plan, count: int, peer: tuple[int, int], now: float) -> None:
         self._plan, self._count, self._peer = plan, count, peer
@@ -65,11 +65,11 @@ class Transfer:
 
     @property
     def plan(self) -> Plan:
-        """The plan that comes in."""
+        """The plan being received."""
         return self._plan
 
     def request_next(self, send: Callable[[Any], None], now: float) -> None:
-        """Ask for the next item, the way ArduPilot does: not by MISSION_REQUEST_INT."""
+        """Request the next item like ArduPilot, which does not use MISSION_REQUEST_INT."""
         self._requested_at = now
         system, component = self._peer
         send(
@@ -79,7 +79,7 @@ class Transfer:
         )
 
     def late(self, send: Callable[[Any], None], now: float) -> bool:
-        """Ask again where nothing comes; tell whether to give up."""
+        """Repeat an unanswered request; return whether to give up."""
         if now - self._requested_at > _AGAIN:
             self._tries += 1
             if self._tries > _PATIENCE:
@@ -89,7 +89,7 @@ class Transfer:
         return False
 
     def take(self, message: Any, send: Callable[[Any], None], now: float) -> bool:
-        """Take an item; tell whether the transfer is over."""
+        """Handle an item; return whether the transfer is complete."""
         if message.seq != len(self._items):
             if message.seq > len(self._items):
                 self._end(send, mav.MAV_MISSION_INVALID_SEQUENCE)
@@ -118,14 +118,14 @@ class Transfer:
 
     @staticmethod
     def refusal(kind: int, count: int) -> int | None:
-        """Say why an upload cannot begin, as MAV_MISSION_RESULT; None: it can."""
+        """Return why an upload cannot start, as MAV_MISSION_RESULT; None if it can."""
         if kind not in _MOST:
             return mav.MAV_MISSION_UNSUPPORTED
         return mav.MAV_MISSION_NO_SPACE if count > _MOST[kind] else None
 
 
 def _wrong(message: Any) -> int | None:
-    """Say which parameter is none, as MAV_MISSION_RESULT; a heading may be left open."""
+    """Return which parameter is invalid, as MAV_MISSION_RESULT; a heading may be NaN."""
     first: int = mav.MAV_MISSION_INVALID_PARAM1
     given = (message.param1, message.param2, message.param3, message.param4, message.z)
     for at, value in enumerate(given):
@@ -151,6 +151,6 @@ def _item(message: Any, kind: int) -> Item:
     if frame in _NORMAL_FRAME:
         frame = _NORMAL_FRAME[frame]
     height = message.z
-    if kind == mav.MAV_MISSION_TYPE_FENCE:  # of a fence nothing else is kept
+    if kind == mav.MAV_MISSION_TYPE_FENCE:  # fences keep only this
         frame, height, params = mav.MAV_FRAME_GLOBAL, 0.0, (message.param1, 0.0, 0.0, 0.0)
     return Item(message.command, frame, params, x / _SCALE, y / _SCALE, height, raw)

@@ -1,4 +1,4 @@
-"""Where the vehicle is talked to: UDP it is called at, UDP it calls, TCP it waits at."""
+"""The vehicle's links: UDP listening or connecting, and TCP listening."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from rcp_mavlink_sim.vehicle import Vehicle
 __all__ = ["Twin", "fly"]
 
 _TURN = 0.005  # s
-_LONGEST = 0.25  # s that are made up for after a pause of the machine
-_SILENT = 30.0  # s after which a UDP address is forgotten
+_LONGEST = 0.25  # s that are caught up after the machine was suspended
+_SILENT = 30.0  # s after which a silent UDP address is removed
 
 
 class Twin:
-    """A vehicle with its ports, on the event loop that it was opened on."""
+    """A vehicle with its links, on the event loop that opened them."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle = vehicle
         self.ports: list[tuple[str, int]] = []
-        """The addresses it is reached at, in the order they were asked for."""
+        """Its listening addresses, in the order of the links."""
         self.peers: list[GroundStation] = []
         self.on_reboot: list[Callable[[], None]] = []
 
     @property
     def faults(self) -> Faults:
-        """What a test breaks of it."""
+        """The injected faults."""
         return self.vehicle.faults
 
     @property
     def muted(self) -> bool:
-        """Whether nothing goes in or out: the radio is dead."""
+        """Whether nothing is received or sent, as with a dead radio."""
         return self.faults.uplink_cut and self.faults.downlink_cut
 
     @muted.setter
@@ -44,7 +44,7 @@ class Twin:
         self.faults.uplink_cut = self.faults.downlink_cut = value
 
     def join(self, send_bytes: Callable[[bytes], None]) -> GroundStation:
-        """Add one to talk to."""
+        """Add a peer."""
         latency = self.vehicle.options.latency
         loop = asyncio.get_running_loop()
 
@@ -55,7 +55,7 @@ class Twin:
                 loop.call_later(latency, arrive, frame)
 
         def arrive(frame: bytes) -> None:
-            if not self.faults.downlink_cut:  # cut meanwhile
+            if not self.faults.downlink_cut:  # cut while in transit
                 send_bytes(frame)
 
         peer = GroundStation(self.vehicle, send)
@@ -63,13 +63,13 @@ class Twin:
         return peer
 
     def part(self, peer: GroundStation) -> None:
-        """Let go of one."""
+        """Remove a peer."""
         if peer in self.peers:
             self.peers.remove(peer)
             peer.close()
 
     async def run(self) -> None:
-        """Let time pass, until cancelled."""
+        """Advance in real time until cancelled."""
         before = time.monotonic()
         while True:
             await asyncio.sleep(_TURN)
@@ -85,7 +85,7 @@ class Twin:
 
 
 class _Udp(asyncio.DatagramProtocol):
-    """Each address that sends is a peer of its own; one that is called is there from the start."""
+    """Each sending address is a peer; the target of an outgoing link is one from the start."""
 
     def __init__(self, twin: Twin, calls: tuple[str, int] | None) -> None:
         self._twin = twin
@@ -132,11 +132,11 @@ class _Udp(asyncio.DatagramProtocol):
             self._peer(addr).feed(data, datagram=True)
 
     def error_received(self, exc: Exception) -> None:
-        """Go on: nobody listens there yet."""
+        """Ignore it: the peer is not listening yet."""
 
 
 class _Tcp(asyncio.Protocol):
-    """A second client is let in and gets nothing, as on the real one."""
+    """Like ArduPilot's, it accepts a second client but sends it nothing."""
 
     def __init__(self, twin: Twin, busy: set[_Tcp]) -> None:
         self._twin, self._busy = twin, busy
@@ -150,7 +150,7 @@ class _Tcp(asyncio.Protocol):
             self._peer = self._twin.join(self._transport.write)
 
     def drop(self) -> None:
-        """Close it, as a reboot does."""
+        """Close the connection, as a reboot does."""
         self._transport.abort()
 
     def data_received(self, data: bytes) -> None:
@@ -168,10 +168,10 @@ class _Tcp(asyncio.Protocol):
 async def fly(vehicle: Vehicle, *links: str) -> AsyncGenerator[Twin]:
     """Run a vehicle with its links while entered.
 
-    A link is `udpin:HOST:PORT` (it waits there), `udpout:HOST:PORT` (it calls there) or
-    `tcpin:HOST:PORT`; port 0 takes a free one.
+    A link is `udpin:HOST:PORT` (listens), `udpout:HOST:PORT` (connects) or `tcpin:HOST:PORT`
+    (listens); port 0 takes a free one.
 
-    :raises ValueError: a link of another kind.
+    :raises ValueError: not a valid link.
     """
     loop = asyncio.get_running_loop()
     twin = Twin(vehicle)
@@ -219,5 +219,5 @@ async def _open(loop: asyncio.AbstractEventLoop, twin: Twin, link: str) -> Calla
 
 
 def _any(host: str) -> str:
-    """Return the address to call from: loopback stays on this machine."""
+    """Return the local address to bind for a remote host."""
     return "127.0.0.1" if host.startswith("127.") or host == "localhost" else "0.0.0.0"  # noqa: S104

@@ -1,4 +1,4 @@
-"""The battery: charge that goes by what the motors draw, and a voltage that sags with it."""
+"""The battery: charge drawn by the motors, and a voltage that sags with the current."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Battery:
 
     @property
     def voltage(self) -> float:
-        """Volts at the terminals."""
+        """Terminal voltage, V."""
         return _CELLS * _cell(self.charge) - self.current * _INNER
 
     def step(self, dt: float, throttle: float, *, armed: bool) -> None:
-        """Draw for `dt` seconds."""
+        """Discharge for `dt` seconds."""
         self.current = _IDLE + (_HOVER * (throttle / 0.43) ** 1.5 if armed else 0.0)
         used = self.current * dt / 3.6
         self.consumed += used

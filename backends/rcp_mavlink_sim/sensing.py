@@ -1,4 +1,4 @@
-"""The messages of sensors: the truth with noise on it."""
+"""The sensor messages: the true state with noise."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ __all__ = [
 
 _NOTHING = 65535
 _ACCELERATION, _RATE, _FIELD, _SPEED = 0.03, 0.002, 1.5, 0.05  # m/s2, rad/s, mgauss, m/s
-_DEGREE = 111_320.0  # m of latitude
+_DEGREE = 111_320.0  # m per degree of latitude
 
 
 def milliseconds(v: VehicleState) -> int:
-    """Return the time since boot."""
+    """Return the time since boot, ms."""
     return round(v.time * 1000) & 0xFFFFFFFF
 
 
 def microseconds(v: VehicleState) -> int:
-    """Return the time since boot."""
+    """Return the time since boot, µs."""
     return round(v.time * 1e6)
 
 
@@ -61,7 +61,7 @@ def gps(v: VehicleState) -> Any:
 
 
 def attitude(v: VehicleState) -> tuple[float, float, float, float, float, float]:
-    """Return roll, pitch, yaw and their rates as the EKF tells them, rad and rad/s."""
+    """Return roll, pitch, yaw and their rates as estimated by the EKF, rad and rad/s."""
     b, noise = v.body, v.noise
     return (
         b.roll + noise.slow("roll"),
@@ -77,7 +77,7 @@ def _rates(v: VehicleState) -> tuple[float, float, float]:
 
 
 def _specific(v: VehicleState) -> tuple[float, float, float]:
-    """Return what the accelerometers feel, m/s2 in the axes of the body."""
+    """Return the specific force in the body frame, m/s2."""
     b, white = v.body, v.noise.white
     n, e, d = b.an, b.ae, b.ad - GRAVITY
     sr, cr = math.sin(b.roll), math.cos(b.roll)
@@ -90,7 +90,7 @@ def _specific(v: VehicleState) -> tuple[float, float, float]:
 
 
 def _field(v: VehicleState) -> tuple[float, float, float]:
-    """Return the magnetic field in the axes of the body, mgauss; level ones of heading only."""
+    """Return the magnetic field in the body frame, mgauss; only the heading is considered."""
     yaw, white = v.body.yaw, v.noise.white
     return (
         230 * math.cos(yaw) + white(_FIELD),

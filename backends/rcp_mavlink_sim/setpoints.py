@@ -1,4 +1,4 @@
-"""Set-points in GUIDED: a place, a velocity, an attitude; one that cannot be flown changes nothing."""
+"""Set-points in GUIDED: position, velocity, attitude; unsupported ones are ignored."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _QUICKEST = 1e3  # m/s
 _NO_PLACE, _NO_VELOCITY = 0b111, 0b111000
 _NO_YAW, _NO_YAW_RATE = 1 << 10, 1 << 11
 _NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
-_UNIT = 1e-3  # by which the length of a quaternion may differ from 1
-_THRUST_AS_THRUST = 1 << 3  # of GUID_OPTIONS
+_UNIT = 1e-3  # tolerance of a quaternion's norm
+_THRUST_AS_THRUST = 1 << 3  # bit of GUID_OPTIONS
 _BODY_FRAMES = frozenset({8, 9, 12})
 _OFFSET_FRAMES = frozenset({7, 9})
 
 
 def take(vehicle: Vehicle, message: Any) -> None:
-    """Take a set-point; there is no answer to it, whatever becomes of it."""
+    """Handle a set-point; there is no reply in any case."""
     grounded = vehicle.body.landed and vehicle.kind.flies
     if vehicle.flight.mode is not Mode.GUIDED or not vehicle.armed or grounded:
         return
@@ -34,7 +34,7 @@ def take(vehicle: Vehicle, message: Any) -> None:
 
 
 def _attitude(vehicle: Vehicle, message: Any) -> None:
-    """Hold an attitude; the yaw in it is absolute, and thrust is a rate of climb."""
+    """Hold an attitude; its yaw is absolute, and thrust is a climb rate."""
     w, x, y, z = message.q
     mask, thrust = message.type_mask, message.thrust
     rates = mask & _NO_RATES

@@ -1,4 +1,4 @@
-"""What every part of a vehicle works on: its settings, its body, where it is, and what it says."""
+"""State shared by all parts of a vehicle: its settings, its body, its position, its messages."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ __all__ = ["VehicleState"]
 
 
 class VehicleState:
-    """One vehicle's state and voice; `tell` is where its messages go."""
+    """The state of one vehicle; `tell` receives its messages."""
 
     def __init__(self, options: Options) -> None:
         self.options = options
         self.kind = KINDS[options.vehicle]
         self.on_message: list[Callable[[Any], None]] = []
-        """Called with each message that goes to everybody."""
+        """Called with each broadcast message."""
         self.params = Parameters(options.vehicle, options.parameters)
         self.noise = Noise(options.seed, options.noise)
         self.wall = 0.0
-        """Real seconds, from whatever clock `advance` is given."""
+        """Real seconds, by the clock of `advance`."""
         self.origin = options.home
         self.faults = Faults()
-        """What a test breaks; stays over a reboot."""
+        """Injected faults; they survive a reboot."""
         self.rally = Plan(mav.MAV_MISSION_TYPE_RALLY)
         self.begin(math.radians(options.heading))
 
     def begin(self, heading: float) -> None:
-        """Stand at the origin without power on the motors, as after switching on."""
+        """Start at the origin with the motors off, as after power-on."""
         self.time = 0.0
         """Simulated seconds since boot."""
         self.body = body_of(self.kind)
@@ -51,21 +51,21 @@ class VehicleState:
         self.battery = Battery(self.options.capacity, self.options.charge)
         self.home: tuple[float, float, float] | None = None
         self.seen_at = (0.0, 0.0)
-        """North and east, m, where its position was known last."""
+        """The last known position, north and east, m."""
         self.armed = False
         self.armed_for = 0.0
         self.sticks = Sticks()
 
-    # Where it is
+    # Position
 
     @property
     def position_ok(self) -> bool:
-        """Whether GPS and EKF know where it is."""
+        """Whether GPS and EKF provide a position."""
         return self.time >= self.options.warmup and bool(self.params["SIM_GPS1_ENABLE"])
 
     @property
     def gps_ok(self) -> bool:
-        """Whether the receiver has a fix."""
+        """Whether the GPS receiver has a fix."""
         fixed = self.time >= min(5.0, self.options.warmup / 4)
         return fixed and bool(self.params["SIM_GPS1_ENABLE"])
 
@@ -74,15 +74,15 @@ class VehicleState:
         return shifted(self.body.n, self.body.e, self.origin[:2])
 
     def place_of(self, lat: float, lon: float) -> tuple[float, float]:
-        """Return north and east of the origin, m."""
+        """Return a position relative to the origin, north and east, m."""
         return offset(lat, lon, self.origin[:2])
 
     def home_place(self) -> tuple[float, float]:
-        """Return where home is, m."""
+        """Return the position of home, m."""
         return (0.0, 0.0) if self.home is None else self.place_of(*self.home[:2])
 
     def haven(self) -> tuple[float, float]:
-        """Return where RTL goes to, m: home, or the nearest rally point that is not farther."""
+        """Return the target of RTL, m: home, or the nearest rally point that is not farther."""
         n, e = self.body.n, self.body.e
         places = [self.place_of(item.lat, item.lon) for item in self.rally.items]
         most = self.params["RALLY_LIMIT_KM"] * 1000
@@ -92,12 +92,12 @@ class VehicleState:
         return min(near, key=lambda place: math.dist(place, (n, e)))
 
     def set_home(self, place: tuple[float, float, float] | None) -> None:
-        """Make a place (deg, deg, m above the sea) home; None: where it is."""
+        """Set home (deg, deg, m above sea level); None: the present position."""
         lat, lon = self.geographic()
         self.home = place or (lat, lon, self.origin[2] - self.body.d)
         self.broadcast(self.home_position())
 
-    # What it says
+    # Messages
 
     def send_text(self, severity: int, text: str) -> None:
         """Send a STATUSTEXT to everybody."""
@@ -109,7 +109,7 @@ class VehicleState:
             send(message)
 
     def home_position(self) -> Any:
-        """Return HOME_POSITION; None: there is no home yet."""
+        """Return HOME_POSITION; None if home is not set yet."""
         if self.home is None:
             return None
         n, e = self.home_place()
@@ -120,7 +120,7 @@ class VehicleState:
         )  # fmt: skip
 
     def global_origin(self) -> Any:
-        """Return GPS_GLOBAL_ORIGIN; None: it does not know where it is."""
+        """Return GPS_GLOBAL_ORIGIN; None without a position."""
         if not self.position_ok:
             return None
         lat, lon, height = self.origin

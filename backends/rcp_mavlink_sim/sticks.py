@@ -1,4 +1,4 @@
-"""The sticks of who flies by hand: RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, while they keep coming."""
+"""Manual control: RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, until they stop arriving."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ _DEAD = 0.05
 
 
 class Sticks:
-    """Eight channels; nobody at them, and they count as centred."""
+    """Eight channels, centred without input."""
 
     def __init__(self) -> None:
         self.pulses = [_CENTRE] * _CHANNELS  # µs
         self._until = 0.0
         self.held = False
-        """Whether somebody moves them."""
+        """Whether there is input."""
 
     @property
     def roll(self) -> float:
-        """Right is positive, -1…1; likewise the others."""
+        """Positive right, -1…1; the others likewise."""
         return self._stick(0)
 
     @property
     def pitch(self) -> float:
-        """Stick forward is negative, as on the real one: nose down."""
+        """Negative with the stick forward (nose down), as on a real transmitter."""
         return self._stick(1)
 
     @property
     def throttle(self) -> float:
-        """Up is positive; centred neither climbs nor sinks."""
+        """Positive up; centred neither climbs nor sinks."""
         return self._stick(2)
 
     @property
     def yaw(self) -> float:
-        """Clockwise is positive."""
+        """Positive clockwise."""
         return self._stick(3)
 
     def _stick(self, channel: int) -> float:
@@ -47,7 +47,7 @@ class Sticks:
         return 0.0 if abs(value) < _DEAD else max(-1.0, min(1.0, value))
 
     def override(self, message: Any, until: float) -> None:
-        """Take RC_CHANNELS_OVERRIDE; what it releases is centred again."""
+        """Handle RC_CHANNELS_OVERRIDE; released channels are centred again."""
         for channel in range(_CHANNELS):
             pulse = getattr(message, f"chan{channel + 1}_raw")
             if pulse == _RELEASE:
@@ -57,7 +57,7 @@ class Sticks:
                 self.held, self._until = True, until
 
     def manual(self, message: Any, until: float) -> None:
-        """Take MANUAL_CONTROL: x is pitch, y roll, z throttle from 0, r yaw, all of a thousand."""
+        """Handle MANUAL_CONTROL: x is pitch, y roll, z throttle from 0, r yaw, each out of 1000."""
         wanted = (message.y, -message.x, (message.z - 500) * 2, message.r)
         given = (message.y, message.x, message.z, message.r)
         for channel, (value, raw) in enumerate(zip(wanted, given, strict=True)):
@@ -66,7 +66,7 @@ class Sticks:
         self.held, self._until = True, until
 
     def expire(self, wall: float) -> None:
-        """Let go of sticks that nobody has moved for long."""
+        """Release the sticks if there was no input for long."""
         if self.held and wall > self._until:
             self.held = False
             self.pulses = [_CENTRE] * _CHANNELS

@@ -1,4 +1,4 @@
-"""What one peer is sent regularly, and how often."""
+"""The messages that one peer is sent regularly, and their rates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FASTEST = 0.0025  # s
 
 
 class Streams:
-    """Intervals by message, in real seconds; nothing but heartbeats comes unasked."""
+    """Intervals by message, in real seconds; only heartbeats are sent without a request."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -38,7 +38,7 @@ class Streams:
                 self.group(group, 4.0, on=True)
 
     def every(self, number: int, microseconds: float) -> bool:
-        """Take SET_MESSAGE_INTERVAL; tell whether there is such a message."""
+        """Handle SET_MESSAGE_INTERVAL; return whether the message exists."""
         if number not in MAKERS:
             return False
         if microseconds == 0:
@@ -49,14 +49,14 @@ class Streams:
         return True
 
     def interval(self, number: int) -> int:
-        """Return the interval as MESSAGE_INTERVAL says it, µs; -1 is never, 0 not known."""
+        """Return the interval as in MESSAGE_INTERVAL, µs; -1 is never, 0 unknown."""
         if number not in MAKERS:
             return 0
         seconds = self._intervals.get(number)
         return -1 if seconds is None else round(seconds * 1e6)
 
     def group(self, number: int, rate: float, *, on: bool) -> None:
-        """Take REQUEST_DATA_STREAM."""
+        """Handle REQUEST_DATA_STREAM."""
         numbers = _GROUPS.get(number, ())
         if number == 0:
             numbers = tuple(n for group in _GROUPS.values() for n in group)
@@ -71,7 +71,7 @@ class Streams:
             self._intervals[number] = seconds
 
     def due(self, wall: float) -> list[Any]:
-        """Make what is due."""
+        """Build the messages that are due."""
         found: list[Any] = []
         for number, seconds in self._intervals.items():
             due = self._due.get(number, 0.0)

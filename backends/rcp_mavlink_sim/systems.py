@@ -1,4 +1,4 @@
-"""What a vehicle carries: the flight that leads it, fence and failsafes, the camera, files and logs."""
+"""The systems of a vehicle: flight, fence, failsafes, camera, files and logs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FLIGHTS: dict[str, type[Flight]] = {
 
 
 class Systems(VehicleState):
-    """A vehicle with all that it carries, as it is measured and told."""
+    """A vehicle with its systems, as telemetry and commands need it."""
 
     def __init__(self, options: Options) -> None:
         self.log = FlightLog()
@@ -35,7 +35,7 @@ class Systems(VehicleState):
         self.files = Files(self.kind.name, self.params, self.log)
 
     def begin(self, heading: float) -> None:
-        """Stand at the origin without power on the motors, as after switching on."""
+        """Start at the origin with the motors off, as after power-on."""
         super().begin(heading)
         self.flight = _FLIGHTS[self.kind.name](self)
         self.flight.limits()
@@ -44,12 +44,12 @@ class Systems(VehicleState):
         self.mount = Mount(self)
 
     def complaints(self) -> list[str]:
-        """List what speaks against arming, as the real one words it; nothing: it may."""
+        """List what prevents arming, in ArduPilot's words; empty if it may arm."""
         return complaints(self, self.flight, self.failsafes, self.fence)
 
     @property
     def ready(self) -> bool:
-        """The pre-arm bit; in a mode that flies blind it is up too early, as on the real one."""
+        """The pre-arm bit; as in ArduPilot, it is set too early in a mode without a position."""
         if self.complaints():
             return False
         return not needs_position(self.flight.mode) or self.position_ok

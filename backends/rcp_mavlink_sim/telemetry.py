@@ -1,4 +1,4 @@
-"""The messages that tell how it is: each made when it is due or asked for."""
+"""The telemetry messages, built when due or requested."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _global(v: Systems) -> Any:
     n, e, d, *speeds = _estimate(v)
     if v.position_ok:
         v.seen_at = (n, e)
-    else:  # as the real one: where it was last, and at rest over ground, whatever it does
+    else:  # like ArduPilot: the last position, at rest, whatever the vehicle does
         n, e = v.seen_at
         speeds[:2] = (0.0, 0.0)
     lat, lon = shifted(n, e, v.origin[:2]) if v.home is not None else (0.0, 0.0)
@@ -253,4 +253,4 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     **mount_messages.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }
-"""What can be sent regularly or on request, by message id; None of a maker: not known yet."""
+"""Builders of the available messages, by id; they return None while there is no value."""

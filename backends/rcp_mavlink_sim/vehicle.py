@@ -1,4 +1,4 @@
-"""The vehicle as a whole: its body, what flies it, what watches over it, and who it talks to."""
+"""The whole vehicle: its body, its flight, its failsafes and its peers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rcp_mavlink_sim.wire import mav
 
 __all__ = ["STEP", "Vehicle"]
 
-STEP = 0.005  # s, of the simulation
+STEP = 0.005  # s, simulation step
 _STORM = 60.0  # m/s
-_CHATTER = 30.0  # s between two complaints before arming
+_CHATTER = 30.0  # s between two pre-arm reports
 _BOOT = (
     (0.05, "EKF3 IMU0 initialised"),
     (0.1, "GPS 1: detected u-blox"),
@@ -24,14 +24,14 @@ _BOOT = (
     (0.4, "EKF3 IMU0 MAG0 initial yaw alignment complete"),
     (0.95, "EKF3 IMU0 origin set"),
 )
-"""What is said while it warms up, by the part of that time."""
+"""Texts during warm-up, by the fraction of its time."""
 
 
 class Vehicle(Systems):
     """One simulated vehicle; `advance` steps its time, `on_message` receives its messages."""
 
     def begin(self, heading: float) -> None:
-        """Stand at the origin without power on the motors, as after switching on."""
+        """Start at the origin with the motors off, as after power-on."""
         super().begin(heading)
         self._last_messages: dict[int, Any] = {}
         self._announced = 0
@@ -40,32 +40,32 @@ class Vehicle(Systems):
         self.rebooted = False
 
     def reboot(self) -> None:
-        """Start anew; what is stored stays."""
+        """Restart; stored data is kept."""
         mission, fence = self.flight.mission.plan, self.fence.plan
         self.begin(self.body.yaw)
         self.flight.mission.plan, self.fence.plan = mission, fence
         self.rebooted = True
         self.send_text(6, "Calibrating barometer")
 
-    # What it says
+    # Messages
 
     def greet(self, send: Callable[[Any], None]) -> None:
-        """Say what it is to one who asks."""
+        """Send the banner to a peer that requests it."""
         for text in (f"{self.kind.title} V4.7.0-dev (70746572)", self.kind.frame):
             if text:
                 send(mav.MAVLink_statustext_message(6, text.encode()))
 
     def measure(self, number: int) -> Any:
-        """Make a message that tells how it is, by its id; None: there is none now."""
+        """Build a telemetry message by its id; None if it has no value now."""
         telemetry = self.faults.telemetry
         if telemetry == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self._last_messages[number] = MAKERS[number](self)
         return None if telemetry == "silent" and number else self._last_messages.get(number)
 
-    # What is done with it
+    # Commands
 
     def set_custom_mode(self, number: int) -> bool:
-        """Change the mode to one of a number; tell whether it could be."""
+        """Change the mode by its number; return whether this succeeded."""
         mode = self.kind.modes.get(number)
         if mode is None:
             self.send_text(4, f"No such mode {number}")
@@ -73,7 +73,7 @@ class Vehicle(Systems):
         return self.flight.set_mode(mode)
 
     def arm(self, force: float = 0.0) -> bool:
-        """Start the motors; tell whether they may."""
+        """Start the motors; return whether this succeeded."""
         if self.armed:
             return True
         reasons = [] if force in FORCE else self.complaints()
@@ -94,7 +94,7 @@ class Vehicle(Systems):
     # Time
 
     def advance(self, wall: float, real: float) -> None:
-        """Let `real` seconds pass, times the speed of the simulation."""
+        """Advance by `real` seconds, multiplied by the simulation speed."""
         self.wall = wall
         self._left += real * self.options.speed
         while self._left >= STEP:

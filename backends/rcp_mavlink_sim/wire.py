@@ -1,4 +1,4 @@
-"""The dialect that the twin speaks, as a module whose generated types nobody has to satisfy."""
+"""The dialect of the simulated vehicle, untyped: pymavlink's generated types are inexact."""
 
 from __future__ import annotations
 

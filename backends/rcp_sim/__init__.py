@@ -1,4 +1,4 @@
-"""Simulated robots that behave: a rover with sensors, tasks, a battery, and faults on request."""
+"""A simulated rover with sensors, tasks, a battery and injectable faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated rover as the gateway sees it: what can be read, written and executed."""
+"""The backend of the simulated rover: reads, writes, executes and stops it."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from rcp_sim.simulation import DEFAULT_LIMIT, Trip
 
 __all__ = ["SimBackend", "open_sim"]
 
-_FEEDBACK = 0.2  # s between two reports of a trip
-_REST = 4.0  # s that a cancelled trip may take to come to rest
+_FEEDBACK = 0.2  # s between two progress reports of a trip
+_REST = 4.0  # s for a cancelled trip to come to rest
 
 
 @asynccontextmanager
 async def open_sim(config: SimConfig, host: Host) -> AsyncGenerator[SimBackend]:
-    """Switch a simulated rover on; leaving switches it off.
+    """Power a simulated rover on while entered.
 
     :raises ConfigError: the rover would start inside an obstacle, or a fault has no such target.
     :raises RuntimeError: the rover broke down.
@@ -56,7 +56,7 @@ async def open_sim(config: SimConfig, host: Host) -> AsyncGenerator[SimBackend]:
 
 
 class SimBackend(BaseBackend):
-    """One rover, driven through its `Device`."""
+    """One simulated rover."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
@@ -78,7 +78,7 @@ class SimBackend(BaseBackend):
         return await super().read(name) if value is None else value
 
     async def write(self, name: str, value: Any) -> Any:
-        """Take a velocity or the speed limit into force; return what stands now."""
+        """Apply a velocity or the speed limit; return the value in effect."""
         if name == "actuator/cmd_vel":
             v, w = value.linear.x, value.angular.z
             stop = v == 0.0 and w == 0.0
@@ -95,7 +95,7 @@ class SimBackend(BaseBackend):
         return self.device.publisher.taken(name)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Run an action or service; those that make and mend faults need no link."""
+        """Run an action or service; those that inject and clear faults need no link."""
         if name == "service/inject_fault":
             return self._inject(value)
         if name == "service/clear_faults":
@@ -111,7 +111,7 @@ class SimBackend(BaseBackend):
         return await verb(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Run what is seen and told of the body while somebody watches; the rest runs always."""
+        """Run a sensor that is only simulated while watched; the others always run."""
         return self._watch(name, rate)
 
     @asynccontextmanager
@@ -120,17 +120,17 @@ class SimBackend(BaseBackend):
             yield
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """Tell what stops it: it is in the gateway's own process, and stands still with it."""
+        """Report the watchdog: the rover runs in the gateway's process and stops with it."""
         return [Watchdog("the simulation runs inside the gateway's process", 0.0, verified=True)]
 
     async def halt(self) -> None:
-        """Brake hard, end what is running, and return once at rest."""
+        """Brake hard, end the running trip, and return once at rest."""
         await self.device.reach("halt", stop=True)
         self._sim.stop("the rover was halted", hard=True)
         await self.device.waiting.until(lambda: self._sim.rover.at_rest)
 
     def motion(self, robot: str | None) -> MotionState:
-        """Report what the rover's odometry says."""
+        """Report the motion measured by the odometry."""
         if self.device.faults.link_lost:
             return MotionState(None, "the link to the rover is lost")
         if self.device.blind:
@@ -141,7 +141,7 @@ class SimBackend(BaseBackend):
         return MotionState(False, f"it moves at {rover.v:.2f} m/s and turns at {rover.w:.2f} rad/s")
 
     def hold_stop(self, robot: str | None) -> None:
-        """Brake again if the rover moves, or has been told to."""
+        """Brake again if the rover moves or has a velocity command."""
         faults, sim = self.device.faults, self._sim
         idle = sim.rover.at_rest and sim.trip is None and sim.velocity == (0.0, 0.0)
         if idle or not self.device.receives_stops or faults.lose_stop():
@@ -149,7 +149,7 @@ class SimBackend(BaseBackend):
         sim.stop("an e-stop is latched", hard=True)
 
     async def hold(self, robot: str | None) -> None:
-        """Brake as for any stop, end what is running, and return once at rest."""
+        """Brake as for any stop, end the running trip, and return once at rest."""
         await self.device.reach("hold", stop=True)
         self._sim.stop("the rover was commanded to hold")
         await self.device.waiting.until(lambda: self._sim.rover.at_rest)
@@ -179,7 +179,7 @@ class SimBackend(BaseBackend):
         return m.DockResult(pose(self._sim.rover, now()), self._sim.pack.charge, charging=True)
 
     async def _ride(self, trip: Trip, progress: Progress) -> None:
-        """See a trip to its end; a cancellation brakes the rover before it passes on."""
+        """Follow a trip to its end; a cancellation brakes the rover first."""
         device = self.device
         device.report_task(trip, "started", f"Driving to a goal {trip.length:.1f} m away.")
         try:

@@ -1,20 +1,20 @@
-"""The rover's battery: energy in, energy out, and the voltage that follows."""
+"""The rover's battery: energy balance and terminal voltage."""
 
 from __future__ import annotations
 
 __all__ = ["LOW", "Pack"]
 
-LOW = 0.15  # of the capacity: the rover warns
+LOW = 0.15  # of the capacity, below which the rover warns
 IDLE_POWER = 8.0  # W, computer and sensors
 DRIVE_POWER = 35.0  # W for each m/s
 TURN_POWER = 12.0  # W for each rad/s
 CHARGE_POWER = 150.0  # W into the pack
-FULL, EMPTY = 12.6, 9.9  # V without load: three lithium cells
+FULL, EMPTY = 12.6, 9.9  # V without load, a lithium pack of three cells
 RESISTANCE = 0.08  # Ohm
 
 
 class Pack:
-    """Stored energy; `charge` is the part of `capacity` (W.h) that is left, 0…1."""
+    """Stored energy; `charge` is the remaining fraction of `capacity` (W.h), 0…1."""
 
     def __init__(self, capacity: float, charge: float) -> None:
         self.capacity = capacity
@@ -24,21 +24,21 @@ class Pack:
 
     @property
     def charge(self) -> float:
-        """The part of the capacity that is left, 0…1."""
+        """Remaining fraction of the capacity, 0…1."""
         return max(0.0, min(1.0, self.energy / self.capacity))
 
     @property
     def current(self) -> float:
-        """Amperes into the pack; negative while it discharges."""
+        """Current into the pack, A; negative while discharging."""
         return -self.power / (EMPTY + (FULL - EMPTY) * self.charge)
 
     @property
     def voltage(self) -> float:
-        """Volts at the terminals, under the present load."""
+        """Terminal voltage under the present load, V."""
         return EMPTY + (FULL - EMPTY) * self.charge + self.current * RESISTANCE
 
     def step(self, dt: float, v: float, w: float) -> None:
-        """Spend what driving at `v` and `w` for `dt` seconds takes."""
+        """Consume the energy for driving at `v` (m/s) and `w` (rad/s) for `dt` seconds."""
         self.power = IDLE_POWER + DRIVE_POWER * abs(v) + TURN_POWER * abs(w)
         if self.charging and self.charge < 1.0:
             self.power -= CHARGE_POWER

@@ -1,4 +1,4 @@
-"""What the rover looks like, how its wheels stand, and where its frames are."""
+"""The rover's URDF, its wheel joints and its frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rcp_sim.spatial import JointState, Rigid, Transforms, TransformStamped, sta
 
 __all__ = ["DESCRIPTION", "joints", "transforms"]
 
-_LASER = 0.25  # m of the laser above the floor
+_LASER = 0.25  # m, height of the laser above the floor
 _WHEEL = 0.08  # m, radius
 _TRACK = 0.36  # m between the wheels
 _FIXED = (("laser", _LASER), ("camera", EYE))
@@ -101,11 +101,11 @@ DESCRIPTION = f"""<?xml version="1.0"?>
   </joint>
 </robot>
 """
-"""As URDF, of boxes, cylinders and spheres."""
+"""URDF, built from boxes, cylinders and spheres."""
 
 
 def joints(rover: Rover, now: int) -> JointState:
-    """Return how far the wheels have turned, and how fast they do."""
+    """Return the angles and angular velocities of the wheels."""
     half = _TRACK / 2
     way, turned, v, w = rover.path, rover.turned, rover.v, rover.w
     return JointState(
@@ -117,7 +117,7 @@ def joints(rover: Rover, now: int) -> JointState:
 
 
 def transforms(rover: Rover, wheels: Wheels, now: int) -> Transforms:
-    """Return the tree: what the wheels say is in `odom`, what they are wrong by between it and `map`."""
+    """Return the frame tree: `odom` from dead reckoning, `map` to `odom` its error."""
     turn = rover.yaw - wheels.yaw
     cosine, sine = math.cos(turn), math.sin(turn)
     x = rover.x - (cosine * wheels.x - sine * wheels.y)

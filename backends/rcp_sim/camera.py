@@ -1,6 +1,6 @@
-"""A small forward camera: walls and boxes in perspective, as a PNG of indexed colours.
+"""A small forward camera: walls and boxes in perspective, as a PNG with a palette.
 
-The picture is built column by column, as each column sees one face, and turned by slicing.
+The picture is rendered column by column, since each column sees one face, and then transposed.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from rcp_sim.simulation import Simulation
 __all__ = ["EYE", "HEIGHT", "TALL", "TONES", "WIDTH", "picture"]
 
 WIDTH, HEIGHT = 160, 120  # px
-_FOCUS = WIDTH / 2 / math.tan(math.radians(35))  # px: 70 degrees wide
+_FOCUS = WIDTH / 2 / math.tan(math.radians(35))  # px, 70 degrees wide
 EYE = 0.4  # m above the floor
 TALL = (2.5, 1.8)  # m: the walls of the hall, and the boxes
-_REACH = 150.0  # m: farther than any hall is wide
-_SHADES = 16  # of each tone: the farther, the darker
+_REACH = 150.0  # m, greater than any hall
+_SHADES = 16  # shades of each tone, darker with distance
 TONES = (
     (196, 190, 176),
     (176, 170, 156),  # walls
     (66, 110, 160),
-    (54, 92, 136),  # boxes, in three colours of two sides each
+    (54, 92, 136),  # boxes: three colours with two sides each
     (186, 120, 52),
     (158, 100, 44),
     (92, 140, 84),
@@ -36,13 +36,13 @@ _BANDS: tuple[tuple[tuple[float, int], ...], ...] = (
     ((2.5, 0), (1.2, 3), (1.05, 0), (0.12, 4)),
     ((1.8, 3), (1.72, 0), (1.24, 5), (1.16, 0), (0.68, 5), (0.6, 0), (0.12, 5)),
 )
-"""Of the walls and of the boxes, from the top: from which height on, m, and how many shades darker:
-a stripe and a skirting, and the shelves."""
+"""Texture of walls and boxes from the top: minimum height (m) and shades darker; a stripe, a
+skirting, and the shelves."""
 _GROUND = (0.0, 0)
-_SEAMS = ((4.0, 0.05, 3), (3.0, 0.1, 6))  # m apart and wide, and how many shades darker
+_SEAMS = ((4.0, 0.05, 3), (3.0, 0.1, 6))  # m, spacing and width, and shades darker
 _FAN = Fan([math.atan((column - WIDTH / 2 + 0.5) / _FOCUS) for column in range(WIDTH)])
 _COSINES = [math.cos(angle) for angle in _FAN.angles]
-_FIRST = 120  # palette index of the first tone; below it the background
+_FIRST = 120  # palette index of the first tone; the background is below it
 
 
 def _palette() -> bytes:
@@ -74,7 +74,7 @@ _BACKGROUND = bytes(range(HEIGHT))
 
 
 def _column(distance: float, tone: int, along: float) -> bytes:
-    """Paint one column, top to bottom, that looks at a place along a face so far away."""
+    """Paint one column, top to bottom, for a position along a face at this distance."""
     box = tone >= 2
     apart, wide, darker = _SEAMS[box]
     shade = int(distance / 1.5) + (darker if along % apart < wide else 0)
@@ -92,7 +92,7 @@ def _column(distance: float, tone: int, along: float) -> bytes:
 
 
 def picture(sim: Simulation, now: int) -> Image:
-    """Take a picture of what is ahead of the rover."""
+    """Render what is ahead of the rover."""
     rover, faces = sim.rover, sim.world.faces
     ranges, hits = _FAN.cast(faces, rover.x, rover.y, rover.yaw, _REACH)
     columns: list[bytes] = []

@@ -1,4 +1,4 @@
-"""The configuration of one simulated rover; every key has a default, so an empty table will do."""
+"""The configuration of one simulated rover; every key has a default."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HallSize = Annotated[float, Meta(ge=2, le=100, extra_json_schema={"unit": "m"})]
 
 
 class Start(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where the rover and its charger stand at first."""
+    """Initial pose of the rover, which is also the position of its charger."""
 
     x: Metres = 0.0
     y: Metres = 0.0
@@ -28,7 +28,7 @@ class Start(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Hall(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A world of one's own: a hall centred on the origin, with boxes in it."""
+    """A custom world: a hall centred on the origin, with boxes in it."""
 
     width: HallSize = 40.0
     """Along x, m."""
@@ -48,33 +48,33 @@ class SimConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One rover in one world."""
 
     seed: Annotated[int, Meta(ge=0)] = 1
-    """The same seed, commands and ticks give the same run."""
+    """Runs with the same seed, commands and ticks are identical."""
     rate: Hertz = 50.0
-    """Ticks a second; pose, odometry and IMU come at each."""
+    """Ticks per second; pose, odometry and IMU are sent at each tick."""
     scan_rate: SlowHertz = 10.0
     camera_rate: SlowHertz = 4.0
     points_rate: SlowHertz = 5.0
     frames_rate: SlowHertz = 20.0
-    """Of the transforms and the joints."""
+    """Rate of the transforms and joint states."""
     battery_rate: SlowHertz = 1.0
     beams: Annotated[int, Meta(ge=8, le=4096)] = 360
-    """Of the laser scan, over the full circle."""
+    """Number of laser beams over the full circle."""
     scan_range: Annotated[float, Meta(ge=1, le=100, extra_json_schema={"unit": "m"})] = 12.0
     map_resolution: Annotated[float, Meta(ge=0.02, le=1, extra_json_schema={"unit": "m"})] = 0.02
     noise: Annotated[float, Meta(ge=0, le=10, extra_json_schema={"unit": "1"})] = 1.0
-    """Scale of all the noise and drift of the sensors; 0 makes them exact."""
+    """Scale of the sensors' noise and drift; 0 disables both."""
     time_scale: Annotated[float, Meta(ge=0.1, le=100, extra_json_schema={"unit": "1"})] = 1.0
-    """Simulated seconds in a real second."""
+    """Simulated seconds per real second."""
     start: Start = Start()
     world: Literal["warehouse", "empty"] | Hall = "warehouse"
     battery: BatteryConfig = BatteryConfig()
     faults: tuple[FaultSpec, ...] = ()
-    """In force from the start."""
+    """Faults active from the start."""
 
     def make_world(self) -> World:
         """Build the world.
 
-        :raises ConfigError: the rover would not stand free in it.
+        :raises ConfigError: the start is not clear of walls and boxes.
         """
         match self.world:
             case "warehouse":

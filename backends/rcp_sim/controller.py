@@ -1,4 +1,4 @@
-"""The controller that drives the rover along a way: turn, drive, brake, align."""
+"""The path follower of the rover: turn, drive, brake, align."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ __all__ = ["Follower", "Phase"]
 
 Phase = Literal["turning", "driving", "aligning", "braking", "done"]
 
-_CARE = 0.6  # part of the possible deceleration that is planned with
-_FACING = 0.04  # rad: near enough to drive off
-_ASTRAY = 0.4  # rad: too far off to go on driving
-_CORNER = 0.06  # m: near enough to a point on the way
-_ALIGNED = 0.02  # rad: near enough to the wanted heading
-_PATIENCE = 30.0  # s without getting nearer before it gives up
+_CARE = 0.6  # fraction of the maximum deceleration used for planning
+_FACING = 0.04  # rad, heading error below which it drives off
+_ASTRAY = 0.4  # rad, heading error above which it stops and turns
+_CORNER = 0.06  # m, tolerance at a point of the path
+_ALIGNED = 0.02  # rad, tolerance of the final heading
+_PATIENCE = 30.0  # s without progress before it gives up
 
 
 class Follower:
-    """Drives along `way` (points of the map, the goal last) and reports its progress."""
+    """Follows `way` (points on the map, the goal last) and reports its progress."""
 
     def __init__(
         self,
@@ -36,14 +36,14 @@ class Follower:
         self._tolerance = tolerance
         self._yaw = yaw
         self.speed = speed
-        """At most this fast, m/s."""
+        """Maximum speed, m/s."""
         self._still = 0.0
         self._best = math.inf
         self.phase: Phase = "turning"
 
     @property
     def goal(self) -> tuple[float, float]:
-        """The last point of the way."""
+        """The last point of the path."""
         return self._way[-1]
 
     @property
@@ -53,22 +53,22 @@ class Follower:
 
     @property
     def stuck(self) -> bool:
-        """Whether it has not come nearer for a long time."""
+        """Whether it has made no progress for a long time."""
         return self._still > _PATIENCE
 
     def reroute(self, way: list[tuple[float, float]]) -> None:
-        """Take another way to the same goal."""
+        """Take another path to the same goal."""
         self._way = way
         self.phase = "turning"
         self._best = math.inf
 
     def remaining(self, rover: Rover) -> float:
-        """Return the metres still to drive."""
+        """Return the remaining distance, m."""
         points = [(rover.x, rover.y), *self._way]
         return sum(math.dist(a, b) for a, b in pairwise(points))
 
     def command(self, rover: Rover, limit: float, dt: float) -> tuple[float, float]:
-        """Return the speeds to drive with for the next `dt` seconds; both 0 once done."""
+        """Return the linear and angular velocity for the next `dt` seconds; both 0 once done."""
         self._watch(rover, limit, dt)
         if self.phase == "done":
             return 0.0, 0.0
@@ -96,7 +96,7 @@ class Follower:
             return 0.0, _turn(off) if limit else 0.0
         short = 0.0 if len(self._way) > 1 else self._tolerance / 2
         v = math.sqrt(2 * _CARE * BRAKE * max(0.0, distance - short))
-        crawl = 0.02  # m/s: the last bit is driven, not waited for
+        crawl = 0.02  # m/s: keeps a minimum speed for the last centimetres
         return min(limit, self.speed, max(crawl, v)), _turn(off)
 
     def _arrive(self, rover: Rover) -> tuple[float, float]:
@@ -114,7 +114,7 @@ class Follower:
         return 0.0, 0.0
 
     def _watch(self, rover: Rover, limit: float, dt: float) -> None:
-        """Count the time without progress; standing under a speed limit of 0 is no such time."""
+        """Count the time without progress; waiting under a speed limit of 0 does not count."""
         left = self.remaining(rover) + abs(rover.w)
         if left < self._best - 0.01 or limit == 0 or self.phase == "aligning":
             self._best = min(self._best, left)
@@ -124,6 +124,6 @@ class Follower:
 
 
 def _turn(off: float) -> float:
-    """Return the turning rate that takes a heading error away without overshoot."""
+    """Return the turning rate that removes a heading error without overshoot."""
     rate = min(TOP_TURN, 4 * abs(off), math.sqrt(2 * _CARE * TURN_ACCEL * abs(off)))
     return math.copysign(rate, off)

@@ -1,6 +1,6 @@
-"""A depth camera beside the other one: floor, walls and boxes ahead, as coloured points in its frame.
+"""A forward depth camera: floor, walls and boxes as coloured points in its frame.
 
-What a column sees of the floor is always the same up to where a wall begins, so that it is made once.
+The floor points of a column are always the same up to the wall, so they are computed once.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ __all__ = ["COLUMNS", "REACH", "ROWS", "Depth"]
 
 COLUMNS, ROWS = 80, 50
 REACH = 12.0  # m
-_STEP = 16  # bytes of a point
-_FOCUS = COLUMNS / 2 / math.tan(math.radians(35))  # columns: 70 degrees wide
+_STEP = 16  # bytes per point
+_FOCUS = COLUMNS / 2 / math.tan(math.radians(35))  # columns, 70 degrees wide
 _FLOOR = (120, 114, 108)
 _FAN = Fan([math.atan((column - COLUMNS / 2 + 0.5) / _FOCUS) for column in range(COLUMNS)])
 _TANGENTS = [math.tan(angle) for angle in _FAN.angles]
 _COSINES = [math.cos(angle) for angle in _FAN.angles]
 _SLOPES = [(row - ROWS / 2 + 0.5) / _FOCUS for row in range(ROWS)]
-"""Up for each metre ahead, from the lowest row to the highest."""
+"""Slope (up per metre ahead) of each row, lowest first."""
 _AHEAD = [EYE / -slope for slope in _SLOPES if slope < 0 and EYE / -slope < REACH]
-"""Metres ahead at which a row meets the floor, the nearest first."""
+"""Distance at which each row meets the floor, nearest first, m."""
 _FIELDS = [PointField(name, 4 * at) for at, name in enumerate(("x", "y", "z", "rgb"))]
 
 
 def _packed(colour: tuple[int, int, int]) -> float:
-    """Return the number whose bytes are the colour, as PCL has it."""
+    """Return the colour as a packed number, as PCL encodes it."""
     red, green, blue = colour
     (number,) = struct.unpack("=f", struct.pack("=I", red << 16 | green << 8 | blue))
     return number
@@ -49,7 +49,7 @@ _FLOORS = [
 
 
 class Depth:
-    """Makes clouds, with noise of its own."""
+    """Generates point clouds, with its own noise."""
 
     def __init__(self, seed: int, noise: float) -> None:
         draw = random.Random(f"{seed} depth")  # noqa: S311 - a simulation, not a secret
@@ -57,7 +57,7 @@ class Depth:
         self._draw = draw
 
     def cloud(self, sim: Simulation, now: int) -> PointCloud:
-        """Measure what is ahead of the rover."""
+        """Return the point cloud ahead of the rover."""
         rover, faces = sim.rover, sim.world.faces
         ranges, hits = _FAN.cast(faces, rover.x, rover.y, rover.yaw, REACH / _COSINES[0])
         start = self._draw.randrange(256)
@@ -83,7 +83,7 @@ class Depth:
 
 
 def _wall(ahead: float, column: int, tone: int) -> bytes:
-    """Return the points of the face that a column sees above the floor."""
+    """Return the points on the face that a column sees above the floor."""
     low = bisect_right(_SLOPES, -EYE / ahead)
     high = bisect_left(_SLOPES, (TALL[tone >= 2] - EYE) / ahead)
     y, colour = ahead * _TANGENTS[column], _COLOURS[tone]

@@ -1,4 +1,4 @@
-"""The simulated device: a rover on a link that carries what it sends and may fail on request."""
+"""The simulated device: a rover behind a link, with injected faults."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rcp_sim.waiting import Waiting
 __all__ = ["Device"]
 
 _PARTING = 0.05  # s
-_ANSWER = 1.0  # s after which a request that got no answer is given up
+_ANSWER = 1.0  # s until a request without a response times out
 TaskState = Literal["started", "completed", "cancelled", "failed"]
 
 
@@ -36,8 +36,8 @@ class Device:
         self._host = host
         self._rate = config.rate
         self._awaiting = [(0.0, spec) for spec in config.faults]
-        """Faults still to strike, with their time; those of the configuration wait for the first
-        tick, as before it nobody hears what is reported."""
+        """Pending faults with their start times; those of the configuration start at the first
+        tick, because nobody receives reports earlier."""
         self.sim = Simulation(config)
         self.faults = FaultBoard()
         self.publisher = Publisher(config, host, self.sim, self.faults)
@@ -51,7 +51,7 @@ class Device:
                 raise ConfigError(f"faults: {wrong}")
 
     async def run(self) -> None:
-        """Live until cancelled; a breakdown is reported before it is raised."""
+        """Run until cancelled; a crash is reported before it is raised."""
         try:
             await run_ticks(self.tick, self._rate)
         except Exception as error:
@@ -61,7 +61,7 @@ class Device:
             self.waiting.close("the simulated rover has stopped")
 
     def tick(self, stamp: int) -> None:
-        """Let one period pass; `stamp` is its time in ns of UTC."""
+        """Advance by one period; `stamp` is the UTC time of the tick, ns."""
         if self.faults.crash:
             raise RuntimeError("crash, as requested")
         self._ticks += 1
@@ -83,7 +83,7 @@ class Device:
         self.waiting.poll()
 
     def boot(self, reason: Literal["power_on", "reset"] = "power_on") -> None:
-        """Announce that the rover is up, with a first value of everything it sends by itself."""
+        """Announce that the rover is up, and send the first values."""
         text = "The rover is ready." if reason == "power_on" else "The rover was reset."
         came = Boot(reason, "simulated rover", text, iso(now()))
         self.publisher.event("event/boot", came, now())
@@ -96,7 +96,7 @@ class Device:
     # The link
 
     async def reach(self, name: str, *, stop: bool = False) -> None:
-        """Carry a request to the rover, as well as the faults allow; a stop is never refused.
+        """Transmit a request to the rover, subject to the active faults; a stop is never refused.
 
         :raises AdapterUnavailable: the link is lost.
         :raises DeviceTimeout: the request went missing.
@@ -120,18 +120,18 @@ class Device:
 
     @property
     def receives_stops(self) -> bool:
-        """Whether a stop that is sent now is carried out now."""
+        """Whether a stop sent now takes effect at once."""
         return not self.faults.link_lost and not self.faults.delay("halt")
 
     @property
     def blind(self) -> bool:
-        """Whether what control rests on does not come: the odometry."""
+        """Whether the odometry, which motion control needs, is missing."""
         return self.faults.stopped("sensor/odometry")
 
     def need_feedback(self) -> None:
-        """Refuse to move a rover that nobody can see moving.
+        """Refuse motion without odometry.
 
-        :raises PreconditionFailed: its odometry has fallen silent.
+        :raises PreconditionFailed: the odometry has stopped.
         """
         if self.blind:
             raise PreconditionFailed(
@@ -146,7 +146,7 @@ class Device:
     # Faults
 
     def strike(self, spec: FaultSpec) -> None:
-        """Put a fault in force; the link breaks only once the answer has passed it."""
+        """Activate a fault; `link_lost` starts only after its reply could be sent."""
         if spec.fault == "link_lost":
             self._awaiting.append((self.uptime + _PARTING, spec))
         else:
@@ -161,7 +161,7 @@ class Device:
         self._report()
 
     def clear_faults(self, fault: str | None = None) -> int:
-        """End injected faults and return how many they were."""
+        """End injected faults; return their number."""
         ended = self.faults.clear(fault)
         for spec in ended:
             self._over(spec)
@@ -187,7 +187,7 @@ class Device:
         self.publisher.event("event/fault", event, now())
 
     def report_task(self, trip: Trip, state: TaskState, message: str) -> None:
-        """Tell what has become of a task."""
+        """Publish a task event."""
         rover, (x, y) = self.sim.rover, trip.follower.goal
         event = TaskEvent(
             trip.task, state, message, Point(x, y), Point(rover.x, rover.y), iso(now())

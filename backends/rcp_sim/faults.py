@@ -1,4 +1,4 @@
-"""Faults on request: what a real robot does on a bad day, on the days you choose."""
+"""Fault injection: stopped sensors, refusals, delays, lost links and stops, crashes."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ COMMANDS = (
     "service/place_obstacle",
     "service/remove_obstacle",
 )
-_LINK_BACK = 10.0  # s after which a lost link returns by itself
+_LINK_BACK = 10.0  # s until a lost link is restored
 
 
 def unknown_target(spec: FaultSpec) -> str | None:
-    """Say why the target of a fault does not fit it; None if it does."""
+    """Return why a fault cannot affect its target; None if it can."""
     known: tuple[str, ...] = ()
     match spec.fault:
         case "sensor_stop":
@@ -55,21 +55,21 @@ def unknown_target(spec: FaultSpec) -> str | None:
 
 
 class FaultBoard:
-    """The faults in force. Times are the rover's own uptime in seconds."""
+    """The active faults. Times are the rover's uptime, s."""
 
     def __init__(self) -> None:
         self._active: list[tuple[float, FaultSpec]] = []
         self._stops_to_lose = 0
         self.crash = False
-        """Whether the rover's loop is to break down at its next tick."""
+        """Whether the rover's loop crashes at its next tick."""
 
     @property
     def active(self) -> list[FaultSpec]:
-        """What is in force now."""
+        """The active faults."""
         return [spec for _, spec in self._active]
 
     def inject(self, spec: FaultSpec, now: float) -> None:
-        """Put a fault in force; one of the same kind and target takes the place of the former."""
+        """Activate a fault; it replaces one of the same kind and target."""
         if spec.fault == "crash":
             self.crash = True
             return
@@ -86,7 +86,7 @@ class FaultBoard:
         return self._drop(lambda spec: fault is None or spec.fault == fault)
 
     def expire(self, now: float) -> list[FaultSpec]:
-        """End what has lasted long enough; return it."""
+        """End the faults whose duration has elapsed; return them."""
         if not self._active or all(end > now for end, _ in self._active):
             return []
         over = {id(spec) for end, spec in self._active if end <= now}
@@ -94,24 +94,24 @@ class FaultBoard:
 
     @property
     def link_lost(self) -> bool:
-        """Whether nothing reaches the rover and nothing comes from it."""
+        """Whether the link is down in both directions."""
         return any(spec.fault == "link_lost" for _, spec in self._active)
 
     def stopped(self, sensor: str) -> bool:
-        """Tell whether a sensor is silent."""
+        """Return whether a sensor is stopped."""
         return self._strikes("sensor_stop", sensor) is not None
 
     def refused(self, command: str) -> bool:
-        """Tell whether the rover refuses a command."""
+        """Return whether the rover refuses a command."""
         return self._strikes("refuse", command) is not None
 
     def delay(self, name: str) -> float:
-        """Return by how many seconds the rover's answer is late."""
+        """Return the delay of the rover's response, s."""
         spec = self._strikes("slow", name)
         return 0.0 if spec is None else spec.delay
 
     def lose_stop(self) -> bool:
-        """Tell whether this stop goes missing on its way; each call is one stop."""
+        """Return whether this stop is lost; each call consumes one."""
         if not self._stops_to_lose:
             return False
         self._stops_to_lose -= 1
@@ -120,7 +120,7 @@ class FaultBoard:
         return True
 
     def troubles(self) -> str | None:
-        """Say what an operator would see of the faults; None: nothing."""
+        """Describe the faults that an operator would notice; None if there are none."""
         seen = [
             f"{spec.target or 'every sensor'} has stopped"
             if spec.fault == "sensor_stop"

@@ -1,4 +1,4 @@
-"""The floor of the hall: the world as built, and the boxes that were put into it since."""
+"""The floor of the hall: the fixed world, and the boxes placed at run time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rcp_sim.world import Rect, World
 
 __all__ = ["MAX_PLACED", "Floor"]
 
-MAX_PLACED = 16  # boxes: keeps the search for a way short
+MAX_PLACED = 16  # boxes: limits the time of path planning
 
 
 class Floor:
-    """A world that boxes are put into and taken from, with the ways through it."""
+    """A world in which boxes can be placed and removed, with a path planner."""
 
     def __init__(self, bare: World) -> None:
         self._bare = bare
@@ -25,9 +25,9 @@ class Floor:
         self.planner = Planner(bare)
 
     def place(self, box: Box, rover: tuple[float, float]) -> str:
-        """Put a box down and return its name.
+        """Place a box; return its name.
 
-        :raises DeviceRejected: it would stand on the rover or outside, or there are too many.
+        :raises DeviceRejected: it overlaps the rover, is outside, or there are too many boxes.
         """
         if len(self.placed) >= MAX_PLACED:
             raise DeviceRejected(
@@ -48,16 +48,16 @@ class Floor:
         return name
 
     def remove(self, name: str) -> None:
-        """Take a box away.
+        """Remove a box.
 
-        :raises DeviceRejected: there is none of that name.
+        :raises DeviceRejected: there is no box of that name.
         """
         if name not in self.placed:
             raise DeviceRejected(f"there is no box '{name}'")
         self._rebuild({key: box for key, box in self.placed.items() if key != name})
 
     def clear(self) -> int:
-        """Take every box away and return how many they were."""
+        """Remove every placed box; return their number."""
         count = len(self.placed)
         if count:
             self._rebuild({})

@@ -1,4 +1,4 @@
-"""The types of everything the simulated rover sends and takes; metres, radians, seconds, volts."""
+"""Types of the simulated rover's resources; metres, radians, seconds, volts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ __all__ = [
     "TaskEvent",
 ]
 
-TOP_SPEED = 2.5  # m/s, what the motors give
+TOP_SPEED = 2.5  # m/s, limit of the motors
 TOP_TURN = 2.0  # rad/s
 
 SpeedLimit = Annotated[float, Meta(ge=0, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
@@ -105,7 +105,7 @@ _Heading = Annotated[float, Meta(ge=-6.2832, le=6.2832, extra_json_schema={"unit
 
 
 class Odometry(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the wheels say the rover is; it drifts, as wheels slip."""
+    """Pose and velocity by dead reckoning from the wheels; drifts with wheel slip."""
 
     pose: Pose
     twist: Twist
@@ -115,7 +115,7 @@ class Odometry(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Imu(Struct, frozen=True, forbid_unknown_fields=True):
-    """An inertial measurement in the body frame; at rest z reads the gravity."""
+    """An inertial measurement in the body frame; at rest z reads gravity."""
 
     orientation: Quaternion
     angular_velocity: AngularVelocity
@@ -136,7 +136,7 @@ class Battery(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Image(Struct, frozen=True, forbid_unknown_fields=True):
-    """A picture as the bytes of a PNG file."""
+    """An image as a PNG file."""
 
     width: _Count
     height: _Count
@@ -159,7 +159,7 @@ class OccupancyGrid(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveLinear(Struct, frozen=True, forbid_unknown_fields=True):
-    """The linear velocity a differential drive can have: forward or backward."""
+    """The linear velocity of a differential drive: forward or backward."""
 
     x: _Speed = 0.0
     y: _NoSpeed = 0.0
@@ -167,7 +167,7 @@ class DriveLinear(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveAngular(Struct, frozen=True, forbid_unknown_fields=True):
-    """The angular velocity a differential drive can have: about the vertical, left positive."""
+    """The angular velocity of a differential drive: about the vertical axis, left positive."""
 
     x: _NoTurn = 0.0
     y: _NoTurn = 0.0
@@ -175,14 +175,14 @@ class DriveAngular(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Drive(Struct, frozen=True, forbid_unknown_fields=True):
-    """A Twist in the body frame, bounded to what the rover can do."""
+    """A Twist in the body frame, within the limits of the rover."""
 
     linear: DriveLinear = DriveLinear()
     angular: DriveAngular = DriveAngular()
 
 
 class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
-    """A goal in the map frame; `position.z` is ignored, as the floor is flat."""
+    """A goal in the map frame; `position.z` is ignored, because the floor is flat."""
 
     position: Point
     orientation: Annotated[
@@ -198,7 +198,7 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MoveFeedback(Struct, frozen=True, forbid_unknown_fields=True):
-    """How a drive is going."""
+    """Progress of a drive."""
 
     distance_remaining: _Distance
     eta: Annotated[_Duration | None, Meta(description="None if the speed limit is 0.")]
@@ -207,7 +207,7 @@ class MoveFeedback(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MoveResult(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a drive ended and what it took."""
+    """End position, distance and duration of a drive."""
 
     pose: PoseStamped
     distance: _Distance
@@ -216,11 +216,11 @@ class MoveResult(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Dock(Struct, frozen=True, forbid_unknown_fields=True):
-    """There is nothing to choose: the charger stands where the rover started."""
+    """No parameters: the charger is at the start position."""
 
 
 class DockResult(Struct, frozen=True, forbid_unknown_fields=True):
-    """The rover on its charger."""
+    """State of the rover on its charger."""
 
     pose: PoseStamped
     percentage: Ratio
@@ -228,7 +228,7 @@ class DockResult(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ResetSystem(Struct, frozen=True, forbid_unknown_fields=True):
-    """What to reset; without input: all but the rover's place and its battery."""
+    """What to reset; without input, everything except the rover's position and its battery."""
 
     odometry: bool = True
     faults: bool = True
@@ -247,7 +247,7 @@ class ResetResult(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Box(Struct, frozen=True, forbid_unknown_fields=True):
-    """An upright box on the floor, its sides along the axes of the map."""
+    """An upright box on the floor, aligned with the axes of the map."""
 
     x: _Place
     y: _Place
@@ -256,13 +256,13 @@ class Box(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ObstacleId(Struct, frozen=True, forbid_unknown_fields=True):
-    """The name of a box that was placed."""
+    """The name of a placed box."""
 
     id: Annotated[str, Meta(max_length=32)]
 
 
 class Obstacles(Struct, frozen=True, forbid_unknown_fields=True):
-    """The boxes that were placed and still stand."""
+    """The placed boxes."""
 
     placed: dict[str, Box]
 
@@ -286,19 +286,19 @@ class FaultSpec(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FaultsActive(Struct, frozen=True, forbid_unknown_fields=True):
-    """The injected faults in force."""
+    """The active injected faults."""
 
     active: list[FaultSpec]
 
 
 class ClearFaults(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which injected faults to end; None ends them all."""
+    """The kind of injected fault to end; None ends all of them."""
 
     fault: Literal["sensor_stop", "refuse", "slow", "link_lost", "stop_lost"] | None = None
 
 
 class Boot(Struct, frozen=True, forbid_unknown_fields=True):
-    """The rover came up."""
+    """The rover started."""
 
     reason: Literal["power_on", "reset"]
     model: str
@@ -307,7 +307,7 @@ class Boot(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FaultEvent(Struct, frozen=True, forbid_unknown_fields=True):
-    """A fault came (`active`) or went."""
+    """A fault appeared (`active`) or cleared."""
 
     fault: Literal[
         "none",
@@ -328,7 +328,7 @@ class FaultEvent(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TaskEvent(Struct, frozen=True, forbid_unknown_fields=True):
-    """A task of the rover began or ended."""
+    """A task of the rover started or ended."""
 
     task: Literal["none", "move_to", "dock"]
     state: Literal["idle", "started", "completed", "cancelled", "failed"]

@@ -1,4 +1,4 @@
-"""The shortest way round the obstacles: A* over their corners, with straight legs between."""
+"""Shortest paths around obstacles: A* over their corners, with straight legs between."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from rcp_sim.world import Rect, World
 
 __all__ = ["MARGIN", "Planner"]
 
-MARGIN = 0.35  # m between the way and anything solid: the body and a hand's breadth
-_ASIDE = 0.01  # m, so that a way round a corner does not touch the margin
+MARGIN = 0.35  # m between the path and anything solid: the robot's radius and a safety margin
+_ASIDE = 0.01  # m, so that a path around a corner does not touch the margin
 
 
 class Planner:
-    """Ways through one world; what it learns of which corner sees which is kept."""
+    """Paths through one world; caches which corners see each other."""
 
     def __init__(self, world: World) -> None:
         self._inner = world.bounds.grown(-MARGIN)
@@ -29,17 +29,17 @@ class Planner:
         self._sees: dict[tuple[int, int], bool] = {}
 
     def free(self, x: float, y: float) -> bool:
-        """Tell whether the rover may stand at a point."""
+        """Return whether the rover may be at a point."""
         return self._inner.holds(x, y) and not any(block.holds(x, y) for block in self._blocks)
 
     def clear(self, a: tuple[float, float], b: tuple[float, float]) -> bool:
-        """Tell whether the straight leg between two points keeps its margin."""
+        """Return whether the straight leg between two points keeps the margin."""
         return not any(_crosses(block, a, b) for block in self._blocks)
 
     def way(
         self, start: tuple[float, float], goal: tuple[float, float]
     ) -> list[tuple[float, float]] | None:
-        """Return the points to drive to one after the other, the goal last; None: no way."""
+        """Return the points of the path, the goal last; None if there is no path."""
         if not self.free(*goal):
             return None
         begin = self._away(start)
@@ -52,7 +52,7 @@ class Planner:
         return None if legs is None else [*first, *legs]
 
     def _away(self, point: tuple[float, float]) -> tuple[float, float] | None:
-        """Return the point, or one beside it if it lies in a margin."""
+        """Return the point, or the nearest one outside the margins."""
         x, y = point
         for _ in range(4):  # leaving one margin may lead into the next
             if self.free(x, y):
@@ -115,7 +115,7 @@ def _beside(rect: Rect, x: float, y: float) -> tuple[float, float]:
 
 
 def _crosses(rect: Rect, a: tuple[float, float], b: tuple[float, float]) -> bool:
-    """Tell whether a leg passes through the inside of a rectangle (Liang and Barsky)."""
+    """Return whether a leg passes through the inside of a rectangle (Liang-Barsky)."""
     enter, leave = 0.0, 1.0
     for start, end, low, high in (
         (a[0], b[0], rect.left, rect.right),

@@ -1,4 +1,4 @@
-"""What the rover sends by itself, and when: one physics step a tick serves every sensor."""
+"""What the rover publishes, and when: one physics step per tick serves every sensor."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from rcp_sim.simulation import Simulation
 
 __all__ = ["Publisher"]
 
-_SLOWEST = 1.0  # Hz: a watched sensor shows signs of life, whatever rate is wanted
+_SLOWEST = 1.0  # Hz, minimum rate of a watched sensor, so that it does not look stale
 
 
 class _Rhythm:
-    """A sensor with a rate of its own, kept in step with the ticks."""
+    """A sensor with its own rate, synchronised with the ticks."""
 
     def __init__(self, rate: float, *, watched: bool) -> None:
         self.rate = rate
         self.wanted: list[float | None] = []
-        """The rates of those who watch; None is as fast as it goes."""
+        """The requested rates; None is the maximum."""
         self._watched = watched
         self._next = 0.0
 
     def due(self, uptime: float) -> bool:
-        """Tell whether the next value is due, and count it as sent."""
+        """Return whether the next value is due, and count it as sent."""
         if self._watched and not self.wanted:
             return False
         if uptime < self._next - 1e-9:
@@ -52,7 +52,7 @@ class _Rhythm:
 
 
 class Publisher:
-    """Steps the simulation and hands its values to the host."""
+    """Steps the simulation and passes its values to the host."""
 
     def __init__(self, config: SimConfig, host: Host, sim: Simulation, faults: FaultBoard) -> None:
         self._host = host
@@ -83,16 +83,16 @@ class Publisher:
             "param/robot_description": lambda _: DESCRIPTION,
         }
         self._shown: dict[str, Any] = {}
-        """Values that are sent when they change, as last sent."""
+        """Values sent on change, as last sent."""
 
     def tick(self, uptime: float, now: int) -> None:
-        """Let one period pass and send what is due; `uptime` is in real seconds."""
+        """Advance by one period and send what is due; `uptime` is in real seconds."""
         self._sim.step(self._dt)
         self.sensors.wheels.follow(self._sim.rover)
         self.send(uptime, now)
 
     def send(self, uptime: float, now: int) -> None:
-        """Send what is due, as far as faults let it through."""
+        """Send what is due, except what a fault suppresses."""
         host, faults = self._host, self._faults
         if faults.link_lost:
             return
@@ -118,7 +118,7 @@ class Publisher:
         }
 
     def taken(self, name: str) -> Any:
-        """Return the value in force after a write, which the gateway publishes itself."""
+        """Return the value in effect after a write; the gateway publishes it."""
         self._shown[name] = self._states()[name]
         return self.make(name, 0)
 
@@ -128,13 +128,13 @@ class Publisher:
             self._host.publish(name, event, now)
 
     def make(self, name: str, now: int) -> Any:
-        """Return a fresh value of a sensor or setting; None for what has none."""
+        """Return a current value of a sensor or setting; None if it has none."""
         maker = self._makers.get(name)
         return None if maker is None else maker(now)
 
     @contextmanager
     def watched(self, name: str, rate: float | None) -> Generator[None]:
-        """Keep a sensor running that runs only while somebody watches."""
+        """Run a sensor while entered that is only simulated while watched."""
         rhythm = next((r for sensor, _, r in self._timed if sensor == name), None)
         if rhythm is None:
             yield
@@ -148,7 +148,7 @@ class Publisher:
             rhythm.wanted.remove(rate)
 
     def _velocity(self) -> Drive:
-        """Return the velocity in force as the actuator's value."""
+        """Return the commanded velocity as the actuator's value."""
         v, w = self._sim.velocity
         return Drive(DriveLinear(v), DriveAngular(0.0, 0.0, w))
 

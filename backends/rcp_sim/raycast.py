@@ -1,7 +1,7 @@
 """Ranges to the faces of a world along many rays at once.
 
-Not ray by ray: each face that looks at the eye is swept over the few rays of its own angle, so
-that the work grows with what is seen and not with rays times faces. 360 rays cost about 0.2 ms.
+Each face that points to the sensor is intersected only with the rays within its own angle, so the
+cost grows with what is visible instead of rays times faces. 360 rays take about 0.2 ms.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _TURN = 2 * math.pi
 
 
 class Fan:
-    """Rays at fixed angles to the heading, ascending, all within ±π."""
+    """Rays at fixed angles relative to the heading, ascending, within ±π."""
 
     def __init__(self, angles: Sequence[float]) -> None:
         self.angles = tuple(angles)
@@ -26,9 +26,9 @@ class Fan:
     def cast(
         self, faces: Sequence[Face], x: float, y: float, heading: float, reach: float
     ) -> tuple[list[float], list[int]]:
-        """Return for each ray the distance to the nearest face and its index.
+        """Return the distance to the nearest face, and its index, for each ray.
 
-        Where nothing lies within `reach` the distance is infinite and the index -1.
+        If nothing is within `reach`, the distance is infinite and the index -1.
         """
         angles = self.angles
         ranges = [reach] * len(angles)
@@ -50,7 +50,7 @@ class Fan:
 
 
 def _span(face: Face, gap: float, x: float, y: float) -> tuple[float, float]:
-    """Return the bearing of the face's right end and the angle it fills to the left."""
+    """Return the bearing of the face's right end and the angle it covers to the left."""
     if face.upright:
         low, high = math.atan2(face.low - y, gap), math.atan2(face.high - y, gap)
         right, left = (low, high) if gap > 0 else (high, low)

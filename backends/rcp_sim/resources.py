@@ -1,4 +1,4 @@
-"""The table of what a simulated rover offers."""
+"""The resources of a simulated rover."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from rcp_sim.spatial import JointState, PointCloud, Transforms
 
 __all__ = ["resources"]
 
-_DRIVE_TIME = 900.0  # s: enough for the longest way in the largest hall at walking pace
+_DRIVE_TIME = 900.0  # s, enough for the longest path in the largest hall at walking pace
 _AT = "2026-05-29T14:12:04Z"
 _TURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 _BOX = {"x": 3.0, "y": 1.0, "size_x": 0.5, "size_y": 2.0}
 
 
 def resources(config: SimConfig) -> list[Resource]:
-    """Return everything one rover declares."""
+    """Return the resources of one rover."""
     return [*_sensors(config), *_seen(), *_settings(), *_actions(), *_services(), *_events()]
 
 

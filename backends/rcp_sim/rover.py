@@ -1,4 +1,4 @@
-"""The rover's body: a differential drive with limited accelerations and a bumper."""
+"""The rover's kinematics: a differential drive with limited accelerations and a bumper."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from rcp_sim.messages import TOP_SPEED, TOP_TURN
 
 __all__ = ["ACCEL", "BRAKE", "HARD_BRAKE", "RADIUS", "TURN_ACCEL", "Rover", "wrapped"]
 
-RADIUS = 0.25  # m, of the round body
+RADIUS = 0.25  # m, radius of the body
 ACCEL = 1.0  # m/s2
 BRAKE = 2.5  # m/s2
-HARD_BRAKE = 6.0  # m/s2, for a halt
+HARD_BRAKE = 6.0  # m/s2, when halting
 TURN_ACCEL = 4.0  # rad/s2
 HARD_TURN_BRAKE = 12.0  # rad/s2
 
 
 def wrapped(angle: float) -> float:
-    """Bring an angle into -π…π."""
+    """Wrap an angle to -π…π."""
     return math.remainder(angle, 2 * math.pi)
 
 
 def _toward(now: float, target: float, up: float, down: float) -> float:
-    """Change a velocity by at most `up` away from zero, by at most `down` towards it."""
+    """Change a velocity by at most `up` away from zero, or at most `down` towards it."""
     if now and (target * now < 0 or abs(target) < abs(now)):
         limit = target if target * now > 0 else 0.0
         return max(limit, now - down) if now > 0 else min(limit, now + down)
@@ -31,7 +31,7 @@ def _toward(now: float, target: float, up: float, down: float) -> float:
 
 
 class Rover:
-    """Pose and velocities, stepped in time; nothing here is random."""
+    """Pose and velocities, integrated over time; deterministic."""
 
     def __init__(self, x: float, y: float, yaw: float) -> None:
         self.x = x
@@ -40,21 +40,21 @@ class Rover:
         self.v = 0.0
         """Forward speed, m/s."""
         self.w = 0.0
-        """Turning rate, rad/s, left positive."""
+        """Angular velocity, rad/s, left positive."""
         self.accel = 0.0
         """Forward acceleration of the last step, m/s2."""
         self.travelled = 0.0
-        """Metres driven since the start, backwards counted too."""
+        """Total distance since the start, reversing counted as positive, m."""
         self.path = 0.0
-        """Metres driven since the start, backwards counted negative."""
+        """Distance since the start, reversing counted as negative, m."""
         self.turned = 0.0
-        """Radians turned since the start, left positive."""
+        """Angle turned since the start, left positive, rad."""
         self.bumped = False
-        """Whether the last step was stopped by an obstacle."""
+        """Whether an obstacle stopped the last step."""
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing moves."""
+        """Whether it is at rest."""
         return self.v == 0.0 and self.w == 0.0
 
     def step(
@@ -66,7 +66,7 @@ class Rover:
         *,
         hard: bool = False,
     ) -> None:
-        """Drive for `dt` seconds towards the speeds `v` and `w`; stop at what is in the way."""
+        """Drive for `dt` seconds towards the velocities `v` and `w`; obstacles stop it."""
         v = max(-TOP_SPEED, min(TOP_SPEED, v))
         w = max(-TOP_TURN, min(TOP_TURN, w))
         before, turning = self.v, self.w

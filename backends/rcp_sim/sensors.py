@@ -1,4 +1,4 @@
-"""What the rover's sensors say of it: the truth with noise and drift, all drawn from the seed."""
+"""The rover's sensors: the true state with noise and drift, all derived from the seed."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ RANGE_MIN = 0.05  # m
 
 
 def heading(yaw: float) -> Quaternion:
-    """Return the orientation of a body turned by `yaw` radians to the left."""
+    """Return the orientation for a yaw in radians, counter-clockwise."""
     return Quaternion(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
 
 def pose(rover: Rover, now: int) -> PoseStamped:
-    """Return where the rover is on the map; localisation is perfect."""
+    """Return the rover's pose on the map; localisation is exact."""
     return PoseStamped(Point(rover.x, rover.y, 0.0), heading(rover.yaw), "map", iso(now))
 
 
@@ -53,7 +53,7 @@ def battery(sim: Simulation, now: int) -> Battery:
 
 
 class Wheels:
-    """Dead reckoning by wheels that are a little larger and further apart than believed."""
+    """Dead reckoning with small errors of the wheel radius and the track width."""
 
     def __init__(self, rover: Rover, seed: int, noise: float) -> None:
         draw = random.Random(f"{seed} wheels")  # noqa: S311 - a simulation, not a secret
@@ -63,12 +63,12 @@ class Wheels:
         self.zero()
 
     def zero(self) -> None:
-        """Begin anew at the origin."""
+        """Restart at the origin."""
         self.x = self.y = self.yaw = 0.0
         self._path, self._turned = self._rover.path, self._rover.turned
 
     def follow(self, rover: Rover) -> None:
-        """Count the wheels' turns since the last call; a rover carried elsewhere made none."""
+        """Integrate the wheels since the last call; a teleported rover adds no motion."""
         if rover is not self._rover:
             self._rover = rover
         else:
@@ -81,7 +81,7 @@ class Wheels:
 
 
 class Sensors:
-    """Makes the values of the rover's sensors, each with a source of noise of its own."""
+    """Generates the rover's sensor values, each with its own noise source."""
 
     def __init__(self, config: SimConfig, rover: Rover) -> None:
         seed, self._noise = config.seed, config.noise
@@ -91,7 +91,7 @@ class Sensors:
         laser = random.Random(f"{seed} laser")  # noqa: S311
         self._laser = laser
         self._ripple = [laser.gauss(0, 0.008) * config.noise for _ in range(config.beams + 1024)]
-        """Range noise, used from a random place on: drawing anew would double a scan's cost."""
+        """Precomputed range noise, read from a random offset: new noise would double the cost."""
         step = 2 * math.pi / config.beams
         self._fan = Fan([-math.pi + i * step for i in range(config.beams)])
         self._step = step
@@ -99,7 +99,7 @@ class Sensors:
         self._resolution = config.map_resolution
 
     def odometry(self, rover: Rover, now: int) -> Odometry:
-        """Return where the wheels say the rover is."""
+        """Return the pose and velocity by dead reckoning."""
         wheels = self.wheels
         return Odometry(
             Pose(Point(wheels.x, wheels.y, 0.0), heading(wheels.yaw)),
@@ -108,7 +108,7 @@ class Sensors:
         )
 
     def imu(self, rover: Rover, now: int) -> Imu:
-        """Return one inertial measurement."""
+        """Return an inertial measurement."""
         gauss, noise = self._imu.gauss, self._noise
         return Imu(
             heading(rover.yaw),
@@ -122,7 +122,7 @@ class Sensors:
         )
 
     def scan(self, sim: Simulation, now: int) -> LaserScan:
-        """Return one sweep of the range finder; `Infinity` where nothing is in reach."""
+        """Return one sweep of the range finder; `Infinity` if nothing is in range."""
         rover = sim.rover
         ranges, _ = self._fan.cast(sim.world.faces, rover.x, rover.y, rover.yaw, self._reach)
         start = self._laser.randrange(1024)
@@ -139,7 +139,7 @@ class Sensors:
         )
 
     def map(self, sim: Simulation, now: int) -> OccupancyGrid:
-        """Draw the map of the world."""
+        """Return the map of the world."""
         columns, rows, data = sim.world.grid(self._resolution)
         left, bottom, _, _ = sim.world.bounds
         origin = Pose(Point(left, bottom, 0.0))

@@ -1,7 +1,7 @@
-"""The whole rover without a gateway: world, body, battery, controller, stepped by hand.
+"""The whole rover without a gateway: world, body, battery, controller, stepped explicitly.
 
-Nothing here waits, knows the time of day or draws random numbers: the same commands at the same
-ticks give the same run.
+It does not wait, read the clock or draw random numbers, so the same commands at the same ticks
+give the same run.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from rcp_sim.world import World
 __all__ = ["DEFAULT_LIMIT", "Simulation", "Trip"]
 
 DEFAULT_LIMIT = 1.0  # m/s
-_MAX_STEP = 0.02  # s, of the physics and the controller
-_RELEASE = 0.02  # m that the bumper springs back
-_HANDOVER = 2.0  # s of real time after a velocity in which its stop is expected
+_MAX_STEP = 0.02  # s, step of the physics and the controller
+_RELEASE = 0.02  # m, spring travel of the bumper
+_HANDOVER = 2.0  # s of real time after a velocity within which its stop is expected
 
 _EMPTY_TEXT = ("The battery is charged again.", "The battery is empty; the motors are off.")
 _LOW_TEXT = ("The battery has enough charge again.", "The battery is low: dock soon.")
@@ -34,13 +34,13 @@ Happening = tuple[Literal["collision", "battery_low", "battery_empty"], bool, st
 
 
 class Trip:
-    """One drive to a goal, from its start to its end."""
+    """One drive to a goal."""
 
     def __init__(self, task: Literal["move_to", "dock"], follower: Follower, rover: Rover) -> None:
         self.task: Literal["move_to", "dock"] = task
         self.follower = follower
         self.length = follower.remaining(rover)
-        """Metres at the start."""
+        """Distance at the start, m."""
         self.odometer = rover.travelled
         self.seconds = 0.0
         self.done = False
@@ -48,7 +48,7 @@ class Trip:
         """Why it ended before its goal."""
 
     def end(self, failure: str | None = None) -> None:
-        """Note that it is over, with the reason if it did not arrive."""
+        """Mark as ended, with the reason if it did not arrive."""
         if not self.done:
             self.done, self.failure = True, failure
 
@@ -63,12 +63,12 @@ class Simulation:
         self.rover = Rover(self._start.x, self._start.y, self._start.yaw)
         self.limit = DEFAULT_LIMIT
         self.seconds = 0.0
-        """Simulated time since power-on."""
+        """Simulated seconds since power-on."""
         self.velocity = (0.0, 0.0)
-        """The speeds commanded directly, m/s and rad/s."""
+        """The directly commanded velocities, m/s and rad/s."""
         self.trip: Trip | None = None
         self.happenings: list[Happening] = []
-        """What befell since the owner last emptied it."""
+        """Events since the owner last emptied the list."""
         self._hard = False
         self._grace = _HANDOVER * config.time_scale
         self._handover = -math.inf
@@ -78,11 +78,11 @@ class Simulation:
     # Commands
 
     def drive(self, v: float, w: float) -> tuple[float, float]:
-        """Take direct speeds into force, cut to the speed limit, and return them.
+        """Apply a velocity command, limited to the speed limit; return the result.
 
-        A stop ends a trip, but for the one that ends the velocity the trip took over from.
+        A stop ends a trip, except the stop of a velocity that the trip replaced.
 
-        :raises ModeForbids: a trip has the drive.
+        :raises ModeForbids: a trip is running.
         :raises DeviceRejected: the battery is empty.
         """
         stop = v == 0.0 and w == 0.0
@@ -101,13 +101,13 @@ class Simulation:
                 remedy="Cancel the action first, or wait until it ends.",
             )
         elif self.seconds < self._handover:
-            self._handover = -math.inf  # the dead-man of the velocity the trip took over from
+            self._handover = -math.inf  # the dead-man stop of the velocity that the trip replaced
         else:
             self.stop("stopped by actuator/cmd_vel")
         return self.velocity
 
     def stop(self, reason: str, *, hard: bool = False) -> None:
-        """Brake to rest; a running trip fails for that reason."""
+        """Brake to rest; a running trip fails with this reason."""
         self.velocity = (0.0, 0.0)
         self._hard = hard or (self._hard and not self.rover.at_rest)
         if self.trip is not None:
@@ -115,12 +115,12 @@ class Simulation:
             self.trip = None
 
     def lose_link(self) -> None:
-        """End a trip, as nobody watches over it now; a direct velocity goes on blindly."""
+        """End a trip, as it is no longer supervised; a direct velocity continues."""
         if self.trip is not None:
             self.stop("the link was lost")
 
     def set_limit(self, limit: float) -> None:
-        """Change the speed limit; a faster velocity in force is cut to it."""
+        """Change the speed limit; a faster commanded velocity is reduced to it."""
         self.limit = limit
         v, w = self.velocity
         self.velocity = (max(-limit, min(limit, v)), w)
@@ -135,10 +135,10 @@ class Simulation:
         speed: float | None = None,
         task: Literal["move_to", "dock"] = "move_to",
     ) -> Trip:
-        """Set out for a goal, taking the drive over from a direct velocity.
+        """Start a trip to a goal; it replaces a direct velocity.
 
         :raises ModeForbids: another trip is running.
-        :raises DeviceRejected: there is no way to it, or no power.
+        :raises DeviceRejected: there is no path to it, or the battery is empty.
         """
         way = self._way(x, y)
         if self.trip is not None:
@@ -168,39 +168,39 @@ class Simulation:
         return way
 
     def dock(self) -> Trip:
-        """Set out for the charger, which stands where the rover started."""
+        """Start a trip to the charger at the start position."""
         start = self._start
         return self.go(start.x, start.y, yaw=start.yaw, tolerance=0.05, task="dock")
 
     def plug_in(self) -> None:
-        """Begin to charge; the rover stands on its charger."""
+        """Begin to charge; the rover is on its charger."""
         self.pack.charging = True
 
     # The world
 
     @property
     def world(self) -> World:
-        """The world as it is now; changes only by being replaced."""
+        """The present world; immutable, a change replaces it."""
         return self.floor.world
 
     def place(self, box: Box) -> str:
-        """Put a box on the floor and return its name; a trip finds its way round it.
+        """Place a box and return its name; a running trip is replanned.
 
-        :raises DeviceRejected: it would stand on the rover or outside, or there are too many.
+        :raises DeviceRejected: it overlaps the rover, is outside, or there are too many boxes.
         """
         name = self.floor.place(box, (self.rover.x, self.rover.y))
         self._replan()
         return name
 
     def remove(self, name: str) -> None:
-        """Take a box away.
+        """Remove a box.
 
-        :raises DeviceRejected: there is none of that name.
+        :raises DeviceRejected: there is no box of that name.
         """
         self.floor.remove(name)
 
     def remove_all(self) -> int:
-        """Take every placed box away and return how many they were."""
+        """Remove every placed box; return their number."""
         return self.floor.clear()
 
     def _replan(self) -> None:
@@ -217,9 +217,9 @@ class Simulation:
             follower.reroute(way)
 
     def reset_body(self, *, pose: bool, battery: bool) -> None:
-        """Bring the rover to rest, and on request back to its start or to a full battery.
+        """Bring the rover to rest; optionally reset its position or its battery.
 
-        :raises DeviceRejected: the start is taken.
+        :raises DeviceRejected: a box blocks the start.
         """
         if pose and not self.floor.planner.free(self._start.x, self._start.y):
             raise DeviceRejected("a placed box is at the rover's start")
@@ -232,7 +232,7 @@ class Simulation:
     # Time
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advance by `dt` seconds."""
         steps = max(1, math.ceil(dt / _MAX_STEP - 1e-9))
         for _ in range(steps):
             self._step(dt / steps)

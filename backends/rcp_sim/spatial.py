@@ -1,4 +1,4 @@
-"""Types of frames, joints and clouds, with the names that ROS has for their fields; metres, radians, seconds."""
+"""Types of frames, joints and clouds, with the field names of ROS; metres, radians, seconds."""
 
 from __future__ import annotations
 
@@ -43,26 +43,26 @@ class Stamp(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Header(Struct, frozen=True, forbid_unknown_fields=True):
-    """When, and in which frame."""
+    """Time and frame of a value."""
 
     stamp: Stamp = Stamp()
     frame_id: str = ""
 
 
 def stamped(frame: str, now: int) -> Header:
-    """Return the header of a value of this time, ns since the epoch."""
+    """Return the header for a time, ns since the epoch."""
     return Header(Stamp(*divmod(now, _BILLION)), frame)
 
 
 class Rigid(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where one frame is in another."""
+    """Position and orientation of one frame relative to another."""
 
     translation: Point
     rotation: Quaternion = Quaternion()
 
 
 class TransformStamped(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a frame is in the one of the header."""
+    """The transform of a frame relative to the frame of the header."""
 
     header: Header
     child_frame_id: str
@@ -70,13 +70,13 @@ class TransformStamped(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Transforms(Struct, frozen=True, forbid_unknown_fields=True):
-    """The tree of frames, as tf2_msgs/TFMessage has it."""
+    """The frame tree, as in tf2_msgs/TFMessage."""
 
     transforms: list[TransformStamped]
 
 
 class JointState(Struct, frozen=True, forbid_unknown_fields=True):
-    """The joints of the robot's description, as sensor_msgs/JointState has them."""
+    """Joints of the robot description, as in sensor_msgs/JointState."""
 
     header: Header
     name: list[str]
@@ -85,7 +85,7 @@ class JointState(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PointField(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a part of a point lies in its bytes."""
+    """Location of one field in a point's bytes."""
 
     name: str
     offset: _Bytes
@@ -94,7 +94,7 @@ class PointField(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PointCloud(Struct, frozen=True, forbid_unknown_fields=True):
-    """Points as bytes, as sensor_msgs/PointCloud2 has them."""
+    """Points as bytes, as in sensor_msgs/PointCloud2."""
 
     header: Header
     height: _Count

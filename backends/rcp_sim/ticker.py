@@ -1,4 +1,4 @@
-"""Ticks of a steady rate: scheduled from the start and not from the last, so they never drift."""
+"""Ticks at a steady rate, scheduled from the start so that they never drift."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import anyio
 
 __all__ = ["run_ticks"]
 
-_LATE = 0.25  # s that are caught up
-_NAP = 0.001  # s: timers of the event loop are no finer, and asking for less would spin
+_LATE = 0.25  # s of delay that are caught up
+_NAP = 0.001  # s: event loop timers are no finer, and a shorter sleep would spin
 
 
 async def run_ticks(
@@ -21,10 +21,10 @@ async def run_ticks(
     sleep: Callable[[float], Awaitable[None]] = anyio.sleep,
     wall: Callable[[], int] = time.time_ns,
 ) -> None:
-    """Call `tick(timestamp)` `rate` times a second until cancelled; timestamps are ns of UTC.
+    """Call `tick(timestamp)` `rate` times per second until cancelled; timestamps are UTC, ns.
 
-    A rate above what timers can do is kept by several ticks at a wake-up, each with its own time.
-    So is a delay made up for, unless it is so long that the process must have stood still.
+    A rate above the resolution of timers, or a short delay, is kept by several ticks per wake-up,
+    each with its own time. After a long delay the process must have been suspended: no catching up.
     """
     period = 1 / rate
     most = max(1, int(_LATE * rate))
@@ -34,8 +34,8 @@ async def run_ticks(
         moment, stamp = clock(), wall()
         due = int((moment - start) * rate + 1e-6) - count
         if due > most:
-            # The process stood still, and the world with it: nothing of that is made up for, or the
-            # rover would drive on blindly before the dead-man, due long ago, has its turn.
+            # The process was suspended and the world with it. Catching up would let the rover drive
+            # on blindly before the overdue dead-man can act.
             start += (due - 1) * period
             due = 1
         for _ in range(due):

@@ -1,4 +1,4 @@
-"""Waiting for the simulation: conditions that are looked at once a tick."""
+"""Waiting for conditions in the simulation, checked once per tick."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ __all__ = ["Waiting"]
 
 
 class Waiting:
-    """Coroutines that wait until something holds in the simulated world."""
+    """Coroutines that wait for a condition in the simulated world."""
 
     def __init__(self) -> None:
         self._waiters: list[tuple[Callable[[], bool], anyio.Event]] = []
         self._closed: str | None = None
 
     async def until(self, holds: Callable[[], bool]) -> None:
-        """Return once `holds()` is true; at once if it is already.
+        """Return once `holds()` is true.
 
         :raises AdapterUnavailable: the simulation ended first.
         """
@@ -37,7 +37,7 @@ class Waiting:
             raise AdapterUnavailable(self._closed)
 
     def poll(self) -> None:
-        """Wake those whose condition has come true."""
+        """Wake the waiters whose condition is true."""
         if self._waiters:
             for holds, event in self._waiters:
                 if holds():
@@ -45,7 +45,7 @@ class Waiting:
             self._waiters = [waiter for waiter in self._waiters if not waiter[1].is_set()]
 
     def close(self, reason: str) -> None:
-        """Wake everybody, to be told that nothing will come any more."""
+        """Wake all waiters; their calls fail."""
         self._closed = reason
         for _, event in self._waiters:
             event.set()

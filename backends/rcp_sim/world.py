@@ -1,4 +1,4 @@
-"""The world as geometry: a walled hall with boxes in it, and the map that shows it."""
+"""The geometry of the world: a walled hall with boxes, and its occupancy grid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OCCUPIED = b"\x64"
 
 
 class Rect(NamedTuple):
-    """An axis-parallel rectangle, in metres."""
+    """An axis-aligned rectangle, in metres."""
 
     left: float
     bottom: float
@@ -34,22 +34,22 @@ class Rect(NamedTuple):
         return Rect(self.left - by, self.bottom - by, self.right + by, self.top + by)
 
     def holds(self, x: float, y: float) -> bool:
-        """Tell whether a point lies inside, the border excluded."""
+        """Return whether a point is inside, excluding the border."""
         return self.left < x < self.right and self.bottom < y < self.top
 
 
 class Face(NamedTuple):
-    """One side of a wall or box, as range finder and camera see it."""
+    """One side of a wall or box, as the range finder and the camera see it."""
 
     upright: bool
-    """Whether it stands at a constant x; else at a constant y."""
+    """Whether it lies at a constant x, otherwise at a constant y."""
     at: float
     low: float
     high: float
     normal: int
-    """+1 if the free side is towards greater x (or y), else -1."""
+    """+1 if the free side is towards greater x (or y), otherwise -1."""
     tone: int
-    """Which colour it is painted in."""
+    """Index of its colour."""
 
 
 def _faces(rect: Rect, side: int, tone: int) -> tuple[Face, ...]:
@@ -62,7 +62,7 @@ def _faces(rect: Rect, side: int, tone: int) -> tuple[Face, ...]:
 
 
 class World:
-    """A hall centred on the origin, with boxes; it never changes, a changed world is a new one."""
+    """A hall centred on the origin, with boxes; immutable."""
 
     def __init__(self, width: float, height: float, obstacles: Sequence[Rect] = ()) -> None:
         self.bounds = Rect(-width / 2, -height / 2, width / 2, height / 2)
@@ -72,12 +72,12 @@ class World:
             self.faces += _faces(rect, 1, 2 + 2 * (number % 3))
 
     def with_obstacles(self, more: Sequence[Rect]) -> World:
-        """Return this world with further boxes in it."""
+        """Return this world with additional boxes."""
         left, bottom, right, top = self.bounds
         return World(right - left, top - bottom, (*self.obstacles, *more))
 
     def clearance(self, x: float, y: float) -> float:
-        """Return the distance to the nearest wall or box in metres; negative is inside one."""
+        """Return the distance to the nearest wall or box, m; negative inside one."""
         left, bottom, right, top = self.bounds
         best = min(x - left, right - x, y - bottom, top - y)
         for box in self.obstacles:
@@ -88,7 +88,7 @@ class World:
         return best
 
     def grid(self, resolution: float) -> tuple[int, int, bytes]:
-        """Draw the map: columns, rows and one byte a cell, beginning at the lower left corner."""
+        """Draw the map: columns, rows and one byte per cell, from the lower left corner."""
         left, bottom, right, top = self.bounds
         columns = round((right - left) / resolution)
         rows = round((top - bottom) / resolution)
@@ -117,7 +117,7 @@ class World:
 
 
 def _cells(low: float, high: float, resolution: float, count: int) -> tuple[int, int]:
-    """Return the cells that a stretch touches, as a half-open range within 0 to `count`."""
+    """Return the cells that an interval touches, as a half-open range within 0 to `count`."""
     first, last = math.floor(low / resolution), math.ceil(high / resolution)
     return min(count, max(0, first)), min(count, max(0, last))
 

@@ -1,4 +1,4 @@
-"""The body of a quadrotor: six degrees of freedom, four motors that lag, drag, wind and a floor."""
+"""The body of a quadrotor: six degrees of freedom, motor lag, drag, wind and ground contact."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from rcp_mavlink_sim.body import GRAVITY, Body, wrap
 
 __all__ = ["Quad"]
 
-_MOTOR_LAG = 0.04  # s, first order, from demand to thrust and torque
-_DRAG = 0.12  # 1/s, of the velocity through the air
+_MOTOR_LAG = 0.04  # s, first-order lag from demand to thrust and torque
+_DRAG = 0.12  # 1/s, of the airspeed
 _DRAG_SQUARE = 0.008  # 1/m
 _THRUST_MOST = 2.3 * GRAVITY  # m/s2
-_ANGLE_GAIN, _RATE_GAIN = 6.0, 18.0  # 1/s: angle → rate → angular acceleration
-_TURN_MOST = 60.0  # rad/s2, of roll and pitch
+_ANGLE_GAIN, _RATE_GAIN = 6.0, 18.0  # 1/s, angle to rate to angular acceleration
+_TURN_MOST = 60.0  # rad/s2, roll and pitch
 _YAW_MOST = 8.0  # rad/s2
 
 
 class Quad(Body):
-    """One quadrotor; what it should do is set in `want_…`, `step` lets time pass."""
+    """A quadrotor; set its demands in `want_…`, then `step` advances time."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -29,11 +29,11 @@ class Quad(Body):
 
     @property
     def throttle(self) -> float:
-        """The part of the thrust in use, 0…1."""
+        """Fraction of the thrust in use, 0…1."""
         return self.thrust / _THRUST_MOST
 
     def motors(self) -> tuple[float, float, float, float]:
-        """Return what each motor gives, 0…1, in ArduPilot's order of a quad X."""
+        """Return each motor's output, 0…1, in ArduPilot's order of a quad X."""
         base = self.throttle
         roll, pitch, yaw = (self._torque[0] / 300, self._torque[1] / 300, self._torque[2] / 120)
         mixed = (
@@ -45,15 +45,15 @@ class Quad(Body):
         return tuple(min(1.0, max(0.0, m)) for m in mixed)  # pyright: ignore[reportReturnType]
 
     def pulses(self, *, armed: bool) -> list[int]:
-        """Return what the motors are told, µs."""
+        """Return the motor outputs, µs."""
         return [round(1000 + 1000 * max(m, 0.1)) if armed else 1000 for m in self.motors()]
 
     def cut_power(self) -> None:
-        """Have its motors give nothing for the next step."""
+        """Disable the motors for the next step."""
         self.want_thrust = 0.0
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass; 5 ms at most, or the attitude loop rings."""
+        """Advance by `dt` seconds, at most 5 ms, or the attitude loop becomes unstable."""
         self._turn(dt)
         blend = dt / (_MOTOR_LAG + dt)
         self.thrust += (min(_THRUST_MOST, max(0.0, self.want_thrust)) - self.thrust) * blend

@@ -1,4 +1,4 @@
-"""The controller: from a place, a velocity or an attitude wanted to lean angles and thrust."""
+"""The controller of a quadrotor: position, velocity or attitude to lean angles and thrust."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEAN_MOST = 0.52  # rad
 _PLACE_GAIN = 1.0  # 1/s
 _SPEED_GAIN = 2.5  # 1/s
 _CLIMB_GAIN = 5.0  # 1/s
-_FACES_TRAVEL_FROM = 0.05  # of its highest speed, from which on it looks where it goes to
+_FACES_TRAVEL_FROM = 0.05  # of the maximum speed, above which it turns
 
 
 class QuadPilot(Pilot):
@@ -27,12 +27,12 @@ class QuadPilot(Pilot):
         self._vn = self._ve = self._vd = 0.0
 
     def reset(self) -> None:
-        """Begin from rest, as after arming."""
+        """Start from rest, as after arming."""
         super().reset()
         self._vn = self._ve = self._vd = 0.0
 
     def step(self, dt: float) -> None:
-        """Say what the motors should do for the next `dt` seconds."""
+        """Set the demands of the body for the next `dt` seconds."""
         body = self.body
         if not self.spinning:
             body.want_thrust = 0.0

@@ -1,1 +1,1 @@
-"""What each kind of vehicle does in each mode."""
+"""The modes of each kind of vehicle."""

@@ -1,4 +1,4 @@
-"""What each mode makes a copter do: take off, go, hold, return, land, follow set-points and sticks."""
+"""The modes of a copter: take-off, reposition, hold, return, land, set-points, manual control."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["CopterFlight"]
 
-_ON_THE_FLOOR = 1.0  # s, until it believes that it has landed
+_ON_THE_FLOOR = 1.0  # s until it counts as landed
 _HIGHEST_WITHOUT_CLIMB = 2.0  # m
 _BY_STICK = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
 
@@ -26,7 +26,7 @@ class CopterFlight(Flight):
         self._steered = False
 
     def limits(self) -> None:
-        """Take the speeds from the parameters."""
+        """Apply the speeds of the parameters."""
         p, limits = self._vehicle.params, self._vehicle.pilot.limits
         limits.speed = p["WPNAV_SPEED"] / 100
         limits.up, limits.down = p["WPNAV_SPEED_UP"] / 100, p["WPNAV_SPEED_DN"] / 100
@@ -37,11 +37,11 @@ class CopterFlight(Flight):
 
     @property
     def faces_travel(self) -> bool:
-        """Whether it turns to where it goes to, unless it is told otherwise."""
+        """Whether it faces the direction of travel by default."""
         return bool(self._vehicle.params["WP_YAW_BEHAVIOR"])
 
     def refusal(self, mode: Mode) -> str | None:
-        """Say why a mode cannot be entered now; None: it can."""
+        """Return why a mode cannot be entered now; None if it can."""
         vehicle = self._vehicle
         stands = vehicle.armed and vehicle.body.landed
         if mode is Mode.AUTO and stands and self.mission.flyable and not self.mission.takes_off:
@@ -49,7 +49,7 @@ class CopterFlight(Flight):
         return super().refusal(mode)
 
     def take_off(self, height: float) -> bool:
-        """Rise to a height over home, m; tell whether that can be done now."""
+        """Climb to a height above home, m; return whether this is possible now."""
         vehicle = self._vehicle
         ready = vehicle.armed and vehicle.body.landed and self.mode is Mode.GUIDED
         if not ready or not math.isfinite(height) or height <= 0:
@@ -59,7 +59,7 @@ class CopterFlight(Flight):
         return True
 
     def lift(self, height: float) -> None:
-        """Rise from here, straight up."""
+        """Take off vertically."""
         pilot, body = self._vehicle.pilot, self._vehicle.body
         pilot.reset()
         pilot.place, pilot.velocity = (body.n, body.e), (0.0, 0.0)
@@ -67,14 +67,14 @@ class CopterFlight(Flight):
         pilot.spinning = self.taking_off = True
 
     def risen(self) -> bool:
-        """Tell whether it is as high as it should be."""
+        """Return whether the take-off has reached its height."""
         if not self._vehicle.pilot.at_place(0.5):
             return False
         self.taking_off = False
         return True
 
     def lead(self, dt: float) -> None:
-        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        """Control the pilot for `dt` seconds in any mode except AUTO."""
         match self.mode:
             case Mode.GUIDED:
                 if self.taking_off and self._vehicle.pilot.at_place(0.3):
@@ -96,7 +96,7 @@ class CopterFlight(Flight):
             if self._steered:
                 self._steered = False
                 pilot.hold()
-            if level:  # with the sticks centred: the wind takes it along
+            if level:  # with centred sticks it drifts with the wind
                 pilot.place, pilot.velocity = None, (body.wind_n, body.wind_e)
             return
         self._steered = True
@@ -132,7 +132,7 @@ class CopterFlight(Flight):
             pilot.depth, pilot.sinking, pilot.yaw_rate = depth, sinking, turning
 
     def go_home(self) -> None:
-        """Climb, before it goes home or to a nearer rally point."""
+        """Climb, then go home or to a nearer rally point."""
         vehicle = self._vehicle
         pilot, body, home = vehicle.pilot, vehicle.body, vehicle.haven()
         height = -body.d
@@ -167,29 +167,29 @@ class CopterFlight(Flight):
         return math.atan2(de, dn) if math.hypot(dn, de) > 2 else vehicle.pilot.yaw
 
     def descend(self) -> None:
-        """Sink where it is, slower near the floor."""
+        """Descend in place, more slowly near the ground."""
         vehicle = self._vehicle
         p, pilot, body = vehicle.params, vehicle.pilot, vehicle.body
         pilot.depth = None
         low = -body.d < p["LAND_ALT_LOW"] / 100
         fast = p["LAND_SPEED_HIGH"] or p["WPNAV_SPEED_DN"]
         pilot.sinking = (p["LAND_SPEED"] if low else fast) / 100
-        if not vehicle.position_ok:  # level, for it does not know where it is
+        if not vehicle.position_ok:  # level, because it has no position
             pilot.place, pilot.velocity = None, (body.wind_n, body.wind_e)
 
     def begin_landing(self, place: tuple[float, float]) -> None:
-        """Go over the place at the height it has."""
+        """Go over the position at the present height."""
         pilot = self._vehicle.pilot
         pilot.place, pilot.depth = place, self._vehicle.body.d
 
     def begin_return(self) -> None:
-        """Go home, as an item of a mission."""
+        """Go home, as a mission item."""
         vehicle = self._vehicle
         height = max(-vehicle.body.d, vehicle.params["RTL_ALT"] / 100)
         vehicle.pilot.place, vehicle.pilot.depth = vehicle.haven(), -height
 
     def come_down(self) -> bool:
-        """Go on with the landing of a mission; tell whether it is over."""
+        """Continue the landing of a mission; return whether it is complete."""
         mission = self.mission
         if not mission.landing and self._vehicle.pilot.at_place(1.0):
             mission.landing = True
@@ -199,7 +199,7 @@ class CopterFlight(Flight):
 
     @property
     def landing(self) -> bool:
-        """Whether it is on its way down to the floor."""
+        """Whether it is landing."""
         return (
             self.mode is Mode.LAND
             or (self.mode is Mode.RTL and self.phase == "land")
@@ -207,7 +207,7 @@ class CopterFlight(Flight):
         )
 
     def rest(self) -> None:
-        """Stop the motors after a landing, or where nobody takes off."""
+        """Stop the motors after a landing, or if it does not take off in time."""
         vehicle = self._vehicle
         if not vehicle.body.landed:
             return

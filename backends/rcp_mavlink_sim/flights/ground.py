@@ -1,4 +1,4 @@
-"""What each mode makes a rover or a boat do."""
+"""The modes of a rover or a boat."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["GroundFlight"]
 
-_FASTEST, _TURN = 6.0, 1.6  # m/s and rad/s with a stick at its end
+_FASTEST, _TURN = 6.0, 1.6  # m/s and rad/s at full stick deflection
 
 
 class GroundFlight(Flight):
-    """The way of a rover or a boat."""
+    """The motion of a rover or a boat."""
 
     starts_itself = True
 
@@ -28,7 +28,7 @@ class GroundFlight(Flight):
         return pilot
 
     def limits(self) -> None:
-        """Take the speeds from the parameters."""
+        """Apply the speeds of the parameters."""
         p, limits = self._vehicle.params, self._pilot.limits
         limits.speed = p["WP_SPEED"] or p["CRUISE_SPEED"]
         limits.acceleration = p["ATC_ACCEL_MAX"]
@@ -36,7 +36,7 @@ class GroundFlight(Flight):
         self._pilot.near = p["LOIT_RADIUS"] / 2 if self._vehicle.kind.name == "boat" else 0.3
 
     def lead(self, dt: float) -> None:
-        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        """Control the pilot for `dt` seconds in any mode except AUTO."""
         pilot, vehicle = self._pilot, self._vehicle
         pilot.spinning = True
         match self.mode:
@@ -53,30 +53,30 @@ class GroundFlight(Flight):
                 pass
 
     def rest(self) -> None:
-        """Do nothing: it stays armed where it stops."""
+        """Do nothing: it stays armed when it stops."""
         self._vehicle.pilot.spinning = True
 
     def take_off(self, height: float) -> bool:
-        """Stay on the ground."""
+        """Do nothing: it cannot take off."""
         return False
 
     def lift(self, height: float) -> None:
-        """Stay on the ground."""
+        """Do nothing: it cannot take off."""
 
     def risen(self) -> bool:
-        """Go on with the mission."""
+        """Return True: the mission continues."""
         return True
 
     def begin_landing(self, place: tuple[float, float]) -> None:
-        """Go to the place."""
+        """Go to the position."""
         self._pilot.place = place
 
     def begin_return(self) -> None:
-        """Go home, as an item of a mission."""
+        """Go home, as a mission item."""
         self.go_home()
 
     def come_down(self) -> bool:
-        """Tell whether it is there."""
+        """Return whether it has arrived."""
         return self._pilot.at_place(self.radius)
 
     def go_home(self) -> None:
@@ -91,5 +91,5 @@ class GroundFlight(Flight):
 
     @property
     def landing(self) -> bool:
-        """It never lands."""
+        """False: it never lands."""
         return False

@@ -1,4 +1,4 @@
-"""What each mode makes a plane do: run and climb, go, circle, come home, land on a mission."""
+"""The modes of a plane: take-off, reposition, circle, return, land in a mission."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["PlaneFlight"]
 
-_APPROACH, _FINAL = 30.0, 300.0  # m over the floor and from the place, where the last leg begins
-_AHEAD = 120.0  # m along the last leg, to which it steers
-_FLARE, _TOUCH = 2.0, 0.7  # m over the floor, and the m/s that it sinks below
-_FLOATS = 50.0  # m that it flies on while it flares
-_SLOW = 1.3  # times its least airspeed, on the last leg
+_APPROACH, _FINAL = 30.0, 300.0  # m above ground and to touchdown, final approach
+_AHEAD = 120.0  # m ahead on the final approach, to which it steers
+_FLARE, _TOUCH = 2.0, 0.7  # m above the ground, and the sink rate below, m/s
+_FLOATS = 50.0  # m of flight during the flare
+_SLOW = 1.3  # factor of the minimum airspeed, on the final approach
 _AT_REST = 0.3  # m/s
 
 
 class PlaneFlight(Flight):
-    """The flight of a plane; it lands by missions only, as the real one."""
+    """The flight of a plane; like ArduPilot's, it lands only in missions."""
 
     starts_itself = True
 
     def __init__(self, vehicle: VehicleState) -> None:
         super().__init__(vehicle)
         self._final: tuple[tuple[float, float], float] | None = None
-        """The place to land on, and the course."""
+        """The landing point and the course."""
 
     @property
     def _pilot(self) -> PlanePilot:
@@ -36,7 +36,7 @@ class PlaneFlight(Flight):
         return pilot
 
     def limits(self) -> None:
-        """Take the speeds from the parameters."""
+        """Apply the speeds of the parameters."""
         p, pilot = self._vehicle.params, self._pilot
         pilot.limits.speed = p["AIRSPEED_CRUISE"]
         pilot.limits.up, pilot.limits.down = p["TECS_CLMB_MAX"], p["TECS_SINK_MAX"]
@@ -44,12 +44,12 @@ class PlaneFlight(Flight):
         pilot.bank_most = math.radians(p["ROLL_LIMIT_DEG"])
 
     def enter(self, mode: Mode) -> None:
-        """Change the mode."""
+        """Enter a mode."""
         self._final = None
         super().enter(mode)
 
     def lead(self, dt: float) -> None:
-        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        """Control the pilot for `dt` seconds in any mode except AUTO."""
         vehicle, pilot = self._vehicle, self._pilot
         if self.mode is Mode.TAKEOFF:
             if vehicle.body.landed and not self.taking_off:
@@ -71,11 +71,11 @@ class PlaneFlight(Flight):
         pilot.by_hand = (bank, path, power)
 
     def take_off(self, height: float) -> bool:
-        """Refuse: a plane takes off by TAKEOFF or by a mission."""
+        """Refuse: a plane takes off in TAKEOFF or in a mission."""
         return False
 
     def lift(self, height: float) -> None:
-        """Run along its heading and climb."""
+        """Run along the present heading and climb."""
         pilot, vehicle = self._pilot, self._vehicle
         pilot.reset()
         pilot.place, pilot.yaw, pilot.depth = None, vehicle.body.yaw, -height
@@ -83,7 +83,7 @@ class PlaneFlight(Flight):
         pilot.spinning = self.taking_off = True
 
     def risen(self) -> bool:
-        """Tell whether it is as high as it should be."""
+        """Return whether the take-off has reached its height."""
         wanted = self._pilot.depth or 0.0
         if self._vehicle.body.d > wanted + 3:
             return False
@@ -91,7 +91,7 @@ class PlaneFlight(Flight):
         return True
 
     def begin_landing(self, place: tuple[float, float]) -> None:
-        """Go down to where the last leg begins, against the wind if there is any."""
+        """Go to the start of the final approach, against the wind if there is any."""
         body, pilot = self._vehicle.body, self._pilot
         n, e = body.n - place[0], body.e - place[1]
         if math.hypot(body.wind_n, body.wind_e) > 1:
@@ -102,7 +102,7 @@ class PlaneFlight(Flight):
         self._final = (place, math.atan2(-e, -n))
 
     def come_down(self) -> bool:
-        """Go on with the landing of a mission; tell whether it stands."""
+        """Continue the landing of a mission; return whether it is complete."""
         body, pilot = self._vehicle.body, self._pilot
         if self._final is None:
             return False
@@ -122,11 +122,11 @@ class PlaneFlight(Flight):
         return body.landed and math.hypot(body.vn, body.ve) < _AT_REST
 
     def begin_return(self) -> None:
-        """Leave the mission for RTL, as an item of it."""
+        """Leave the mission for RTL, as a mission item."""
         self.set_mode(Mode.RTL)
 
     def go_home(self) -> None:
-        """Circle over home, or over a nearer rally point."""
+        """Circle over home or over a nearer rally point."""
         vehicle, pilot = self._vehicle, self._pilot
         height = vehicle.params["RTL_ALTITUDE"]
         pilot.place, pilot.passes = vehicle.haven(), False
@@ -140,7 +140,7 @@ class PlaneFlight(Flight):
 
     @property
     def landing(self) -> bool:
-        """Whether it is on its way down to the floor."""
+        """Whether it is landing."""
         return self.mode is Mode.AUTO and self.mission.landing
 
     def rest(self) -> None:

@@ -1,1 +1,1 @@
-"""A rover, and a boat that differs from it in how it lies in its water."""
+"""A rover, and a boat, which differs in how it moves in the water."""

@@ -1,4 +1,4 @@
-"""A body that stays where the ground is: a motor and a rudder or steered wheels, both of which lag."""
+"""A body on the surface: a motor and a rudder or steered wheels, with lag."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from rcp_mavlink_sim.body import GRAVITY, Body, wrap
 
 __all__ = ["Hull"]
 
-_GRIP = 0.8  # of gravity, of wheels to the side
-_SLIDE = 0.6  # s until a boat no longer slides to the side
+_GRIP = 0.8  # fraction of gravity, lateral grip of wheels
+_SLIDE = 0.6  # s until a boat stops drifting sideways
 _MOTOR_LAG, _BOAT_LAG = 0.25, 1.2  # s
 _TURN_LAG, _BOAT_TURN_LAG = 0.1, 0.5  # s
-_LEEWAY = 0.04  # of the wind, by which a boat is set off
+_LEEWAY = 0.04  # fraction of the wind, drift of a boat
 _FASTEST = 6.0  # m/s at full power
 
 
 class Hull(Body):
-    """A rover or a boat; it has no floor to leave."""
+    """A rover or a boat; it cannot leave the surface."""
 
     def __init__(self, *, floats: bool) -> None:
         super().__init__()
@@ -28,12 +28,12 @@ class Hull(Body):
 
     @property
     def speed(self) -> float:
-        """Forward through the water or over the ground, m/s."""
+        """Forward speed through the water or over the ground, m/s."""
         return self._forward
 
     @property
     def throttle(self) -> float:
-        """The part of the power in use, 0…1."""
+        """Fraction of the power in use, 0…1."""
         return min(1.0, abs(self.want_speed) / _FASTEST)
 
     def pulses(self, *, armed: bool) -> list[int]:
@@ -45,17 +45,17 @@ class Hull(Body):
         return [round(1500 + 400 * turn), 0, round(1500 + 400 * drive)]
 
     def cut_power(self) -> None:
-        """Have its motors give nothing for the next step."""
+        """Disable the motors for the next step."""
         self.want_speed = 0.0
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advance by `dt` seconds."""
         motor, rudder = (_BOAT_LAG, _BOAT_TURN_LAG) if self._floats else (_MOTOR_LAG, _TURN_LAG)
         self._forward += (self.want_speed - self._forward) * dt / (motor + dt)
         turn = self.want_turn
         if self._floats:
             self._right -= (self._right + self._forward * self.r * _SLIDE) * dt / (_SLIDE + dt)
-        elif abs(self._forward * turn) > _GRIP * GRAVITY:  # it slides rather than turns
+        elif abs(self._forward * turn) > _GRIP * GRAVITY:  # it slides instead of turning
             turn = math.copysign(_GRIP * GRAVITY / abs(self._forward), turn)
         self.r += (turn - self.r) * dt / (rudder + dt)
         self.yaw = wrap(self.yaw + self.r * dt)

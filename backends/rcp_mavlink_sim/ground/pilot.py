@@ -1,4 +1,4 @@
-"""Steers to a place or along a velocity: turn to it, and go as fast as the turn allows."""
+"""Steers to a position or along a velocity: turns first, then drives as fast as the turn allows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ __all__ = ["GroundPilot"]
 
 _TURN_GAIN = 2.0  # 1/s
 _FASTEST_TURN = 1.6  # rad/s
-_PIVOT = math.radians(60)  # off the way by more, it turns before it goes
-_CRAWL = 0.3  # m/s, at which it turns
+_PIVOT = math.radians(60)  # heading error above which it turns on the spot
+_CRAWL = 0.3  # m/s while turning
 
 
 class GroundPilot(Pilot):
@@ -24,21 +24,21 @@ class GroundPilot(Pilot):
     def __init__(self, body: Hull) -> None:
         super().__init__(body)
         self.near = 0.3
-        """It rests within so many m of its place."""
+        """Radius within which it rests at its position, m."""
         self.by_hand: tuple[float, float] | None = None
-        """Forward, m/s, and clockwise, rad/s, that rule instead of all else."""
+        """Forward speed, m/s, and clockwise rate, rad/s, that override everything else."""
 
     def hold(self) -> None:
-        """Stay where it would come to rest if it braked now."""
+        """Hold the point where it would come to rest if it braked now."""
         super().hold()
         self.by_hand = None
 
     def at_place(self, tolerance: float) -> bool:
-        """Tell whether it is where it should be; height does not matter."""
+        """Return whether it is at its position; height is ignored."""
         return self.place is not None and self.away() <= max(tolerance, self.near)
 
     def step(self, dt: float) -> None:
-        """Say what motor and steering should do for the next `dt` seconds."""
+        """Set motor and steering for the next `dt` seconds."""
         body = self.body
         if not self.spinning:
             body.want_speed = body.want_turn = 0.0

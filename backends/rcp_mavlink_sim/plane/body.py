@@ -1,4 +1,4 @@
-"""A fixed wing as a point that banks: lift turns it, power and drag share its energy, slow it stalls."""
+"""A fixed-wing as a banking point mass: lift turns it, power and drag set its energy."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from rcp_mavlink_sim.pilot import clip
 
 __all__ = ["Wing"]
 
-_STALL = 11.0  # m/s, level
+_STALL = 11.0  # m/s, in level flight
 _POWER = 6.0  # m/s2 of thrust at full power
-_PARASITIC, _INDUCED = 0.0022, 210.0  # of the drag: 1/m, m3/s4
+_PARASITIC, _INDUCED = 0.0022, 210.0  # drag coefficients: 1/m, m3/s4
 _ENGINE_LAG, _ROLL_LAG, _PITCH_LAG = 0.4, 0.35, 0.6  # s
 _ROLL_RATE, _PITCH_RATE = 1.5, 0.6  # rad/s
-_STALLED = -0.25  # rad, of the path
-_ROLLING, _BRAKES = 0.3, 2.0  # m/s2 on the floor
-_ROTATE = 14.0  # m/s through the air
+_STALLED = -0.25  # rad, path angle
+_ROLLING, _BRAKES = 0.3, 2.0  # m/s2 on the ground
+_ROTATE = 14.0  # m/s airspeed
 _TURN_ON_FLOOR = 0.5  # rad/s
 
 
 class Wing(Body):
-    """One aeroplane; `want_bank` and `want_path` are rad, `want_power` 0…1."""
+    """A plane; `want_bank` and `want_path` are rad, `want_power` 0…1."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -29,22 +29,22 @@ class Wing(Body):
         self.airspeed = 0.0  # m/s
         self._power = 0.0
         self._path = 0.0
-        """Of its climb through the air, rad."""
+        """Climb angle through the air, rad."""
 
     @property
     def throttle(self) -> float:
-        """The part of the power in use, 0…1."""
+        """Fraction of the power in use, 0…1."""
         return self._power
 
     @property
     def drag(self) -> float:
-        """What slows it in the air now, m/s2."""
+        """Present drag, m/s2."""
         load = 1 / max(0.3, math.cos(self.roll))
         v2 = max(25.0, self.airspeed**2)
         return _PARASITIC * v2 + _INDUCED * load * load / v2
 
     def power_for(self, acceleration: float) -> float:
-        """Return the part of the power that gives an acceleration (m/s2) on its path."""
+        """Return the power for an acceleration (m/s2) along its path."""
         return (self.drag + GRAVITY * math.sin(self._path) + acceleration) / _POWER
 
     def pulses(self, *, armed: bool) -> list[int]:
@@ -54,11 +54,11 @@ class Wing(Body):
         return [round(1500 + 400 * clip(bank, 1)), round(1500 + 400 * clip(path, 1)), power, 1500]
 
     def cut_power(self) -> None:
-        """Have its motors give nothing for the next step."""
+        """Disable the motor for the next step."""
         self.want_power = 0.0
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advance by `dt` seconds."""
         wanted = min(1.0, max(0.0, self.want_power))
         self._power += (wanted - self._power) * dt / (_ENGINE_LAG + dt)
         before = self.vn, self.ve, self.vd

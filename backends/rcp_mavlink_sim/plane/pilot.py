@@ -1,4 +1,4 @@
-"""Flies a wing to a place and round it: course to bank, height to climb, speed to power."""
+"""Flies a plane to and around a position: course to bank, height to climb, speed to power."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["PlanePilot"]
 _COURSE_GAIN = 0.8  # 1/s
 _HEIGHT_GAIN = 0.35  # 1/s
 _SPEED_GAIN = 0.5  # 1/s
-_INWARD = 2.5  # how sharply it turns to its circle
+_INWARD = 2.5  # gain towards the circle
 
 
 class PlanePilot(Pilot):
-    """Flies a `Wing`; round `place` unless it is to pass it."""
+    """Flies a `Wing`; circles `place` unless `passes` is set."""
 
     body: Wing
 
@@ -26,17 +26,17 @@ class PlanePilot(Pilot):
         self.circle = 60.0  # m
         self.bank_most = math.radians(45)
         self.by_hand: tuple[float, float, float] | None = None
-        """Bank, path (rad) and power (0…1) that rule instead of all else."""
+        """Bank, path (rad) and power (0…1) that override everything else."""
         self.idle = False
 
     def hold(self) -> None:
-        """Circle where it is."""
+        """Circle the present position."""
         super().hold()
         self.place, self.depth = (self.body.n, self.body.e), self.body.d
         self.by_hand, self.passes, self.idle = None, False, False
 
     def at_place(self, tolerance: float) -> bool:
-        """Tell whether it passes its place, or is on its circle and as high as it should be."""
+        """Return whether it passes its target, or is on the circle and at the height."""
         if self.place is None:
             return False
         if self.passes:
@@ -45,7 +45,7 @@ class PlanePilot(Pilot):
         return self.away() <= self.circle * 1.2 + tolerance and not low
 
     def step(self, dt: float) -> None:
-        """Say what the controls should do for the next `dt` seconds."""
+        """Set the controls for the next `dt` seconds."""
         body = self.body
         if not self.spinning:
             body.want_bank = body.want_path = body.want_power = 0.0
