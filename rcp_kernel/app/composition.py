@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 
 from rcp_kernel.access.acl import Rules
-from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.sights import Sights
@@ -60,11 +59,11 @@ from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
+from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.connections import ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
@@ -131,7 +130,7 @@ class _Clients:
 
     identities: Identities
     outbound: Outbound
-    quotas: QuotaTracker
+    accounting: SessionAccounting
     resume: SessionResume
     sessions: Sessions
     access: CommandAccess
@@ -181,7 +180,7 @@ def compose(
     records = _records(base, store)
     made = _features(base, records, features)
     motion = _motion(base, records)
-    clients = _clients(base, records, motion, made.authenticators)
+    clients = _clients(base, records, motion, made)
     requests = _requests(base, records, motion, clients, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
@@ -206,7 +205,6 @@ def compose(
         stops=motion.stops,
         identities=clients.identities,
         outbound=clients.outbound,
-        quotas=clients.quotas,
         resume=clients.resume,
         sessions=clients.sessions,
         leases=clients.leases,
@@ -291,14 +289,12 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     )
 
 
-def _clients(
-    base: _Base, records: _Records, motion: _Motion, authenticators: Sequence[Authenticator]
-) -> _Clients:
+def _clients(base: _Base, records: _Records, motion: _Motion, features: Features) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.audit, loop, authenticators)
+    identities = Identities(settings, records.store, records.audit, loop, features.authenticators)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
-    quotas = QuotaTracker(settings, base.rules, loop, known, commands.running)
+    accounting = SessionAccounting(features.accounting, known, commands.running)
     resume = SessionResume(records.store, settings, base.shutdown, loop)
     sessions = Sessions(
         known,
@@ -306,7 +302,7 @@ def _clients(
         shutdown=base.shutdown,
         rules=base.rules,
         identities=identities,
-        quotas=quotas,
+        accounting=accounting,
         commands=commands,
         resume=resume,
         audit=records.audit,
@@ -327,7 +323,7 @@ def _clients(
     )
     FenceGuard(motion.limits, base.hub, motion.deadman, commands, sessions, records.audit)
     access = CommandAccess(commands, base.visibility, identities)
-    return _Clients(identities, outbound, quotas, resume, sessions, access, leases)
+    return _Clients(identities, outbound, accounting, resume, sessions, access, leases)
 
 
 def _requests(
@@ -398,11 +394,11 @@ def _system(
         identities=clients.identities,
         sessions=clients.sessions,
         outbound=clients.outbound,
-        quotas=clients.quotas,
         commands=motion.commands,
         counts=base.counts,
         motion_limits=motion.limits,
         store=records.store,
+        metrics=features.metrics,
         loop=base.loop,
     )
     plans = PlanList(clients.access, base.loop)
@@ -422,7 +418,6 @@ def _system(
         plans=plans,
         access=clients.access,
         sessions=clients.sessions,
-        quotas=clients.quotas,
         audit=records.audit,
         disclosure=disclosure,
         latches=motion.latches,
@@ -431,6 +426,7 @@ def _system(
         hub=base.hub,
         recent=recent,
         features=features.resources,
+        reader_status=features.reader_status,
         changes=base.changes,
         loop=base.loop,
     )
@@ -464,7 +460,6 @@ def _handlers(
         base.hub,
         base.links,
         ConditionalSubscriptions(base.hub),
-        clients.quotas,
         clients.resume,
         clients.sessions,
         views=system.branch.views,
@@ -493,7 +488,6 @@ def _handlers(
         plans=_plans(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
         motion_limits=motion.limits,
-        quotas=clients.quotas,
         keys=requests.keys,
         inflight=inflight,
         counts=base.counts,
@@ -587,7 +581,7 @@ def _client_api(
         settings=base.settings,
         rules=base.rules,
         identities=clients.identities,
-        quotas=clients.quotas,
+        accounting=clients.accounting,
         commands=motion.commands,
         resume=clients.resume,
         subscribe=handlers.subscribe.restore,

@@ -28,7 +28,6 @@ from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.store.audit import Audit
@@ -65,7 +64,6 @@ class Kernel:
     stops: StopController
     identities: Identities
     outbound: Outbound
-    quotas: QuotaTracker
     resume: SessionResume
     sessions: Sessions
     leases: Leases
@@ -105,7 +103,6 @@ class Kernel:
         self.shutdown.begin()
         self.leases.close()
         self.stops.close()
-        self.quotas.close()
         self.sessions.relief.close()
         self.outbound.close()
         self.deadman.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import platform
 import time
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -27,7 +27,6 @@ from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.store.store import Store
@@ -67,11 +66,11 @@ class StatusReport:
         identities: Identities,
         sessions: Sessions,
         outbound: Outbound,
-        quotas: QuotaTracker,
         commands: Commands,
         counts: RequestCounts,
         motion_limits: MotionLimits,
         store: Store,
+        metrics: Callable[[], Iterable[Metric]],
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._supervisors = supervisors
@@ -84,7 +83,7 @@ class StatusReport:
         self._identities = identities
         self._sessions = sessions
         self._outbound = outbound
-        self._quotas = quotas
+        self._feature_metrics = metrics
         self._commands = commands
         self._counts = counts
         self._motion_limits = motion_limits
@@ -335,12 +334,6 @@ class StatusReport:
             [(["refused"], outbound.refused), (["closed"], outbound.cut)],
         )
         yield counter(
-            "rcp_quota_refused",
-            "What a quota did not allow.",
-            ("quota", "tenant", "what"),
-            [(list(key), count) for key, count in self._quotas.refused().items()],
-        )
-        yield counter(
             "rcp_commands",
             "Commands by final status.",
             ("status",),
@@ -349,6 +342,7 @@ class StatusReport:
         yield histogram(
             "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
         )
+        yield from self._feature_metrics()
         entries = list(self._registry.entries.values())
         for begin in range(0, max(1, len(entries)), _PART):
             part = entries[begin : begin + _PART]

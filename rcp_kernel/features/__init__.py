@@ -7,8 +7,11 @@ from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Service, SystemResource, View
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.sessions.account import SessionAccount
+from rcp_kernel.sessions.accounting import Accounting
 
 __all__ = [
+    "Accounting",
     "Call",
     "Feature",
     "FeatureHost",
@@ -17,6 +20,7 @@ __all__ = [
     "Guard",
     "Service",
     "ServiceKey",
+    "SessionAccount",
     "Slot",
     "SystemResource",
     "View",

@@ -6,12 +6,13 @@ A backend adds a robot, a transport or an adapter adds clients; a feature adds r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
+from prometheus_client.core import Metric
 
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
@@ -19,6 +20,8 @@ from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.sessions.accounting import Accounting
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["Feature", "FeatureKind"]
 
@@ -35,6 +38,12 @@ class Feature:
     """Returns what a dry run should tell of a call; items that are None are left out."""
     authenticator: Authenticator | None = None
     """Finds the principal of a bearer token."""
+    accounting: Accounting | None = None
+    """Counts sessions with their requests, subscriptions and commands, and may refuse more of them."""
+    reader_status: Callable[[Session], Mapping[str, Any]] | None = None
+    """Returns what `/system/status` tells a reader about itself, by names of the feature's own."""
+    metrics: Callable[[], Iterable[Metric]] | None = None
+    """Returns families for `/metrics`, at each scrape."""
     services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])
     """What it offers to adapters and other parts of the gateway, by key."""
     reconfigure: Callable[[Any], None] | None = None

@@ -1,8 +1,8 @@
 """Guards: what a feature may refuse, and when it is asked.
 
 The kernel asks in one order, whatever is configured: rights, age, e-stop, lease, motion limits,
-quota, then the guards of features by their slot. It never asks a guard about what brings a robot to
-rest: an e-stop, a hold, the safe value of an actuator.
+accounts, then the guards of features by their slot. It never asks a guard about what brings a robot
+to rest: an e-stop, a hold, the safe value of an actuator.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.turns import at_once
@@ -28,6 +27,7 @@ from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.exempt import is_exempt
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.write import DryRun, dry_run_reply
@@ -35,9 +35,9 @@ from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, OwnCommand, Session
 from rcp_kernel.tree.entry import Entry
@@ -83,7 +83,6 @@ class ExecuteHandler:
         plans: Plans,
         dry_run: DryRun,
         motion_limits: MotionLimits,
-        quotas: QuotaTracker,
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
@@ -102,7 +101,6 @@ class ExecuteHandler:
         self._plans = plans
         self._dry_run = dry_run
         self._motion_limits = motion_limits
-        self._quotas = quotas
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
@@ -125,7 +123,7 @@ class ExecuteHandler:
         if waiting is None or self._keys.find(session, request, PLANS) is not None:
             return self.execute(session, request, answer)
         try:
-            self._quotas.check_command(session, PLANS)
+            _check_room(session, PLANS)
             self._plans.check_running(session)
             plan = yield from self._plans.prepare(session, request, waiting)
             return self.execute(session, request, answer, plan)
@@ -153,7 +151,7 @@ class ExecuteHandler:
         self._commands.admit(entry)
         halts = entry.is_hold or (entry.path == PLANS and self.stops(session, request))
         if not halts:
-            self._quotas.check_command(session, entry.path)
+            _check_room(session, entry.path)
             if entry.path == PLANS:
                 self._plans.check_running(session)
         if entry.is_hold and not request.dry_run:
@@ -193,7 +191,7 @@ class ExecuteHandler:
         self._audit_writer.started(session, request, command)
         self._keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
-        self._quotas.charge(session, command)
+        count_command(session, command)
         self._commands.start(
             command,
             session,
@@ -220,7 +218,7 @@ class ExecuteHandler:
         return plan
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
+        """Bring a robot to rest without an e-stop, past leases, envelopes, accounts and guards."""
         session, request, entry = call.session, call.request, call.entry
         command = Command(
             id="cmd-" + secrets.token_hex(8),
@@ -416,6 +414,12 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
+
+
+def _check_room(session: Session, path: str) -> None:
+    """Refuse a command that is one too many for whatever counts the session."""
+    if (account := session.account) is not None:
+        account.check_command(path)
 
 
 def _forget_finished(commands: dict[str, OwnCommand]) -> None:

@@ -138,7 +138,7 @@ class ReadHandler:
             piece = sample.tails.get(READ_PIECE) or sample.read_piece()
         except RcpError:
             return None
-        if (meter := session.token_bucket) is not None and not meter.take(started):
+        if (account := session.account) is not None and not account.take(started):
             return None
         id_ = b"" if request.id is None else b'"id":%b,' % _to_json(request.id)
         state = b"stale" if entry.deadline is not None and entry.stale else b"fresh"

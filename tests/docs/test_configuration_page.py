@@ -25,7 +25,6 @@ from rcp_kernel.config.file import (
     KeyConfig,
     Limits,
     LogConfig,
-    Quota,
     StoreConfig,
     TenantConfig,
     parse,
@@ -33,6 +32,7 @@ from rcp_kernel.config.file import (
 from rcp_kernel.config.plans import ActionTable, PlansConfig
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
+from rcp_quotas import Quota
 
 PAGE = DOCS / "configuration.md"
 _NEEDED = object()
