@@ -90,6 +90,9 @@ class Keeper:
         if found.latched:
             raise EstopActive("the robot was stopped before this was sent")
         del self.holds[robot]
+        for rest in self.rests:
+            if rest.robot == robot:
+                rest.leave()  # or it would counter the command that passes, as if another node's
 
     def on_goals(self, server: ActionServer) -> None:
         """Cancel the goals of a stopped robot as soon as they appear."""

@@ -171,7 +171,7 @@ class Rest:
             self._foreign.clear()
 
     def _on_message(self, value: Value) -> None:
-        if value.data == self.data or self.is_rest(value.data):
+        if self._tap is None or value.data == self.data or self.is_rest(value.data):
             return
         now = time.monotonic()
         self._foreign.append(now)

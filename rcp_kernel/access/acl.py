@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
 
-from rcp_kernel.config.condition import Condition, condition
+from rcp_conditions import Condition, condition
 from rcp_kernel.config.role import ASK, BUILTIN_ROLES, DECIDE, OPERATIONS, Role, Rule
 from rcp_kernel.contract.identity import Grants, Principal
 from rcp_kernel.model import Operation, Pattern, tenant_of

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
+from rcp_conditions import CLOCK, Condition, Ref, size_of
 from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.access.pace import Allowance
-from rcp_kernel.config.condition import CLOCK, Condition, Ref
-from rcp_kernel.config.cost import size_of
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain

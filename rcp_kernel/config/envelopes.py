@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.config.condition import ConditionTooCostly, condition
+from rcp_conditions import ConditionTooCostly, condition
 from rcp_kernel.config.polygon import Corner, Polygon
 from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError, InvalidPath

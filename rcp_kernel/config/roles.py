@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.config.condition import ConditionTooCostly, condition
+from rcp_conditions import ConditionTooCostly, condition
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import Pattern

@@ -71,6 +71,8 @@ class Turns:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
+        self.number = 0
+        """Of the present turn: what was counted by somebody else in another one is over."""
         self._spent = 0.0
         self._resting = 0.0
         """Until when nothing dear runs, by the loop's clock."""
@@ -193,6 +195,7 @@ class Turns:
 
     def _turn(self) -> None:
         self._spent = 0.0
+        self.number += 1
         self._scheduled = False
         while self._calls or (self._queues and not self._rests()):
             if self._calls:

@@ -7,8 +7,10 @@ from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Service, SystemResource, View
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.sessions.account import SessionAccount
 from rcp_kernel.sessions.accounting import Accounting
+from rcp_kernel.tree.scope import Scope
 
 __all__ = [
     "Accounting",
@@ -18,9 +20,11 @@ __all__ = [
     "FeatureKind",
     "Filter",
     "Guard",
+    "Scope",
     "Service",
     "ServiceKey",
     "SessionAccount",
+    "SessionDirectory",
     "Slot",
     "SystemResource",
     "View",

@@ -10,10 +10,10 @@ import asyncio
 from collections.abc import Sequence
 from typing import Any
 
+from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.pace import Pace
 from rcp_kernel.clock import iso, now
-from rcp_kernel.config.condition import Condition
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     BY_CODE,

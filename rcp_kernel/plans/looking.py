@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from rcp_conditions import Condition, ConditionTooCostly
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.condition import Condition, ConditionTooCostly
 from rcp_kernel.errors import Forbidden, PreconditionFailed, UnknownPath
 from rcp_kernel.model import Operation
 from rcp_kernel.plans.node import Node

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Iterator
 from typing import Any
 
+from rcp_conditions import Condition
 from rcp_kernel._plain import is_index, is_list, is_map
-from rcp_kernel.config.condition import Condition
 from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.plans.model import Group, Plan, Step, StepState
 from rcp_kernel.values import Encoding, dump, to_plain

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from rcp_conditions import Condition, ConditionTooCostly, condition
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.condition import Condition, ConditionTooCostly, condition
 from rcp_kernel.errors import ConfigError, InvalidValue, OutOfRange
 
 __all__ = ["ConditionReader"]

@@ -218,7 +218,7 @@ class ExecuteHandler:
         return plan
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past leases, envelopes, accounts and guards."""
+        """Bring a robot to rest without an e-stop, past envelopes, accounts and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = Command(
             id="cmd-" + secrets.token_hex(8),

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import msgspec
 
+from rcp_conditions import Condition, Ref, condition
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.condition import Condition, Ref, condition
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig
 from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import ModeForbids, OutOfRange, PreconditionFailed

@@ -11,9 +11,9 @@ from typing import Any
 
 import structlog
 
+from rcp_conditions import condition
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.condition import condition
 from rcp_kernel.config.envelopes import EnvelopeConfig, patterns
 from rcp_kernel.contract.identity import Grants
 from rcp_kernel.model import Kind, Operation, Pattern, tenant_of

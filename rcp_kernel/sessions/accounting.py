@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 import structlog
@@ -69,15 +69,18 @@ class SessionAccounting:
 
     def __init__(
         self,
-        parts: Sequence[Accounting],
         sessions: Mapping[str, Session],
         running: Mapping[str, Command],
     ) -> None:
-        self._parts = parts
+        self._parts: tuple[Accounting, ...] = ()
         self._sessions = sessions
         """All that have a connection or wait for one, by id."""
         self._running = running
         """Commands, by id."""
+
+    def ask(self, parts: Iterable[Accounting]) -> None:
+        """Have these count sessions; there are none yet."""
+        self._parts = tuple(parts)
 
     def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
         """Count a new session; `drop` ends one that has to make room.

@@ -11,6 +11,7 @@ import json
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Coroutine, Generator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from itertools import count as counting
 from typing import Any
 
 import pytest
@@ -472,3 +473,25 @@ def test_a_client_on_a_socket_is_read_from_and_answered_once(place: Place) -> No
     sockets = f"[transports.asgi]\nport = 0\n[transports.ws]\nbacklog = {BACKLOG}\n"
     place.serve(sockets + ROBOT)
     run(RealReading, place, 12)
+
+
+def test_many_reads_in_one_turn_of_the_loop_are_one_turn_of_the_client(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loop reads a client that sends much up to 32 times before it looks at the others."""
+    place.serve(WITHOUT_SOCKET + ROBOT)
+    model = ScriptedReading()
+    model.place = place
+    model.connect(segmented=False)
+    monkeypatch.setattr(rcp_ws.client, "_TURN", USUAL)
+    clock = counting()  # each message takes a tenth of a millisecond at least
+    monkeypatch.setattr(rcp_ws.client, "perf_counter", lambda: next(clock) * 0.0001)
+    model.ask(32)
+    reads = 0
+    while model.socket.reading and model.socket.inbound:
+        model.socket.read(1)
+        reads += 1
+    assert reads <= 8
+    monkeypatch.undo()
+    model.pace(used_up=False)
+    model.teardown()  # the rest is answered in the coming turns

@@ -38,6 +38,7 @@ _LAST = 32  # times what one turn has room for, before a connection is closed: 8
 _SEGMENT = b"segment"  # only a message with this word in it can be one
 _TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
 _LEAST = 0.0002  # s that each has even so when the time of all is used up: an e-stop takes less
+_COUNTED = 0.00002  # s that the messages of one read take before it is worth counting them
 _SHORT = 4096  # bytes of a message that is taken even then
 _LOOK_EVERY = 32  # replies between looks whether the client takes them
 
@@ -59,7 +60,9 @@ class WsClient:
         "_plain",
         "_receive",
         "_socket",
+        "_turn",
         "_turns",
+        "_used",
         "connection",
         "gone",
     )
@@ -102,6 +105,8 @@ class WsClient:
         self.connection.released = self._gate.put_back
         self._began = 0.0
         """When the first of the messages that came together was taken; 0 between such."""
+        self._turn, self._used = 0, 0.0
+        """A turn of the loop, and the time that was counted in it."""
         self._incoming = Incoming(config, whole=self._whole, again=self._again, failed=self._fail)
         room = client_api.limits.queue_bytes // 4
         park = self._outbox.park
@@ -166,9 +171,19 @@ class WsClient:
             self._gate.end_turn()
 
     def _wait(self, go_on: Callable[[], None]) -> None:
-        if not self._gate.paused:  # else it has had its turn, which is counted
+        if self._began and not self._gate.paused:  # else it has had its turn, which is counted
             self._turns.add(perf_counter() - self._began)
         self._turns.call(self.connection.session.principal.identity, go_on)
+
+    def _count(self, seconds: float) -> None:
+        """Count what the messages of one read took: the loop reads many times in a turn."""
+        turns = self._turns
+        turns.add(seconds)
+        if self._turn != turns.number:
+            self._turn, self._used = turns.number, 0.0
+        self._used += seconds
+        if self._used > _LEAST and (self._used > _TURN or turns.over):
+            self._gate.end_turn()
 
     def _full(self) -> bool:
         """Tell whether the client is to be read from no more, until somebody calls `review`.
@@ -185,7 +200,7 @@ class WsClient:
     def settled(self) -> None:
         """Send what there is to say to the messages that came together."""
         outbox, socket = self._outbox, self._socket
-        self._began = 0.0
+        began, self._began = self._began, 0.0
         outbox.dirty = False
         control = outbox.control
         more = outbox.pending or outbox.feedback
@@ -194,6 +209,9 @@ class WsClient:
             socket.reply(control.pop())
         elif control or more or not self._plain:
             self.flush()
+        # What ended the turn is counted, and so is what was kept until the next.
+        if began and not self._gate.paused and (spent := perf_counter() - began) > _COUNTED:
+            self._count(spent)
 
     def _greeting(self, data: bytes) -> None:
         """Take nothing but `hello` from a client that has not proved who it is."""

@@ -380,6 +380,18 @@ async def test_hold_brings_it_to_rest_without_a_latch(rig: Rig) -> None:
         await robot.backend.hold(None)
 
 
+async def test_the_first_command_after_a_hold_is_not_taken_for_one_of_others(rig: Rig) -> None:
+    async with gateway(rig) as robot:
+        rest = robot.backend._stops.keeper.rests[0]
+        await until(lambda: rest.others)
+        for _ in range(12):  # whether it came back before the hold had ended was a matter of chance
+            await robot.backend.hold(None)
+            await until(lambda: rest._tap is not None)  # it counters the commands of others
+            await write(robot, 0.5)
+            await rig.drives()
+        await robot.backend.hold(None)
+
+
 MEANS: dict[str, dict[str, Any]] = {
     "service": {
         "service": {

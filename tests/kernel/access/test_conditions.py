@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kernel.world import BOUND, World
+from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.condition import Condition
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 from rcp_kernel.tree.entry import Entry

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from rcp_kernel.config.expression import (
+from rcp_conditions.expression import (
     Call,
     ExpressionError,
     Index,

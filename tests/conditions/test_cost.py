@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rcp_kernel.config.condition import Condition, ConditionTooCostly, condition
-from rcp_kernel.config.cost import ASSUMED, BUDGET, cost, size_of
-from rcp_kernel.config.expression import DEPTH, LENGTH, TERMS, ExpressionError, parse, write
+from rcp_conditions import Condition, ConditionTooCostly, condition
+from rcp_conditions.cost import ASSUMED, BUDGET, cost, size_of
+from rcp_conditions.expression import DEPTH, LENGTH, TERMS, ExpressionError, parse, write
 from rcp_kernel.errors import ConfigError
 
 LIST = "sensor.scan.ranges"

@@ -14,8 +14,8 @@ from typing import Any
 import cel
 import structlog
 
-from rcp_kernel.config.cost import ASSUMED, BUDGET, Size, cost, size_of
-from rcp_kernel.config.expression import (
+from rcp_conditions.cost import ASSUMED, BUDGET, Size, cost, size_of
+from rcp_conditions.expression import (
     Call,
     ExpressionError,
     Index,
@@ -29,7 +29,7 @@ from rcp_kernel.config.expression import (
     parse,
     write,
 )
-from rcp_kernel.errors import ConfigError
+from rcp_protocol.errors import ConfigError
 
 __all__ = ["CLOCK", "Condition", "ConditionTooCostly", "Ref", "condition"]
 

@@ -1,0 +1,8 @@
+"""Conditions: CEL expressions over the values of robots, with a bound on what evaluating one costs."""
+
+from __future__ import annotations
+
+from rcp_conditions.condition import CLOCK, Condition, ConditionTooCostly, Ref, condition
+from rcp_conditions.cost import size_of
+
+__all__ = ["CLOCK", "Condition", "ConditionTooCostly", "Ref", "condition", "size_of"]
