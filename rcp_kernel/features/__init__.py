@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
@@ -14,6 +15,9 @@ from rcp_kernel.tree.scope import Scope
 
 __all__ = [
     "Accounting",
+    "Action",
+    "ActionHost",
+    "ActionRun",
     "Call",
     "Feature",
     "FeatureHost",

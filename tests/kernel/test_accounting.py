@@ -117,13 +117,14 @@ class Bill:
 
 @asynccontextmanager
 async def billed(*bills: Bill) -> AsyncGenerator[World]:
-    """Run a gateway whose only features are these."""
+    """Run a gateway with these beside the built-in features."""
     robots: list[Robot] = []
     config = parse(CONFIG, "test")
     kinds = {bill.name: bill.kind() for bill in bills}
     wanted = msgspec.structs.replace(config, features=dict.fromkeys(kinds, True))
     made = prepared(config, robots)
-    made = msgspec.structs.replace(made, features=active(wanted, kinds, "test"))
+    features = (*made.features, *active(wanted, kinds, "test"))
+    made = msgspec.structs.replace(made, features=features)
     async with running(made) as server:
         yield World(server, robots)
 
