@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_protocol.pieces import is_long
 from rcp_protocol.values import (
     ANY,
     DEPTH,
@@ -20,6 +21,7 @@ __all__ = [
     "Encoding",
     "ValueType",
     "dump",
+    "is_long",
     "parse",
     "sound",
     "to_plain",
