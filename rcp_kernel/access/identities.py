@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -75,19 +75,12 @@ class Identities:
         store: Store,
         audit: Audit,
         loop: asyncio.AbstractEventLoop,
-        authenticators: Sequence[Authenticator],
     ) -> None:
-        """Make what knows clients; `authenticators` are asked by name, after the gateway's own keys.
-
-        :raises PluginError: two authenticators have one name, or one has a name of the gateway's.
-        """
         self._settings = settings
         self._store = store
         self._audit = audit
         self._loop = loop
-        self._authenticators = _by_name(authenticators)
-        for authenticator in authenticators:
-            authenticator.on_change.append(self._review)
+        self._authenticators: dict[str, Authenticator] = {}
         self.on_change: list[Callable[[], None]] = []
         """Called when proofs may be worth something else than before."""
         config = settings.config
@@ -96,6 +89,17 @@ class Identities:
         self._keyring = _keyring(config, self._tokens)
         self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
+
+    def ask(self, authenticators: Iterable[Authenticator]) -> None:
+        """Have authenticators asked by name, after the gateway's own keys.
+
+        :raises PluginError: two authenticators have one name, or one has a name of the gateway's.
+        """
+        for one in sorted(authenticators, key=lambda each: each.name):
+            if one.name in self._authenticators or one.name in _OWN:
+                raise PluginError(f"the name '{one.name}' of an authenticator is taken")
+            self._authenticators[one.name] = one
+            one.on_change.append(self._review)
 
     # -- its own time --------------------------------------------------------------------------
 
@@ -318,15 +322,6 @@ def _log_failure(error: Exception) -> None:
         file=None if place is None else place.tb_frame.f_code.co_filename,
         line=None if place is None else place.tb_lineno,
     )
-
-
-def _by_name(authenticators: Sequence[Authenticator]) -> dict[str, Authenticator]:
-    found: dict[str, Authenticator] = {}
-    for one in sorted(authenticators, key=lambda each: each.name):
-        if one.name in found or one.name in _OWN:
-            raise PluginError(f"the name '{one.name}' of an authenticator is taken")
-        found[one.name] = one
-    return found
 
 
 def _agree(certified: Principal | None, principal: Principal) -> None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from rcp_kernel.access.acl import Rules
-from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.app.feature_host import GatewayFeatureHost
@@ -32,6 +32,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
+from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.resource import PlanList, Plans
@@ -53,10 +54,9 @@ from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
 from rcp_kernel.requests.write import WriteHandler
+from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
 from rcp_kernel.safety.fence_guard import FenceGuard
-from rcp_kernel.safety.lease_service import LeaseService
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
@@ -136,7 +136,6 @@ class _Clients:
     resume: SessionResume
     sessions: Sessions
     access: CommandAccess
-    leases: Leases
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,10 +180,10 @@ def compose(
     """Build a gateway that serves nobody yet and has no backends."""
     base = _base(config, loop)
     records = _records(base, store)
-    made = _features(base, records, features)
     motion = _motion(base, records)
-    clients = _clients(base, records, motion, made.authenticators)
-    requests = _requests(base, records, motion, clients, made)
+    clients = _clients(base, records, motion)
+    made = _features(base, records, motion, clients, features)
+    requests = _requests(base, records, motion, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
@@ -211,7 +210,6 @@ def compose(
         quotas=clients.quotas,
         resume=clients.resume,
         sessions=clients.sessions,
-        leases=clients.leases,
         guard=system.guard,
         status=system.status,
         system=system.branch,
@@ -254,7 +252,14 @@ def _records(base: _Base, store: Store) -> _Records:
     return _Records(store, audit, writer, History(store))
 
 
-def _features(base: _Base, records: _Records, active: Sequence[ActiveFeature]) -> Features:
+def _features(
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    active: Sequence[ActiveFeature],
+) -> Features:
+    """Make the features, and have the parts that they extend know them."""
     host = partial(
         GatewayFeatureHost,
         changes=base.changes,
@@ -262,9 +267,18 @@ def _features(base: _Base, records: _Records, active: Sequence[ActiveFeature]) -
         audit=records.audit,
         visibility=base.visibility,
         place=base.inflight.place,
+        sessions=clients.sessions,
+        control=Control(motion.commands, motion.deadman),
+        scopes=ScopeRights(base.registry),
+        shutdown=base.shutdown,
+        turns=base.turns,
         loop=base.loop,
     )
-    return make(active, host)
+    made = make(active, host)
+    clients.identities.ask(made.authenticators)
+    clients.sessions.on_end.append(made.session_ended)
+    clients.sessions.on_review.append(made.rights_changed)
+    return made
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
@@ -293,11 +307,9 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     )
 
 
-def _clients(
-    base: _Base, records: _Records, motion: _Motion, authenticators: Sequence[Authenticator]
-) -> _Clients:
+def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.audit, loop, authenticators)
+    identities = Identities(settings, records.store, records.audit, loop)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     quotas = QuotaTracker(settings, base.rules, loop, known, commands.running)
@@ -316,34 +328,21 @@ def _clients(
         outbound=outbound,
         loop=loop,
     )
-    leases = Leases(
-        settings,
-        base.registry,
-        sessions,
-        commands,
-        motion.deadman,
-        store=records.store,
-        audit=records.audit,
-        shutdown=base.shutdown,
-        loop=loop,
-    )
     FenceGuard(motion.limits, base.hub, motion.deadman, commands, sessions, records.audit)
     access = CommandAccess(commands, base.visibility, identities)
-    return _Clients(identities, outbound, quotas, resume, sessions, access, leases)
+    return _Clients(identities, outbound, quotas, resume, sessions, access)
 
 
 def _requests(
     base: _Base,
     records: _Records,
     motion: _Motion,
-    clients: _Clients,
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
     long_bodies = LongBodies(resolver)
     admission = Admission(
         resolver,
-        clients.leases,
         motion.limits,
         records.writer,
         base.shutdown,
@@ -377,7 +376,7 @@ def _system(
         motion.commands,
         identities=clients.identities,
         settings=base.settings,
-        drop_leases=clients.leases.drop_on,
+        halted=features.halted,
         record=records.writer.estop,
         loop=base.loop,
     )
@@ -414,15 +413,6 @@ def _system(
     branch = System(
         status,
         estop,
-        lease_service=LeaseService(
-            clients.leases,
-            base.registry,
-            clients.sessions,
-            clients.identities,
-            base.settings,
-            base.shutdown,
-        ),
-        leases=clients.leases,
         plans=plans,
         access=clients.access,
         sessions=clients.sessions,
@@ -481,7 +471,6 @@ def _handlers(
         inflight,
         motion.deadman,
         motion_limits=motion.limits,
-        leases=clients.leases,
         dry_run=features.dry_run,
         keys=requests.keys,
         audit_writer=records.writer,
@@ -534,7 +523,7 @@ def _plans(
         registry=base.registry,
         resolver=requests.resolver,
         conditions=base.conditions,
-        leases=clients.leases,
+        control=features.service(CONTROL) or NoControl(),
         motion_limits=motion.limits,
         approvals=approvals,
         settings=base.settings,

@@ -7,9 +7,14 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.features.resource import ViewChanges
+from rcp_kernel.features.sessions import SessionDirectory
+from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.audit import Audit
 from rcp_kernel.store.plugin_store import PluginStore
@@ -31,6 +36,11 @@ class GatewayFeatureHost:
         audit: Audit,
         visibility: Visibility,
         place: Callable[[Session, Request], object],
+        sessions: SessionDirectory,
+        control: Control,
+        scopes: ScopeRights,
+        shutdown: Shutdown,
+        turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._name = name
@@ -39,7 +49,21 @@ class GatewayFeatureHost:
         self._audit = audit
         self._visibility = visibility
         self._place = place
+        self._shutdown = shutdown
+        self._turns = turns
+        self.sessions = sessions
+        self.control = control
+        self.scopes = scopes
         self.loop = loop
+
+    @property
+    def closing(self) -> bool:
+        """Whether the gateway is on its way down."""
+        return self._shutdown.begun
+
+    def in_steps(self, work: Work) -> None:
+        """Do something long in the turns that have time for it."""
+        self._turns.oblige(self, work)
 
     def changed(self, path: str) -> None:
         """Have the view's subscribers get it again."""

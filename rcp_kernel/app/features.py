@@ -7,6 +7,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any, TypeVar
 
 import msgspec
+import structlog
 
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
@@ -20,10 +21,12 @@ from rcp_kernel.features import (
     ServiceKey,
     SystemResource,
 )
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["ActiveFeature", "Features", "active", "make"]
 
 T = TypeVar("T")
+log = structlog.get_logger("rcp.features")
 
 
 class ActiveFeature(msgspec.Struct, frozen=True):
@@ -106,6 +109,24 @@ class Features:
                 told.update(feature.dry_run(call))
         return told
 
+    def session_ended(self, session: Session) -> None:
+        """Tell them that a session has ended."""
+        for name, feature in self._made:
+            if feature.session_ended is not None:
+                _tell(name, feature.session_ended, session)
+
+    def rights_changed(self) -> None:
+        """Tell them that sessions may have other rights."""
+        for name, feature in self._made:
+            if feature.rights_changed is not None:
+                _tell(name, feature.rights_changed)
+
+    def halted(self, paths: frozenset[str], by: str, reason: str) -> None:
+        """Tell them that an e-stop has halted the robots of some paths."""
+        for name, feature in self._made:
+            if feature.halted is not None:
+                _tell(name, feature.halted, paths, by, reason)
+
     def reconfigure(self, features: Iterable[ActiveFeature]) -> None:
         """Hand out the tables of another configuration of the same features."""
         tables = {one.kind.name: one.table for one in features}
@@ -121,6 +142,14 @@ class Features:
                 if feature.running is not None:
                     await stack.enter_async_context(feature.running())
             yield
+
+
+def _tell(name: str, listener: Callable[..., None], *facts: Any) -> None:
+    """Call a listener of a feature; a bug of it is its own."""
+    try:
+        listener(*facts)
+    except Exception:
+        log.exception("feature_failed", feature=name)
 
 
 def make(features: Iterable[ActiveFeature], host: Callable[[str], FeatureHost]) -> Features:

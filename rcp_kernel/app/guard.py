@@ -227,9 +227,7 @@ class GuardLink:
             ):
                 self._commands.cancel(command, f"the guard stopped the robot: {reason}")
         if supervisor.backend is not None:
-            hold = retry_until_confirmed(
-                supervisor.whole.hold, "hold_failed", backend=supervisor.name
-            )
+            hold = self._loop.create_task(_bring_to_rest(supervisor))
             self._holds.add(hold)
             hold.add_done_callback(self._holds.discard)
             self._loop.call_later(_HOLD, hold.cancel)
@@ -292,6 +290,12 @@ class GuardLink:
                     detail="no known watchdog or guard plan stops it if the gateway freezes or "
                     "is killed",
                 )
+
+
+async def _bring_to_rest(supervisor: BackendSupervisor) -> None:
+    unit = supervisor.whole
+    with unit.held():
+        await retry_until_confirmed(unit.hold, "hold_failed", backend=supervisor.name)
 
 
 def _watchdogs(supervisor: BackendSupervisor) -> Sequence[Any]:

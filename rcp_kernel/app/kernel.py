@@ -23,7 +23,6 @@ from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.disclosure import Disclosure
 from rcp_kernel.requests.history import History
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
@@ -68,7 +67,6 @@ class Kernel:
     quotas: QuotaTracker
     resume: SessionResume
     sessions: Sessions
-    leases: Leases
     guard: GuardLink
     status: StatusReport
     system: System
@@ -103,7 +101,6 @@ class Kernel:
     async def close(self) -> None:
         """Cancel what runs and stop all streams; the backends are still there."""
         self.shutdown.begin()
-        self.leases.close()
         self.stops.close()
         self.quotas.close()
         self.sessions.relief.close()

@@ -22,8 +22,6 @@ from rcp_kernel.plans.resource import PlanList
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.disclosure import PATH, Disclosure
 from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
-from rcp_kernel.safety.lease_service import LeaseRequest, LeaseService, LeaseState
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.session import Session
@@ -71,8 +69,6 @@ class System(BaseBackend):
         status: StatusReport,
         estop: Estop,
         *,
-        lease_service: LeaseService,
-        leases: Leases,
         plans: PlanList,
         access: CommandAccess,
         sessions: Sessions,
@@ -108,16 +104,13 @@ class System(BaseBackend):
             "/system/sessions": self._list_sessions,
             "/system/commands": self._list_commands,
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
-            "/system/leases": lease_service.view,
             "/system/plans": plans.view,
         }
         """Resources whose value depends on who asks, by path."""
         self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
         """Resources of whose samples everybody sees their own only, and what they see of them: by
         path, what returns None for a sample that is hidden."""
-        self.services: dict[str, Service] = {
-            "/system/leases": lease_service.request,
-        }
+        self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         for one in features:
             self._add(one)
@@ -127,10 +120,8 @@ class System(BaseBackend):
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
-        for name, part in (("leases", leases), ("plans", plans)):
-            changed = partial(self._publish, name, [])
-            part.on_change.append(changed)
-            changed()
+        plans.on_change.append(partial(self._publish, "plans", []))
+        self._publish("plans", [])
         self._recent = recent
         recent.on_record.append(self._logged)
 
@@ -300,21 +291,6 @@ def _resources() -> list[Resource]:
             operations=_LOOK | Operation.EXECUTE,
             examples=({}, {"scope": "/tenant/alpha", "reason": "person in the cell"}),
             timeout=LONGEST_WAIT + 1,
-        ),
-        Resource(
-            name="service/leases",
-            description="Exclusive control of a part of the tree: list, acquire, renew, release.",
-            value=list[LeaseState],
-            input=LeaseRequest,
-            output=LeaseState,
-            operations=_LOOK | Operation.EXECUTE,
-            examples=(
-                {"do": "acquire", "scope": "/tenant/alpha", "ttl": 10},
-                {"do": "acquire", "scope": "/actuator", "take": True, "reason": "by hand"},
-                {"do": "hand_over", "scope": "/tenant/alpha", "to": "robin"},
-                {"do": "release", "scope": "/tenant/alpha"},
-            ),
-            history=1,
         ),
         Resource(
             name="action/plans",

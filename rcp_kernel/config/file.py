@@ -31,7 +31,7 @@ from rcp_kernel.config.identity import (
 from rcp_kernel.config.limits import Limits, Quota, Quotas
 from rcp_kernel.config.plans import PlansConfig, check_plans
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
-from rcp_kernel.config.roles import check_pattern, check_roles
+from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
@@ -145,6 +145,8 @@ class GatewayConfig(Table, frozen=True):
             used.add("approvals")
         if self.jwt:
             used.add("jwt")
+        if self.safety.lease_required:
+            used.add("leases")
         return frozenset(used)
 
     @property
@@ -358,10 +360,6 @@ def _check(config: GatewayConfig, source: str) -> None:
     found = check_identity(config.keys, config.certificates, source)
     for given, where in [*found, (config.anonymous, f"{source}: anonymous")]:
         check_grants(given.grants, where, config.tenant_names, roles)
-    for path in config.safety.lease_required:
-        check_pattern(path, f"{source}: [safety] lease_required")
-    if config.safety.lease_ttl > config.safety.lease_ttl_max:
-        raise ConfigError(f"{source}: [safety] lease_ttl is greater than lease_ttl_max")
     check_groups(config.safety.groups, names, config.tenant_names, source)
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)

@@ -7,6 +7,8 @@ from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Service, SystemResource, View
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.features.sessions import SessionDirectory
+from rcp_kernel.tree.scope import Scope
 
 __all__ = [
     "Call",
@@ -15,8 +17,10 @@ __all__ = [
     "FeatureKind",
     "Filter",
     "Guard",
+    "Scope",
     "Service",
     "ServiceKey",
+    "SessionDirectory",
     "Slot",
     "SystemResource",
     "View",

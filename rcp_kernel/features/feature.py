@@ -19,6 +19,7 @@ from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["Feature", "FeatureKind"]
 
@@ -39,6 +40,13 @@ class Feature:
     """What it offers to adapters and other parts of the gateway, by key."""
     reconfigure: Callable[[Any], None] | None = None
     """Takes over the table of a reloaded configuration, at once."""
+    session_ended: Callable[[Session], None] | None = None
+    """Hears of each session that ends: it will not be resumed, unless the gateway is closing."""
+    rights_changed: Callable[[], None] | None = None
+    """Hears that sessions may have other rights than before: by a reload, or another token."""
+    halted: Callable[[frozenset[str], str, str], None] | None = None
+    """Hears of the paths whose robots an e-stop has halted, by whom, and why; what ran on them has
+    been ended."""
     running: Callable[[], AbstractAsyncContextManager[None]] | None = None
     """Its life: entered before any backend is opened, left after the last one is closed."""
 

@@ -1,8 +1,8 @@
 """Guards: what a feature may refuse, and when it is asked.
 
-The kernel asks in one order, whatever is configured: rights, age, e-stop, lease, motion limits,
-quota, then the guards of features by their slot. It never asks a guard about what brings a robot to
-rest: an e-stop, a hold, the safe value of an actuator.
+The kernel asks in one order, whatever is configured: rights, age, e-stop, the guards in the slot
+`LEASE`, motion limits, quota, then the other guards by their slot. It never asks a guard about an
+e-stop or a hold; about the safe value of an actuator it asks those in the slot `LEASE` alone.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.safety.safety import is_safe
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
@@ -23,6 +23,9 @@ __all__ = ["Call", "Guard", "Slot"]
 class Slot(IntEnum):
     """Where in the admission a guard is asked; within one slot by the feature's name."""
 
+    LEASE = 0
+    """Who has control: asked also about the safe value of an actuator, for that is a command that
+    takes over from another. Holds and e-stops pass."""
     POLICY = 1
     """A rule of the site: maintenance, opening hours."""
     APPROVAL = 2
@@ -43,11 +46,8 @@ class Call(msgspec.Struct, frozen=True):
 
     @property
     def rests(self) -> bool:
-        """Whether it brings something to rest, which no guard may refuse."""
-        entry = self.entry
-        return entry.is_hold or (
-            entry.resource.safe is not None and bool(self.value == safe_value(entry))
-        )
+        """Whether it brings something to rest, which only the slot `LEASE` may refuse."""
+        return self.entry.is_hold or is_safe(self.entry, self.value)
 
 
 class Guard(Protocol):

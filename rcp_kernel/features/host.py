@@ -7,7 +7,11 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.turns import Work
+from rcp_kernel.features.sessions import SessionDirectory
+from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
@@ -21,6 +25,33 @@ class FeatureHost(Protocol):
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop, with the gateway's monotonic time; it runs when the feature does."""
+        ...
+
+    @property
+    def sessions(self) -> SessionDirectory:
+        """Who is there, and how to tell them something."""
+        ...
+
+    @property
+    def control(self) -> Control:
+        """What they command: withdrawn, handed over, or brought to rest."""
+        ...
+
+    @property
+    def scopes(self) -> ScopeRights:
+        """Parts of the tree: what is there, and who may do what in them."""
+        ...
+
+    @property
+    def closing(self) -> bool:
+        """Whether the gateway is on its way down: sessions end that the next run resumes."""
+        ...
+
+    def in_steps(self, work: Work) -> None:
+        """Do something long in the turns of the loop that have time for it, now if there is one.
+
+        `work` yields after each millisecond at the latest.
+        """
         ...
 
     def changed(self, path: str) -> None:

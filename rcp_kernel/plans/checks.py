@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from rcp_kernel._plain import is_map
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.turns import Work
@@ -27,6 +26,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.features.approval import ApprovalService
+from rcp_kernel.features.control import ControlService
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.plans.fault import Fault, refusal
 from rcp_kernel.plans.lines import from_lines
@@ -38,15 +38,14 @@ from rcp_kernel.plans.node import MARK, Checked, Node, references
 from rcp_kernel.plans.reading import ConditionReader
 from rcp_kernel.plans.symbolic import from_symbolic
 from rcp_kernel.requests.read import READ_OPTIONS
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import check_motion
-from rcp_kernel.safety.scope import Scope
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
+from rcp_kernel.tree.scope import Scope
 from rcp_kernel.values import Encoding, ValueType, dump
 
 __all__ = ["PlanChecker"]
@@ -69,7 +68,7 @@ class PlanChecker:
     registry: Registry
     resolver: Resolver
     conditions: Conditions
-    leases: Leases
+    control: ControlService
     motion_limits: MotionLimits
     approvals: ApprovalService
     settings: Settings
@@ -101,8 +100,8 @@ class _Check:
         self._count = 0
         self._reader = ConditionReader(against.conditions, session.principal.name)
         self._searches = 0
-        self._leased: list[Scope] = []
-        """What earlier steps acquire."""
+        self._gained: list[Scope] = []
+        """What earlier steps gain control of."""
         self._checked: Checked | None = None
 
     def check(self, plan: Plan) -> Generator[None, None, Checked]:
@@ -294,8 +293,9 @@ class _Check:
         self._admit(entry, value, refers=refers)
         if self._against.approvals.wanted(self._session, entry, value):
             self._checked.asks.append(node.id)
-        if entry.path == "/system/leases" and is_map(step.value):
-            self._acquires(step.value)
+        if isinstance(step, Execute):
+            gained = self._against.control.gains(self._session, entry, step.value)
+            self._gained += [] if gained is None else [gained]
         yield
 
     def _pattern(self, node: Node, step: Read) -> Work:
@@ -361,17 +361,12 @@ class _Check:
 
     def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
         check_motion(entry, entry.unit.latch)
-        if not any(scope.covers(entry.path) for scope in self._leased):
-            self._against.leases.check(self._session, entry)
+        if not any(scope.covers(entry.path) for scope in self._gained):
+            self._against.control.check(self._session, entry)
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if not refers:
             self._against.motion_limits.check_later(self._session, entry, value)
-
-    def _acquires(self, value: dict[str, Any]) -> None:
-        scope = value.get("scope")
-        if value.get("do") == "acquire" and isinstance(scope, str):
-            self._leased.append(Scope(scope, self._session.tenant))
 
     def _condition(self, node: Node, text: str, name: str) -> Work:
         """Compile a condition of a step, which may be about what its asker may read alone."""

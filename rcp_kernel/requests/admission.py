@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import RcpError
-from rcp_kernel.features import Call, Guard
+from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
-from rcp_kernel.safety.safety import check_age, check_motion
+from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -30,7 +29,6 @@ class Admission:
     def __init__(
         self,
         resolver: Resolver,
-        leases: Leases,
         motion_limits: MotionLimits,
         audit_writer: AuditWriter,
         shutdown: Shutdown,
@@ -38,7 +36,6 @@ class Admission:
         guards: Sequence[Guard],
     ) -> None:
         self._resolver = resolver
-        self._leases = leases
         self._motion_limits = motion_limits
         self._audit_writer = audit_writer
         self._shutdown = shutdown
@@ -47,18 +44,24 @@ class Admission:
         self._every = sorted(guards, key=lambda guard: guard.slot)
         self.active: tuple[Guard, ...] = ()
         """Those that the configuration in force needs, in the order in which they are asked."""
+        self.control: tuple[Guard, ...] = ()
+        """Those of them that decide who has control: they come first, and are asked about safe
+        values too."""
         self.configure()
 
     def configure(self) -> None:
         """Find out which guards the configuration in force needs."""
-        self.active = tuple(guard for guard in self._every if guard.active)
+        active = [guard for guard in self._every if guard.active]
+        self.control = tuple(guard for guard in active if guard.slot is Slot.LEASE)
+        self.active = tuple(guard for guard in active if guard.slot is not Slot.LEASE)
 
     def admit(self, call: Call) -> None:
-        """Refuse what may not be done now, whatever features there are.
+        """Refuse what may not be done now, before the other guards are asked.
 
         :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
-        :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
+        :raises AlreadyRunning: the same, and its robot is being brought to rest.
+        :raises RcpError: a guard refuses that decides who has control.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
         :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
@@ -70,7 +73,9 @@ class Admission:
             return
         check_motion(entry, entry.unit.latch)
         self._check_thaw(entry)
-        self._leases.check(call.session, entry)
+        check_hold(entry, call.value)
+        if self.control and entry.tenant is not None:
+            _ask(self.control, call)
         self._shutdown.check()
         self._audit_writer.check()
         if entry.owner.backend is None:
@@ -82,13 +87,20 @@ class Admission:
 
         :raises RcpError: one refuses.
         """
-        for guard in self._asked(call):
-            try:
-                guard.admit(call)
-            except RcpError:
-                raise
-            except Exception as error:
-                raise _broken(guard, call, error) from None
+        _ask(self._asked(call), call)
+
+    def check_control(self, call: Call) -> None:
+        """Refuse what must not reach its robot any more, be it to bring something to rest.
+
+        :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises RcpError: a guard refuses that decides who has control.
+        """
+        check_motion(call.entry, call.entry.unit.latch)
+        self._confirm_control(call)
+
+    def _confirm_control(self, call: Call) -> None:
+        if self.control and call.entry.tenant is not None:
+            _confirm(self.control, call)
 
     def _asked(self, call: Call) -> tuple[Guard, ...]:
         """Return the guards that a call has to pass.
@@ -106,7 +118,7 @@ class Admission:
 
         :raises StaleCommand: it has become too old while it waited.
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
-        :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
+        :raises EstopActive, AlreadyRunning: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         :raises RcpError: a guard refuses.
@@ -117,21 +129,36 @@ class Admission:
         check_age(entry, call.request.timestamp)
         if not entry.is_hold:
             check_motion(entry, entry.unit.latch)
-            self._leases.check(session, entry)
+            check_hold(entry, call.value)
+            self._confirm_control(call)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
         if entry.is_hold:
             return backend
-        for guard in self._asked(call):
-            try:
-                guard.confirm(call)
-            except RcpError:
-                raise
-            except Exception as error:
-                raise _broken(guard, call, error) from None
+        _confirm(self._asked(call), call)
         self._motion_limits.send(session, entry, call.value)  # last: it takes note of what is sent
         return backend
+
+
+def _ask(guards: Sequence[Guard], call: Call) -> None:
+    for guard in guards:
+        try:
+            guard.admit(call)
+        except RcpError:
+            raise
+        except Exception as error:
+            raise _broken(guard, call, error) from None
+
+
+def _confirm(guards: Sequence[Guard], call: Call) -> None:
+    for guard in guards:
+        try:
+            guard.confirm(call)
+        except RcpError:
+            raise
+        except Exception as error:
+            raise _broken(guard, call, error) from None
 
 
 def _broken(guard: Guard, call: Call, error: Exception) -> RcpError:

@@ -222,7 +222,7 @@ class ExecuteHandler:
         return plan
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
+        """Bring a robot to rest without an e-stop, past envelopes, quotas and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = Command(
             id="cmd-" + secrets.token_hex(8),

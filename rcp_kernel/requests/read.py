@@ -44,6 +44,9 @@ __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 _READ = int(Operation.READ)
 _to_json = msgspec.json.Encoder().encode
 _STEP = 16  # samples that are judged at once
+_HEAD = b'{"type":"read",'
+_FRESH = b'fresh","timestamp":"'
+_STALE = b'stale","timestamp":"'
 
 
 class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -140,14 +143,9 @@ class ReadHandler:
             return None
         if (meter := session.token_bucket) is not None and not meter.take(started):
             return None
-        id_ = b"" if request.id is None else b'"id":%b,' % _to_json(request.id)
-        state = b"stale" if entry.deadline is not None and entry.stale else b"fresh"
-        reply = b'{"type":"read",%b%b%b","timestamp":"%b"}' % (
-            id_,
-            piece,
-            state,
-            iso(now()).encode(),
-        )
+        head = _HEAD if request.id is None else b'{"type":"read","id":%b,' % _to_json(request.id)
+        state = _STALE if entry.deadline is not None and entry.stale else _FRESH
+        reply = b"".join((head, piece, state, iso(now()).encode(), b'"}'))
         self._seconds.observe(perf_counter() - started)
         key = session.read_key
         self._outcomes[key] = self._outcomes.get(key, 0) + 1

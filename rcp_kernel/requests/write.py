@@ -22,9 +22,8 @@ from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
-from rcp_kernel.safety.safety import ANSWER, Deadman, check_motion, safe_value
+from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -54,7 +53,6 @@ class WriteHandler:
         deadman: Deadman,
         *,
         motion_limits: MotionLimits,
-        leases: Leases,
         dry_run: DryRun,
         keys: Keys,
         audit_writer: AuditWriter,
@@ -66,7 +64,6 @@ class WriteHandler:
         self._inflight = inflight
         self._deadman = deadman
         self._motion_limits = motion_limits
-        self._leases = leases
         self._dry_run = dry_run
         self._keys = keys
         self._audit_writer = audit_writer
@@ -135,9 +132,8 @@ class WriteHandler:
                     raise EstopActive(text, path=entry.path)
                 sample = await self._send(backend, entry, value, window)
             except BaseException:
-                # An e-stop or a lost lease is why, whatever came of the write.
-                check_motion(entry, entry.unit.latch)
-                self._leases.check(call.session, entry)
+                # An e-stop or a loss of control is why, whatever came of the write.
+                self._admission.check_control(call)
                 raise
         if isinstance(request, Prepared):
             owner = call.session.principal.identity

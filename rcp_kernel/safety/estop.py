@@ -19,12 +19,12 @@ from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.safety.scope import Scope
 from rcp_kernel.safety.stop import Stop, StopController
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Owner, StopGroup
 from rcp_kernel.tree.latches import GATEWAY, Latches, tenant_key
+from rcp_kernel.tree.scope import Scope
 from rcp_kernel.wire import Request
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
@@ -86,11 +86,14 @@ class Estop:
         *,
         identities: Identities,
         settings: Settings,
-        drop_leases: Callable[[Iterable[str], str, str], None],
+        halted: Callable[[frozenset[str], str, str], None],
         record: EstopRecord,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
-        """Act on the robots of `supervisors`; `drop_leases` ends the leases on paths that stop."""
+        """Act on the robots of `supervisors`.
+
+        `halted` is told which paths have been stopped, by whom and why, when what ran has been ended.
+        """
         self._supervisors = supervisors
         self._stops = stops
         self._latches = latches
@@ -98,7 +101,7 @@ class Estop:
         self._commands = commands
         self._identities = identities
         self._settings = settings
-        self._drop_leases = drop_leases
+        self._tell_halted = halted
         self._record = record
         self._loop = loop
         self._due: list[tuple[list[StopGroup], str, str | None]] = []
@@ -318,7 +321,7 @@ class Estop:
             self._end_all(*self._due.pop())
 
     def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
-        """End what runs, waits or is under way on stopped robots, and the leases on them."""
+        """End what runs, waits or is under way on stopped robots."""
         ending: list[asyncio.Task[Any]] = []
         paths: set[str] = set()
         for robot in robots:
@@ -335,7 +338,7 @@ class Estop:
             self._ending.add(task := self._loop.create_task(self._again(robots, ending)))
             task.add_done_callback(self._ending.discard)
         why = "emergency stop" + (f": {reason}" if reason else "")
-        self._drop_leases(paths, by, why)
+        self._tell_halted(frozenset(paths), by, why)
 
     async def _again(self, robots: list[StopGroup], ending: list[asyncio.Task[Any]]) -> None:
         """Halt once more when all that was cancelled has ended.

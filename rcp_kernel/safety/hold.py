@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -54,8 +55,10 @@ class Hold:
         :raises DeviceTimeout: it was told to, and still moves.
         """
         progress(fraction=0.0)  # commands end from here on: whatever fails now was not refused
-        ending = self._end_commands()
-        with unfenced():
+        with ExitStack() as held, unfenced():
+            for unit in self._units:
+                held.enter_context(unit.held())
+            ending = self._end_commands()
             await self._hold()
             if ending:  # what they sent last must not come after it
                 await asyncio.wait(ending)

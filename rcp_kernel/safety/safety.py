@@ -12,7 +12,7 @@ from typing import Any
 
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.contract.fence import unfenced
-from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
+from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.latches import Latch
@@ -22,7 +22,9 @@ __all__ = [
     "ANSWER",
     "Deadman",
     "check_age",
+    "check_hold",
     "check_motion",
+    "is_safe",
     "safe_value",
 ]
 
@@ -41,6 +43,25 @@ def check_motion(entry: Entry, latch: Latch | None) -> None:
             path=entry.path,
             details=latch.plain(),
         )
+
+
+def check_hold(entry: Entry, value: Any) -> None:
+    """Refuse motion of a robot that is being brought to rest, which would override it.
+
+    :raises AlreadyRunning: a hold has not ended yet.
+    """
+    unit = entry.unit
+    if unit.is_held and entry.barred and not is_safe(entry, value):
+        raise AlreadyRunning(
+            f"{unit.name} is being brought to rest",
+            path=entry.path,
+            remedy="Send the command again when the robot is at rest.",
+        )
+
+
+def is_safe(entry: Entry, value: Any) -> bool:
+    """Tell whether a value brings an actuator to rest."""
+    return entry.resource.safe is not None and bool(value == safe_value(entry))
 
 
 def check_age(entry: Entry, timestamp: str | float | None) -> None:

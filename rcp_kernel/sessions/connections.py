@@ -147,8 +147,15 @@ class Connection:
         try:
             if len(data) > LONG:
                 self._take_long(data)
-            else:
-                self._carry_out(decode_request(data, self.encoding))
+                return
+            request = decode_request(data, self.encoding)
+            outbox = self.outbox
+            if request.type == "read" and self._splices and outbox.waiting <= SHARE:
+                reply = self._read_at_once(self.session, request)
+                if reply is not None:
+                    outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
+                    return
+            self._carry_out(request)
         except RcpError as error:
             self._refuse(data, error)
         except Exception as error:
@@ -197,17 +204,8 @@ class Connection:
     def _carry_out(self, request: Request) -> None:
         if request.type == "hello":
             self._hello(request)
-            return
-        session = self.session
-        outbox = self.outbox
-        if request.type == "read" and self._splices and outbox.waiting <= SHARE:
-            reply = self._read_at_once(session, request)
-            if reply is not None:
-                if len(reply) > SMALL and outbox.backlog.refuses(len(reply)):
-                    reply = self._left_out(request, len(reply))
-                outbox.put(reply)
-                return
-        self._handle(session, request, session.deliver)
+        else:
+            self._handle(self.session, request, self.session.deliver)
 
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
@@ -234,10 +232,12 @@ class Connection:
             data = self.encode(left_out(reply, len(data)))
         outbox.put(data)
 
-    def _left_out(self, request: Request, size: int) -> bytes:
-        """Write what is told in place of the answer to a read, which is counted already."""
+    def _bounded(self, request: Request, reply: bytes) -> bytes:
+        """Return the answer to a read, counted already, or what is told where it has no room."""
+        if not self.outbox.backlog.refuses(len(reply)):
+            return reply
         answer = Reply(type="read", id=request.id, path=request.path)
-        return self.encode(left_out(answer, size))
+        return self.encode(left_out(answer, len(reply)))
 
     def encode(self, reply: Reply) -> bytes:
         """Write a reply; one whose body cannot be written becomes the error that says so."""

@@ -178,12 +178,12 @@ class Session:
 
     @property
     def holder(self) -> str:
-        """As whom the session acquires leases: itself, or its principal if it is shared."""
+        """As whom the session holds what it acquires: itself, or its principal if it is shared."""
         return self.holders[0]
 
     @property
     def holders(self) -> tuple[str, ...]:
-        """Whose leases are the session's: its own, and those of its principal as a whole."""
+        """Whose holdings are the session's: its own, and those of its principal as a whole."""
         whole = f"{self.principal.proof}:{self.principal.name}"
         return (whole,) if self.shared else (self.id, whole)
 

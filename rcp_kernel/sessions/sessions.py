@@ -142,12 +142,12 @@ class Sessions:
         return [*self.known.values(), *self._stateless.values()]
 
     def holding(self, key: str) -> list[Session]:
-        """List the sessions whose a holder's leases are: one, or all that its principal has."""
+        """List the sessions that act for a holder: one, or all that its principal has."""
         own = self.known.get(key)
         return [own] if own else [s for s in self.everyone() if key in s.holders]
 
     def tell(self, key: str, code: str, **facts: Any) -> None:
-        """Send a notice to whoever acts for a holder of leases."""
+        """Send a notice to whoever acts for a holder."""
         for session in self.holding(key):
             session.tell(code, **facts)
 
@@ -194,6 +194,12 @@ class Sessions:
             self._stateless[key] = session
             self.logged_in(session, peer)
         return session
+
+    def commanding(self, session: Session) -> Session:
+        """Return the session that a client commands by: its principal's, if this one only listens."""
+        if not session.listening:
+            return session
+        return self.stateless(session.principal, session.transport, session.tenant)
 
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
@@ -300,7 +306,7 @@ class Sessions:
         self._resume.note(session)
 
     def drop(self, session: Session) -> None:
-        """End a session and its leases; its commands go on."""
+        """End a session and what it holds; its commands go on."""
         self.known.pop(session.id, None)
         for ended in self.on_end:
             ended(session)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 from rcp_kernel.clock import now
@@ -208,6 +210,7 @@ class StopGroup:
     """What an e-stop stops as one: all robots of a backend, or one of them that it can halt alone."""
 
     __slots__ = (
+        "_holds",
         "_latches",
         "_released",
         "_stopped",
@@ -248,6 +251,8 @@ class StopGroup:
         self._stops = 0
         self._stopped = float("-inf")
         self._released = 0
+        self._holds = 0
+        """How many holds it is being brought to rest by."""
 
     @property
     def place(self) -> str | None:
@@ -298,6 +303,20 @@ class StopGroup:
         """Let nothing that was admitted until now reach it."""
         self._stops += 1
         self._stopped = time.monotonic()
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it is being brought to rest without an e-stop."""
+        return self._holds > 0 or (self.robot is not None and self.whole.is_held)
+
+    @contextmanager
+    def held(self) -> Generator[None]:
+        """Let nothing but its rest reach it while entered: the hold would override it."""
+        self._holds += 1
+        try:
+            yield
+        finally:
+            self._holds -= 1
 
     def release(self, moment: int) -> None:
         """Let nothing that was sent before `moment`, in ns, reach it."""

@@ -14,7 +14,7 @@ from rcp_approvals import ApprovalRequest
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.app.composition import compose
 from rcp_kernel.app.log import Recent
-from rcp_kernel.app.system import EstopRequest, LeaseRequest
+from rcp_kernel.app.system import EstopRequest
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import BRANCHES, Policy, operation_names
@@ -24,6 +24,7 @@ from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.store.store import Store
 from rcp_kernel.streams.filters import Options, Qos
 from rcp_kernel.wire import Reply, Request, RequestType, Status
+from rcp_leases import LeaseRequest
 from steps import finished
 
 PAGE = DOCS / "protocol.md"

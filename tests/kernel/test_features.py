@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,16 @@ from rcp_kernel.app import plugins
 from rcp_kernel.app.features import active
 from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import prepare, running
+from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import load, parse
 from rcp_kernel.errors import ConfigError, Forbidden, PluginError
 from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot
 from rcp_kernel.features.approval import APPROVALS
+from rcp_kernel.types import Twist
 
 pytestmark = pytest.mark.anyio
-NONE = CONFIG + "\n[features]\napprovals = false\n"
+OFF = "\n[features]\n" + "".join(f"{name} = false\n" for name in BUILTIN)
+NONE = CONFIG + OFF
 ASKS = '\n[roles.asks]\nallow = []\napprove = ["/action/go"]\n'
 
 
@@ -62,7 +66,7 @@ async def guarded(guards: Sequence[Noting], *requests: dict[str, Any]) -> list[d
     made = prepared(config, robots)
     kinds = {guard.name: kind_of(guard) for guard in guards}
     features = msgspec.structs.replace(
-        config, features=dict.fromkeys(kinds, True) | {"approvals": False}
+        config, features=dict.fromkeys(kinds, True) | dict.fromkeys(BUILTIN, False)
     )
     made = msgspec.structs.replace(made, features=active(features, kinds, "test"))
     async with running(made) as server:
@@ -74,6 +78,7 @@ async def guarded(guards: Sequence[Noting], *requests: dict[str, Any]) -> list[d
 
 
 LIMIT = {"type": "write", "path": "/param/limit", "body": 1.0}
+DRIVE = {"type": "write", "path": "/actuator/drive", "body": {"linear": {"x": 1.0}}}
 
 
 async def test_a_gateway_without_any_feature_serves_and_stops_robots() -> None:
@@ -91,8 +96,23 @@ async def test_a_gateway_without_any_feature_serves_and_stops_robots() -> None:
         assert (await client.ask(type="execute", path="/system/estop", body={}))["body"]["active"]
         refused = await client.ask(type="execute", path="/action/go", body=2.0)
         assert refused["error"]["code"] == "estop_active"
-        reply = await world.client("admin-admin-admin").ask(type="read", path="/system/approvals")
-        assert reply["error"]["code"] == "unknown_path"
+        admin = world.client("admin-admin-admin")
+        for name in ("approvals", "leases"):
+            reply = await admin.ask(type="read", path=f"/system/{name}")
+            assert reply["error"]["code"] == "unknown_path"
+
+
+async def test_a_gateway_without_any_feature_stops_what_a_lost_client_drove() -> None:
+    async with world_of(NONE) as world:
+        client, other = world.client(), world.client()
+        assert (await client.ask(**DRIVE))["status"] == "completed"
+        id_ = other.send(type="subscribe", path="/actuator/drive")
+        client.connection.close()
+        await other.until(
+            lambda m: m["type"] == "update" and m["id"] == id_ and m["body"]["linear"]["x"] == 0
+        )
+        assert world.robot.writes[-1] == ("actuator/drive", Twist())
+        assert (await other.ask(**DRIVE))["status"] == "completed"
 
 
 async def completes(world: World, client: Client, path: str, body: Any) -> bool:
@@ -103,13 +123,14 @@ async def completes(world: World, client: Client, path: str, body: Any) -> bool:
 async def test_guards_are_asked_by_slot_then_by_name_when_it_comes_in_and_when_it_acts() -> None:
     noted: list[str] = []
     guards = [
+        Noting("zone", Slot.LEASE, noted),
         Noting("asks", Slot.APPROVAL, noted),
         Noting("hours", Slot.POLICY, noted),
         Noting("doors", Slot.POLICY, noted),
     ]
     await guarded(guards, LIMIT)
     path = "/tenant/alpha/param/limit"
-    order = ("doors", "hours", "asks")
+    order = ("zone", "doors", "hours", "asks")
     assert noted == [f"{name} {when} {path}" for when in ("admits", "confirms") for name in order]
 
 
@@ -128,6 +149,64 @@ async def test_a_guard_that_is_not_active_is_not_asked_and_nobody_asks_one_about
     await guarded([idle, wakeful], LIMIT)
     assert len(noted) == 2
     assert all("wakeful" in one for one in noted)
+
+
+async def test_who_has_control_is_asked_about_a_safe_value_and_not_about_a_hold_or_estop() -> None:
+    noted: list[str] = []
+    zone = Noting("zone", Slot.LEASE, noted)
+    stops: tuple[dict[str, Any], ...] = (
+        {"type": "execute", "path": "/service/hold"},
+        {"type": "execute", "path": "/system/estop", "body": {}},
+    )
+    await guarded([zone], *stops)
+    assert noted == []
+
+    def refuse(call: Call) -> None:
+        raise Forbidden("booked", path=call.entry.path)
+
+    zone.act = refuse
+    rest = {"type": "write", "path": "/actuator/drive", "body": {}}
+    refused, *_, robot = await guarded([zone], rest, *stops)
+    assert refused["error"]["message"] == "booked"
+    assert robot["writes"] == []
+
+
+async def test_a_listener_with_a_bug_keeps_neither_a_session_nor_a_stop_from_its_end() -> None:
+    heard: list[str] = []
+
+    def listening(name: str) -> FeatureKind:
+        def hear(what: str, *_: object) -> None:
+            heard.append(f"{name} {what}")
+            if name == "broken":
+                raise ZeroDivisionError(what)
+
+        def make(_table: NoKeys, _host: FeatureHost) -> Feature:
+            return Feature(
+                session_ended=partial(hear, "session"),
+                rights_changed=partial(hear, "rights"),
+                halted=partial(hear, "halted"),
+            )
+
+        return FeatureKind(name, NoKeys, make)
+
+    kinds = {name: listening(name) for name in ("broken", "sound")}
+    config = parse(NONE, "test")
+    features = {**dict.fromkeys(kinds, True), **dict.fromkeys(BUILTIN, False)}
+    wanted = msgspec.structs.replace(config, features=features)
+    made = prepared(config, [])
+    made = msgspec.structs.replace(made, features=active(wanted, kinds, "test"))
+    async with running(made) as server:
+        client, other = (Client(server.client_api, "operator-operator") for _ in range(2))
+        with capture_logs() as said:
+            other.connection.close()
+            server.kernel.sessions.review()
+            reply = await client.ask(type="execute", path="/system/estop", body={})
+        assert reply["body"]["active"]
+        what = ("session", "rights", "halted")
+        assert heard == [f"{name} {one}" for one in what for name in kinds]
+        assert [one["feature"] for one in said if one["event"] == "feature_failed"] == [
+            "broken"
+        ] * 3
 
 
 async def test_a_guard_with_a_bug_refuses_and_the_robot_is_left_alone() -> None:
@@ -232,7 +311,8 @@ async def test_a_feature_lives_from_before_the_robots_until_after_them() -> None
 
     kind = FeatureKind("lives", NoKeys, make)
     config = parse(NONE, "test")
-    wanted = msgspec.structs.replace(config, features={"lives": True, "approvals": False})
+    features = {"lives": True, **dict.fromkeys(BUILTIN, False)}
+    wanted = msgspec.structs.replace(config, features=features)
     made = prepared(config, robots)
     made = msgspec.structs.replace(made, features=active(wanted, {"lives": kind}, "test"))
     async with running(made):

@@ -97,7 +97,7 @@ class WsClient:
         self._gate = ReadGate(
             socket,
             wait=self._wait,
-            handle=self._take,
+            handle=self.received,
             settle=self.settled,
             full=self._full,
             failed=self._broken,
@@ -128,19 +128,16 @@ class WsClient:
 
     # -- in ------------------------------------------------------------------------------------
 
-    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
-        """Take a message of the client."""
-        if self._gate.paused:
-            self._gate.keep(data)
-        elif len(data) > _SHORT and self._turns.over:
-            self._gate.keep(data)
-            self._gate.end_turn()
-        else:
-            self._take(data)
-
-    def _take(self, data: bytes) -> None:
-        if len(data) > self._limit:
-            self.oversized(len(data))
+    def received(self, data: bytes, text: bool = True) -> None:  # noqa: FBT001, FBT002 - see Receiver
+        """Take a message of the client, or keep it until it is this client's turn."""
+        gate, size = self._gate, len(data)
+        if (gate.paused or (size > _SHORT and self._turns.over)) and not gate.handing:
+            gate.keep(data)
+            if not gate.paused:
+                gate.end_turn()
+            return
+        if size > self._limit:
+            self.oversized(size)
             return
         # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
         outbox = self._outbox
@@ -156,12 +153,12 @@ class WsClient:
             self.connection.stumbled(data, error)
         if len(outbox.control) >= self._look_at or outbox.waiting > SHARE:
             self.flush()
-            self._gate.review()
-        if len(data) > _SHORT and self.connection.holds:
-            self._gate.review()
+            gate.review()
+        if size > _SHORT and self.connection.holds:
+            gate.review()
         spent = perf_counter() - self._began
         if spent > _LEAST and (spent > _TURN or self._turns.over):
-            self._gate.end_turn()
+            gate.end_turn()
 
     def other_frame(self) -> None:
         """Count the time of a frame that is no whole message."""

@@ -25,11 +25,11 @@ class ReadGate:
         "_full",
         "_handle",
         "_kept",
-        "_reviewing",
         "_settle",
         "_socket",
         "_turn_over",
         "_wait",
+        "handing",
         "paused",
     )
 
@@ -55,9 +55,10 @@ class ReadGate:
         self._kept: deque[bytes] = deque()
         self._turn_over = False
         self._closed = False
-        self._reviewing = False
         self.paused = False
-        """Whether messages are to be kept instead of handled."""
+        """Whether messages that come are to be kept."""
+        self.handing = False
+        """Whether one that was kept is being handled."""
 
     def keep(self, data: bytes) -> None:
         """Take a message that came although reading is paused: the socket had it already."""
@@ -83,9 +84,9 @@ class ReadGate:
 
     def review(self) -> None:
         """Handle what was kept, and read or not, as the reasons stand now."""
-        if self._reviewing:
+        if self.handing:
             return  # the loop below looks again after each message
-        self._reviewing = True
+        self.handing = True
         try:
             while self._kept and not self._stopped():
                 self._handle(self._kept.popleft())
@@ -94,7 +95,7 @@ class ReadGate:
         except Exception as error:
             self._failed(error)
         finally:
-            self._reviewing = False
+            self.handing = False
         self._apply()
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rcp_kernel.errors import InvalidPath
 from rcp_kernel.model import BRANCHES
-from rcp_kernel.safety.scope import Scope
+from rcp_kernel.tree.scope import Scope
 
 
 @pytest.mark.parametrize(

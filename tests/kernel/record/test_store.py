@@ -132,7 +132,9 @@ async def test_an_estop_whose_row_was_spoilt_is_still_latched(tmp_path: Path) ->
         )
     for value in (b"\xc1", b"\x01", "text", b"\x81\xa2by\x01", b"\x81\xa2by\xd4\x05\x00"):
         with closing(sqlite3.connect(path)) as base, base:
-            base.execute("UPDATE kept SET value = ? WHERE place IN ('latches', 'leases')", (value,))
+            base.execute(
+                "UPDATE kept SET value = ? WHERE place IN ('latches', 'leases.held')", (value,)
+            )
         async with world_of(kept_in(path)) as world:
             client = world.client()
             moved = await client.ask(type="execute", path="/tenant/alpha/action/go", body=1)

@@ -33,6 +33,10 @@ class Scripted(Robot):
         self.sent: list[str] = []
         self.recovered = asyncio.Event()
         self.asserted = asyncio.Event()
+        self.holding = asyncio.Event()
+        self.rests = asyncio.Event()
+        """Whether a hold has brought it to rest."""
+        self.rests.set()
         self.on_loss = "land"
 
     def declare(self) -> None:
@@ -78,6 +82,8 @@ class Scripted(Robot):
     async def hold(self, robot: str | None) -> None:
         self._reach()
         self.sent.append("hold")
+        self.holding.set()
+        await self.rests.wait()
         self.asserted.set()
 
     def motion(self, robot: str | None) -> MotionState | None:

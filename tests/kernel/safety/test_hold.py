@@ -51,6 +51,24 @@ async def test_it_ends_what_moves_the_robot_and_latches_nothing(world: World) ->
     assert write["status"] == "completed"
 
 
+async def test_nothing_moves_a_robot_that_is_being_brought_to_rest(world: World) -> None:
+    robot, admin, operator = scripted(world), world.client(ADMIN), world.client()
+    robot.rests.clear()
+    hold = operator.send(type="execute", path=HOLD)
+    async with asyncio.timeout(BOUND):
+        await robot.holding.wait()
+    write = await admin.ask(type="write", path=DRIVE, body=FAST)
+    assert write["error"]["code"] == "already_running"
+    assert "being brought to rest" in write["error"]["message"]
+    assert (await admin.ask(type="execute", path=GO, body=1))["error"]["code"] == "already_running"
+    assert (await admin.ask(type="write", path=DRIVE, body={}))["status"] == "completed"
+    assert (await admin.ask(type="execute", path=HOLD, dry_run=True))["status"] == "completed"
+    robot.rests.set()
+    assert (await operator.final(hold))["status"] == "completed"
+    write = await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
+    assert write["status"] == "completed"
+
+
 async def test_a_robot_that_moves_on_is_not_said_to_hold(world: World) -> None:
     scripted(world).state = MotionState(at_rest=False, detail="it moves at 2 m/s")
     held = await world.client().ask(type="execute", path=HOLD)

@@ -1,4 +1,4 @@
-"""The part of the tree that a lease or an e-stop is about.
+"""A part of the tree that an e-stop, or whoever has control, is about.
 
 A tenant, a sub-tree below one of its branches, or a robot: its part of every branch.
 """
@@ -15,6 +15,7 @@ from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Scope"]
 
+_AFTER = chr(ord("/") + 1)  # ends what begins with a path and a "/" in a sorted list
 _ROBOT = 4  # segments of `/tenant/<tenant>/<robot>`, the empty one before the first `/` included
 
 
@@ -66,18 +67,19 @@ class Scope:
         return tree.text.count("/") <= 3 or robot.covers(tree.text)
 
     def entries(self, registry: Registry) -> Iterator[Entry]:
-        """Find the resources in the scope."""
+        """Find the resources in the scope; whoever goes through them in steps may miss new ones."""
         if self.robot is None:
             starts = [self.text]
         else:
             starts = [f"/tenant/{self.tenant}/{branch}/{self.robot}" for branch in sorted(BRANCHES)]
-        index = registry.index
+        index, entries = registry.index, registry.entries
         for start in starts:
-            for path in index[bisect_left(index, start) :]:
-                if not path.startswith(start):
-                    break
-                if self.covers(path):
-                    yield registry.entries[path]
+            if (entry := entries.get(start)) is not None:
+                yield entry
+            first = bisect_left(index, f"{start}/")
+            for place in range(first, bisect_left(index, f"{start}{_AFTER}", first)):
+                if (entry := entries.get(index[place])) is not None:
+                    yield entry
 
     def __repr__(self) -> str:
         return f"Scope({self.text!r})"

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.access.identities import Identities
 from rcp_kernel.clock import iso
-from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.errors import BadRequest, Forbidden, LeaseLost, OutOfRange, UnknownPath
-from rcp_kernel.safety.lease import Lease
-from rcp_kernel.safety.leases import Leases
-from rcp_kernel.safety.scope import Scope
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    BadRequest,
+    Forbidden,
+    LeaseLost,
+    OutOfRange,
+    UnknownPath,
+)
+from rcp_kernel.features import FeatureHost, Scope
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import Time
+from rcp_leases.lease import Lease
+from rcp_leases.leases import COMMANDING, Leases
 
-__all__ = ["LeaseRequest", "LeaseService", "LeaseState"]
+__all__ = ["PATH", "LeaseRequest", "LeaseRequests", "LeaseState"]
+
+PATH = "/system/leases"
 
 
 class LeaseRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,33 +60,19 @@ class LeaseState(msgspec.Struct, frozen=True):
     reason: str | None = None
 
 
-class LeaseService:
-    """The gateway's answers to lease requests."""
+class LeaseRequests:
+    """Shows the leases, and does what requests ask for."""
 
-    def __init__(
-        self,
-        leases: Leases,
-        registry: Registry,
-        sessions: Sessions,
-        identities: Identities,
-        settings: Settings,
-        shutdown: Shutdown,
-    ) -> None:
+    def __init__(self, leases: Leases, host: FeatureHost) -> None:
         self._leases = leases
-        self._registry = registry
-        self._sessions = sessions
-        self._identities = identities
-        self._settings = settings
-        self._shutdown = shutdown
+        self._host = host
 
-    def view(self, session: Session) -> list[dict[str, Any]]:
-        """List the leases on robots that a session may see."""
-        mask, registry = session.rights.mask, self._registry
-        return [
-            msgspec.to_builtins(_state(lease))
-            for lease in self._leases.held.values()
-            if any(mask(entry.path) for entry in lease.scope.entries(registry))
-        ]
+    def view(self, session: Session) -> Iterator[dict[str, Any] | None]:
+        """List the leases on robots that a session may see, in steps."""
+        look = self._host.scopes.look
+        for lease in list(self._leases.held.values()):
+            seen = yield from look(session.rights, lease.scope)
+            yield msgspec.to_builtins(_state(lease)) if seen else None
 
     def request(self, session: Session, asked: LeaseRequest, *, dry_run: bool) -> LeaseState | None:
         """Carry a request out and return the lease as it is then; None for a dry run.
@@ -118,29 +109,30 @@ class LeaseService:
     def _acquire(
         self, session: Session, asked: LeaseRequest, scope: Scope, *, dry_run: bool
     ) -> LeaseState | None:
-        registry, mask = self._registry, session.rights.mask
+        scopes, rights = self._host.scopes, session.rights
         ttl = self._ttl(asked)
-        if not any(mask(entry.path) for entry in scope.entries(registry)):
+        if not scopes.sees(rights, scope):
             raise UnknownPath(f"no resources in {scope.text}", path=scope.text)
-        if not self._leases.commands_in(session, scope):
+        if not scopes.may(rights, scope, COMMANDING):
             raise Forbidden(
                 f"{session.principal.name} may not command anything in {scope.text}",
                 path=scope.text,
             )
-        self._shutdown.check()
+        if self._host.closing:
+            raise AdapterUnavailable("the gateway is closing")
         if dry_run:
             self._leases.check_free(session, scope, asked.reason, take=asked.take)
             return None
         return _state(self._leases.acquire(session, scope, ttl, asked.reason, take=asked.take))
 
     def _ttl(self, asked: LeaseRequest) -> float:
-        safety = self._settings.config.safety
-        ttl = asked.ttl if asked.ttl is not None else safety.lease_ttl
-        if ttl > safety.lease_ttl_max:
+        config = self._leases.config
+        ttl = asked.ttl if asked.ttl is not None else config.ttl
+        if ttl > config.ttl_max:
             raise OutOfRange(
-                f"`ttl` is {ttl:g} s; the limit is {safety.lease_ttl_max:g} s",
+                f"`ttl` is {ttl:g} s; the limit is {config.ttl_max:g} s",
                 remedy="Use a shorter `ttl` and renew the lease in time.",
-                details={"field": "ttl", "value": ttl, "maximum": safety.lease_ttl_max},
+                details={"field": "ttl", "value": ttl, "maximum": config.ttl_max},
             )
         return ttl
 
@@ -152,19 +144,16 @@ class LeaseService:
         """
         if not to:
             raise BadRequest("`hand_over` needs `to`")
-        sessions = self._sessions
-        others = [s for s in sessions.everyone() if s is not session]
+        sessions, may = self._host.sessions, self._host.scopes.may
         able = [
             s
-            for s in others
-            if to in (s.id[:8], s.principal.name)
-            and scope.tenant in self._identities.tenants_of(s.principal)
-            and self._leases.commands_in(s, scope)
+            for s in sessions.everyone()
+            if s is not session
+            and to in (s.id[:8], s.principal.name)
+            and may(s.rights, scope, COMMANDING)
         ]
-        present = [s for s in able if not (s.stateless or s.listening)] or [
-            sessions.stateless(s.principal, s.transport, s.tenant) if s.listening else s
-            for s in able
-        ]
+        present = [s for s in able if not (s.stateless or s.listening)]
+        present = present or [sessions.commanding(s) for s in able]
         if not present:
             raise UnknownPath(
                 f"no session of '{to[:64]}' may command {scope.text}",

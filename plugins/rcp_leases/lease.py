@@ -7,7 +7,7 @@ from typing import Any
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import LeaseHeld
-from rcp_kernel.safety.scope import Scope
+from rcp_kernel.features import Scope
 
 __all__ = ["Lease", "refusal"]
 

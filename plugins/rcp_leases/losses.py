@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from rcp_kernel.safety.scope import Scope
+from rcp_kernel.features import Scope
 
 __all__ = ["Loss", "Losses"]
 

@@ -9,65 +9,43 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
 import structlog
 
-from rcp_kernel.access.acl import reach
 from rcp_kernel.clock import iso, now
-from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
-from rcp_kernel.model import Kind, Operation, Pattern
-from rcp_kernel.safety.lease import Lease, refusal
-from rcp_kernel.safety.losses import Loss, Losses
-from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.safety.scope import Scope
-from rcp_kernel.sessions.command import CommandTable
+from rcp_kernel.features import FeatureHost, Scope
+from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.audit import Audit
-from rcp_kernel.store.store import Store
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.registry import Registry
+from rcp_leases.config import LeasesConfig
+from rcp_leases.lease import Lease, refusal
+from rcp_leases.losses import Loss, Losses
 
 __all__ = ["COMMANDING", "Leases"]
 
 log = structlog.get_logger("rcp.store")
 COMMANDING = Operation.WRITE | Operation.EXECUTE
-_TABLE = "leases"
+_TABLE = "held"
+_NEEDED = 100_000  # paths of which it is remembered whether they require a lease
 
 
 class Leases:
     """Every lease of the gateway, and what each write and execute is told of them."""
 
     def __init__(
-        self,
-        settings: Settings,
-        registry: Registry,
-        sessions: Sessions,
-        commands: CommandTable,
-        deadman: Deadman,
-        *,
-        store: Store,
-        audit: Audit,
-        shutdown: Shutdown,
-        loop: asyncio.AbstractEventLoop,
+        self, config: LeasesConfig, host: FeatureHost, *, changed: Callable[[], None]
     ) -> None:
-        self._settings = settings
-        self._registry = registry
-        self._sessions = sessions
-        self._commands = commands
-        self._deadman = deadman
-        self._store = store
-        self._audit = audit
-        self._shutdown = shutdown
-        self._loop = loop
+        """Hold no lease yet; `changed` is called after every change."""
+        self._host = host
+        self._changed = changed
+        self._store = host.store(_TABLE)
         self.held: dict[str, Lease] = {}
         """By id."""
-        self.on_change: list[Callable[[], None]] = []
-        """Called after every change."""
         self._lost = Losses()
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._over: dict[str, Lease | None] = {}
@@ -75,30 +53,40 @@ class Leases:
         self._needed: dict[str, bool] = {}
         self._required: tuple[Pattern, ...] = ()
         self._active = False
-        self.configure()
-        self._restore()
-        sessions.on_end.append(self._ended)
-        sessions.on_review.append(self.review)
+        self.configure(config)
 
-    def configure(self) -> None:
-        """Take over the configuration's patterns of what is commanded only under a lease."""
-        texts = self._settings.config.safety.lease_required
+    def configure(self, config: LeasesConfig) -> None:
+        """Take over the settings of a configuration."""
+        self.config = config
         self._required = tuple(
-            Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}") for text in texts
+            Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}")
+            for text in config.required
         )
         self._needed.clear()
         self._refresh()
+
+    @asynccontextmanager
+    async def running(self) -> AsyncGenerator[None]:
+        """Hold what earlier runs held while entered; what is held then, the next run finds."""
+        self._restore()
+        try:
+            yield
+        finally:
+            for timer in self._timers.values():
+                timer.cancel()
 
     def _refresh(self) -> None:
         self._over.clear()
         self._active = bool(self.held or self._lost or self._required)
 
     def _restore(self) -> None:
-        for id_, kept in self._store.load(_TABLE).items():
+        for id_, kept in self._store.load().items():
             try:
                 lease = Lease(id_, Scope(kept.pop("scope")), **kept)
             except (RcpError, TypeError, KeyError, AttributeError) as error:
-                log.warning("store_row_unreadable", table=_TABLE, key=id_, error=str(error))
+                log.warning(
+                    "store_row_unreadable", table=f"leases.{_TABLE}", key=id_, error=str(error)
+                )
                 continue
             self.held[id_] = lease
             if lease.left:
@@ -137,17 +125,19 @@ class Leases:
         except KeyError:
             found = [one for one in self.held.values() if one.scope.covers(path)]
             lease = self._over[path] = max(found, key=lambda one: one.expires, default=None)
-        if lease is not None and lease.expires <= now():  # its timer is a little late
-            self._lapse(lease)
-            return self.over(path)
-        return lease
+        if lease is None or lease.expires > now():
+            return lease
+        if self._host.closing:
+            return None
+        self._lapse(lease)  # its timer is a little late
+        return self.over(path)
 
     def _requires(self, path: str) -> bool:
         if not self._required:
             return False
         needed = self._needed.get(path)
         if needed is None:
-            if len(self._needed) > 100_000:
+            if len(self._needed) > _NEEDED:
                 self._needed.clear()
             needed = self._needed[path] = any(p.matches(path) for p in self._required)
         return needed
@@ -204,8 +194,8 @@ class Leases:
 
     def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
         """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
-        mask, entries = session.rights.mask, rival.scope.entries(self._registry)
-        return rival.scope.text if any(mask(entry.path) for entry in entries) else scope.text
+        seen = self._host.scopes.sees(session.rights, rival.scope)
+        return rival.scope.text if seen else scope.text
 
     def rivals(self, session: Session, scope: Scope) -> list[Lease]:
         """List the leases of others that share something with a scope."""
@@ -265,10 +255,7 @@ class Leases:
     def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
         """Give a lease, and the commands that run under it, to another session."""
         before = lease.key
-        for command in self._commands_under(lease):
-            command.asker, command.session = heir, heir.id
-            if not heir.stateless:
-                heir.commands[command.id] = command
+        self._host.control.hand_over(before, lease.scope.covers, heir)
         lease.key = heir.holder
         lease.holder = heir.principal.name
         lease.session = None if heir.stateless else heir.id[:8]
@@ -279,7 +266,7 @@ class Leases:
         self._lost.forgive(lease.key, lease.scope)
         self._keep(lease)
         facts = {"lease": lease.id, "scope": lease.scope.text, "by": session.principal.name}
-        tell = self._sessions.tell
+        tell = self._host.sessions.tell
         tell(lease.key, "lease_given", **facts, to=lease.holder, expires=iso(lease.expires))
         if before != lease.key:
             tell(before, "lease_given", **facts, to=lease.holder)
@@ -294,85 +281,75 @@ class Leases:
         """
         if lease.id not in self.held:
             return
-        running = self._commands_under(lease)
         self._remove(lease)
         loss = Loss(lease.id, lease.scope, by, reason)
         self._lost.add(lease.key, loss)
         self._refresh()
-        for command in running:
-            if not self._held_still(lease, command.path):
-                self._commands.withdraw(command, LeaseLost(loss.told, path=command.path))
+        covers = self._what_goes(lease)
+        control, scope = self._host.control, lease.scope
+        control.withdraw(lease.key, covers, lambda path: LeaseLost(loss.told, path=path))
         if stop:
-            self._bring_to_rest(lease)
-        facts = {"lease": lease.id, "scope": lease.scope.text, "by": by, "reason": reason}
-        self._sessions.tell(lease.key, "lease_lost", **facts)
+            entries = self._host.scopes.entries(scope)
+            control.bring_to_rest(entry for entry in entries if covers(entry.path))
+        facts = {"lease": lease.id, "scope": scope.text, "by": by, "reason": reason}
+        self._host.sessions.tell(lease.key, "lease_lost", **facts)
         self._note("lost", lease, None, by=by, reason=reason)
 
-    def _bring_to_rest(self, lease: Lease) -> None:
-        deadman = self._deadman
-        for entry in lease.scope.entries(self._registry):
-            if entry.operations & Operation.WRITE and not self._held_still(lease, entry.path):
-                if entry.kind is Kind.ACTUATOR and deadman.holds(entry):
-                    deadman.stop(entry)
-                else:
-                    deadman.cut(entry)
+    def _what_goes(self, lost: Lease) -> Callable[[str], bool]:
+        """Tell of paths whether a lease that is lost took them from its holder.
 
-    def _held_still(self, lease: Lease, path: str) -> bool:
-        """Tell whether the holder of a lost lease has another one over a path."""
-        other = self.over(path)
-        return other is not None and other.key == lease.key
-
-    def _commands_under(self, lease: Lease) -> list[Any]:
-        return [
-            command
-            for command in self._commands.running.values()
-            if command.asker is not None
-            and lease.key in command.asker.holders
-            and lease.scope.covers(command.path)
+        It may have another one over a part of them.
+        """
+        covers, moment = lost.scope.covers, now()
+        others = [
+            other.scope.covers
+            for other in self.held.values()
+            if other.key == lost.key and other.expires > moment and other.scope.overlaps(lost.scope)
         ]
+        if not others:
+            return covers
+        return lambda path: covers(path) and not any(still(path) for still in others)
 
     def _lapse(self, lease: Lease) -> None:
-        self.lose(lease, "the gateway", "the lease expired")
+        if not self._host.closing:  # else it is for the next run to find
+            self.lose(lease, "the gateway", "the lease expired")
 
-    def drop_on(self, paths: Iterable[str], by: str, reason: str) -> None:
+    def drop_on(self, paths: frozenset[str], by: str, reason: str) -> None:
         """End the leases that reach one of some paths whose robots are halted."""
-        stopped = list(paths)
         for lease in list(self.held.values()):
-            if any(map(lease.scope.covers, stopped)):
+            if any(map(lease.scope.covers, paths)):
                 self.lose(lease, by, reason, stop=False)
 
-    def _ended(self, session: Session) -> None:
+    def session_ended(self, session: Session) -> None:
         """End the leases of a session that is no more, unless it is for the next run to find."""
-        if self._shutdown.begun:
+        if self._host.closing:
             return
         for lease in [one for one in self.held.values() if one.key == session.holder]:
             self.lose(lease, "the gateway", "its session ended")
 
     def review(self) -> None:
         """End the leases whose holders may command nothing in them any more."""
-        self.configure()
         for lease in list(self.held.values()):
-            holders = self._sessions.holding(lease.key)
-            if holders and not any(self.commands_in(one, lease.scope) for one in holders):
-                self.lose(lease, "the gateway", "the holder no longer has access")
+            self._host.in_steps(self._review(lease))
 
-    def commands_in(self, session: Session, scope: Scope) -> bool:
-        """Tell whether a session may write or execute anything in a scope."""
-        mask = session.rights.mask
-        return any(
-            entry.operations & reach(mask(entry.path)) & COMMANDING
-            for entry in scope.entries(self._registry)
-        )
+    def _review(self, lease: Lease) -> Work:
+        key, look = lease.key, self._host.scopes.look
+        holders = self._host.sessions.holding(key)
+        for session in holders:
+            if (yield from look(session.rights, lease.scope, COMMANDING)):
+                return
+        if holders and lease.key == key:
+            self.lose(lease, "the gateway", "the holder no longer has access")
 
     # -- bookkeeping ---------------------------------------------------------------------------
 
     def _set_timer(self, lease: Lease) -> None:
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
-        self._timers[lease.id] = self._loop.call_later(lease.left, self._lapse, lease)
+        self._timers[lease.id] = self._host.loop.call_later(lease.left, self._lapse, lease)
 
     def _keep(self, lease: Lease) -> None:
-        self._store.put(_TABLE, lease.id, lease.kept())
+        self._store.put(lease.id, lease.kept())
         self._refresh()
         self._changed()
 
@@ -380,16 +357,12 @@ class Leases:
         del self.held[lease.id]
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
-        self._store.put(_TABLE, lease.id, None)
+        self._store.put(lease.id, None)
         self._refresh()
         self._changed()
 
-    def _changed(self) -> None:
-        for changed in self.on_change:
-            changed()
-
     def _note(self, did: str, lease: Lease, session: Session | None, **facts: Any) -> None:
-        self._audit.note(
+        self._host.note(
             "lease",
             principal=None if session is None else session.principal,
             tenant=lease.scope.tenant,
@@ -400,8 +373,3 @@ class Leases:
             holder=lease.holder,
             **facts,
         )
-
-    def close(self) -> None:
-        """Let no lease lapse any more; what is held is found again by the next run."""
-        for timer in self._timers.values():
-            timer.cancel()

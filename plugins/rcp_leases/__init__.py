@@ -1,0 +1,57 @@
+"""Leases: exclusive control of a part of the tree, for a time, by priority."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
+from rcp_kernel.features.control import CONTROL
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.model import Operation, Resource
+from rcp_leases.config import LeasesConfig, check, from_gateway
+from rcp_leases.control import LeaseControl
+from rcp_leases.guard import LeaseGuard
+from rcp_leases.leases import Leases
+from rcp_leases.requests import PATH, LeaseRequest, LeaseRequests, LeaseState
+
+__all__ = ["LeaseRequest", "LeaseState", "LeasesConfig", "rcp_features"]
+
+_RESOURCE = Resource(
+    name="service/leases",
+    description="Exclusive control of a part of the tree: list, acquire, renew, release.",
+    value=list[LeaseState],
+    input=LeaseRequest,
+    output=LeaseState,
+    operations=Operation.READ | Operation.SUBSCRIBE | Operation.EXECUTE,
+    examples=(
+        {"do": "acquire", "scope": "/tenant/alpha", "ttl": 10},
+        {"do": "acquire", "scope": "/actuator", "take": True, "reason": "by hand"},
+        {"do": "hand_over", "scope": "/tenant/alpha", "to": "robin"},
+        {"do": "release", "scope": "/tenant/alpha"},
+    ),
+    history=1,
+)
+
+
+def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
+    leases = Leases(config, host, changed=lambda: host.changed(PATH))
+    requests = LeaseRequests(leases, host)
+    shown = SystemResource(resource=_RESOURCE, view=requests.view, execute=requests.request)
+    return Feature(
+        resources=(shown,),
+        guard=LeaseGuard(leases),
+        services={CONTROL: LeaseControl(leases)},
+        session_ended=leases.session_ended,
+        rights_changed=leases.review,
+        halted=leases.drop_on,
+        reconfigure=leases.configure,
+        running=leases.running,
+    )
+
+
+@hookimpl
+def rcp_features() -> Iterable[FeatureKind]:
+    """Offer leases."""
+    return [
+        FeatureKind("leases", LeasesConfig, _make, __doc__ or "", table=from_gateway, check=check)
+    ]

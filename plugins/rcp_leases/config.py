@@ -1,0 +1,40 @@
+"""What the configuration says of leases: `lease_…` in `[safety]`."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.roles import check_pattern
+from rcp_kernel.errors import ConfigError
+
+__all__ = ["LeasesConfig", "check", "from_gateway"]
+
+
+class LeasesConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The settings of leases; times in seconds."""
+
+    required: tuple[str, ...]
+    """Patterns of paths that accept commands only under a lease."""
+    ttl: float
+    """Of a lease that asks for none."""
+    ttl_max: float
+
+
+def from_gateway(config: GatewayConfig) -> LeasesConfig:
+    """Take the settings from where they are in the file."""
+    safety = config.safety
+    return LeasesConfig(
+        required=safety.lease_required, ttl=safety.lease_ttl, ttl_max=safety.lease_ttl_max
+    )
+
+
+def check(config: LeasesConfig, _gateway: GatewayConfig) -> None:
+    """Refuse what cannot be meant.
+
+    :raises ConfigError: a pattern is none, or a lease would last longer than the longest.
+    """
+    for path in config.required:
+        check_pattern(path, "[safety] lease_required")
+    if config.ttl > config.ttl_max:
+        raise ConfigError("[safety] lease_ttl is greater than lease_ttl_max")

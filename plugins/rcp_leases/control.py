@@ -1,0 +1,30 @@
+"""What the check of a plan asks of leases."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_kernel.features import Scope
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
+from rcp_leases.leases import Leases
+from rcp_leases.requests import PATH
+
+__all__ = ["LeaseControl"]
+
+
+class LeaseControl:
+    """The `ControlService` of leases."""
+
+    def __init__(self, leases: Leases) -> None:
+        self.check = leases.check
+
+    def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
+        """Return the scope of a request for a lease.
+
+        :raises InvalidPath: it is no scope.
+        """
+        if entry.path != PATH or not isinstance(value, dict) or value.get("do") != "acquire":
+            return None
+        scope = value.get("scope")
+        return Scope(scope, session.tenant) if isinstance(scope, str) else None

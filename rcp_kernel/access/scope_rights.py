@@ -1,0 +1,90 @@
+"""What somebody may do in a part of the tree.
+
+A part may hold twenty thousand resources. So an answer is remembered: a yes with the resource that
+it is for, a no until the tree changes; and what is not known yet can be found out in steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from typing import TYPE_CHECKING, TypeVar
+from weakref import WeakKeyDictionary
+
+from rcp_kernel.access.acl import Rights, reach
+from rcp_kernel.contract.turns import at_once
+from rcp_kernel.model import Operation
+
+if TYPE_CHECKING:
+    from rcp_kernel.tree.entry import Entry
+    from rcp_kernel.tree.registry import Registry
+    from rcp_kernel.tree.scope import Scope
+
+__all__ = ["ScopeRights"]
+
+_Key = tuple[str, int]
+_Answer = TypeVar("_Answer", int, str)
+
+_STEP = 128  # resources that are judged at once: a millisecond where no rule was asked before
+_KNOWN = 1000  # answers that are kept for a set of rights
+
+
+class ScopeRights:
+    """Judges parts of the tree by the rights of whoever asks."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._found: WeakKeyDictionary[Rights, dict[_Key, str]] = WeakKeyDictionary()
+        """A resource for each yes."""
+        self._none: WeakKeyDictionary[Rights, dict[_Key, int]] = WeakKeyDictionary()
+        """The generation of the tree for each no."""
+
+    def entries(self, scope: Scope) -> Iterator[Entry]:
+        """Find the resources in a scope, whoever may see them."""
+        return scope.entries(self._registry)
+
+    def sees(self, rights: Rights, scope: Scope) -> bool:
+        """Tell whether somebody sees a resource in a scope."""
+        return at_once(self.look(rights, scope))
+
+    def may(self, rights: Rights, scope: Scope, operations: Operation) -> bool:
+        """Tell whether somebody may ever do one of some operations in a scope.
+
+        Whether a condition of the rules holds at present is no matter.
+        """
+        return at_once(self.look(rights, scope, operations))
+
+    def look(
+        self, rights: Rights, scope: Scope, operations: Operation = Operation.NONE
+    ) -> Generator[None, None, bool]:
+        """Find out in steps what `may` tells, or without operations what `sees` tells."""
+        wanted = int(operations)
+        key = scope.text, wanted
+        found = self._found.setdefault(rights, {})
+        if (path := found.get(key)) is not None:
+            entry = self._registry.entries.get(path)
+            if entry is not None and _allows(rights, entry, wanted):
+                return True
+            del found[key]
+        none = self._none.setdefault(rights, {})
+        generation = self._registry.generation
+        if none.get(key) == generation:
+            return False
+        for number, entry in enumerate(scope.entries(self._registry), 1):
+            if _allows(rights, entry, wanted):
+                _keep(found, key, entry.path)
+                return True
+            if not number % _STEP:
+                yield
+        _keep(none, key, generation)
+        return False
+
+
+def _allows(rights: Rights, entry: Entry, wanted: int) -> bool:
+    mask = rights.mask(entry.path)
+    return bool(reach(mask) & int(entry.operations) & wanted) if wanted else bool(mask)
+
+
+def _keep(known: dict[_Key, _Answer], key: _Key, answer: _Answer) -> None:
+    if len(known) >= _KNOWN:
+        known.clear()
+    known[key] = answer

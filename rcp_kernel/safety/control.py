@@ -1,0 +1,67 @@
+"""What a holder commands: taken from it, handed over, or brought to rest.
+
+For features that decide who has control. A holder is a session, or a principal as a whole:
+`Session.holder`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from rcp_kernel.errors import Refused
+from rcp_kernel.model import Kind, Operation
+from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.sessions.command import Command, CommandTable
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
+
+__all__ = ["Control"]
+
+Within = Callable[[str], bool]
+"""Tells whether a full path is meant."""
+
+
+class Control:
+    """Takes commands and motion from those who have lost control of them."""
+
+    def __init__(self, commands: CommandTable, deadman: Deadman) -> None:
+        self._commands = commands
+        self._deadman = deadman
+
+    def withdraw(self, holder: str, within: Within, error: Callable[[str], Refused]) -> None:
+        """End the commands that a holder has running or waiting on some paths; returns at once.
+
+        One that waits is refused with the `error` for its path; one that runs is cancelled.
+        """
+        for command in self._commanded(holder, within):
+            self._commands.withdraw(command, error(command.path))
+
+    def hand_over(self, holder: str, within: Within, heir: Session) -> None:
+        """Have the commands that a holder has running on some paths go on as another session's."""
+        for command in self._commanded(holder, within):
+            command.asker, command.session = heir, heir.id
+            if not heir.stateless:
+                heir.commands[command.id] = command
+
+    def bring_to_rest(self, entries: Iterable[Entry]) -> None:
+        """Stop what stands in force or is on its way on some resources; returns at once.
+
+        An actuator takes its safe value, repeated until the robot confirms it; any other write that
+        is under way is cancelled.
+        """
+        deadman, commanded = self._deadman, self._deadman.paths
+        for entry in entries:
+            moves = entry.kind is Kind.ACTUATOR and bool(entry.operations & Operation.WRITE)
+            if moves and deadman.holds(entry):
+                deadman.stop(entry)
+            elif entry.path in commanded:
+                deadman.cut(entry)
+
+    def _commanded(self, holder: str, within: Within) -> list[Command]:
+        return [
+            command
+            for command in self._commands.running.values()
+            if command.asker is not None
+            and holder in command.asker.holders
+            and within(command.path)
+        ]
