@@ -25,6 +25,7 @@ __all__ = [
     "header",
     "peer_of",
     "read_body",
+    "refusal_headers",
     "refuse",
     "respond",
     "retry_after",
@@ -156,6 +157,14 @@ def retry_after(seconds: float | None) -> Headers:
     return [] if seconds is None else [(b"retry-after", b"%d" % max(1, ceil(seconds)))]
 
 
+def refusal_headers(error: RcpError) -> Headers:
+    """Return the headers that go with an error: how to log in, and when to come back."""
+    headers = retry_after(error.retry_after)
+    if error.http == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    return headers
+
+
 async def refuse(
     send: Send,
     error: RcpError,
@@ -169,9 +178,6 @@ async def refuse(
 ) -> None:
     """Answer with the envelope of an error."""
     reply = failure(error, type_, id_, path)
-    fields: Headers = [*headers]
-    if error.http == 401:
-        fields.append((b"www-authenticate", b"Bearer"))
-    fields += retry_after(error.retry_after)
+    fields = [*headers, *refusal_headers(error)]
     body = encode_reply(reply, encoding)
     await respond(send, status or error.http, body, MEDIA[encoding], fields)

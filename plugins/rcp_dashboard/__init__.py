@@ -26,7 +26,7 @@ async def open_dashboard(
     pages = Pages(STATIC)
     api = Api(client_api, config, Layouts(client_api.shelf("layouts"), config))
     mounts = (
-        Mount(name="dashboard", prefix="/", app=pages),
+        Mount(name="dashboard", prefix="/", app=pages.app),
         Mount(name="dashboard api", prefix=PREFIX, app=api, openapi=described),
     )
     for mount in mounts:

@@ -10,9 +10,11 @@ from typing import Any
 
 import msgspec
 import structlog
+from litestar import get
+from litestar.types import ASGIApp
 
-from rcp_kernel.asgi import Headers, Receive, Scope, Send, header, refuse, respond
-from rcp_kernel.errors import UnknownPath, UnsupportedOperation
+from rcp_kernel.asgi import Headers, Scope, header
+from rcp_web.application import Application, Asked, response, scope_of
 
 __all__ = ["STATIC", "Pages"]
 
@@ -63,55 +65,41 @@ class File(msgspec.Struct, frozen=True):
 
 
 class Pages:
-    """Serves them, as a plain ASGI application at `/`."""
+    """The files by their paths, each a route of the application."""
 
     def __init__(self, static: Path) -> None:
-        self._files = dict(_load(static))
-        self.built = "/index.html" in self._files
+        files = dict(_load(static))
+        self.built = "/index.html" in files
         """Whether the pages are there at all."""
         if not self.built:
             log.warning("dashboard_not_built", remedy="make dashboard")
-        index = self._files.pop("/index.html", None) or File.of(_UNBUILT, "/index.html")
-        self._files["/"] = index
+        files["/"] = files.pop("/index.html", None) or File.of(_UNBUILT, "/index.html")
+
+        @get([*files], sync_to_thread=False)
+        def page(request: Asked) -> ASGIApp:
+            """Serve a file."""
+            return _answer(scope_of(request), files[request.scope["path"]])
+
+        self.app = Application([page], remedy="The dashboard is at `/`.")
 
     def facts(self) -> dict[str, Any]:
         """Tell of them in `/system/status`."""
         return {} if self.built else {"detail": "the pages were not built: run `make dashboard`"}
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request."""
-        path, method = scope["path"], scope["method"]
-        file = self._files.get(path)
-        if file is None:
-            error = UnknownPath(f"nothing found at {path}", remedy="The dashboard is at `/`.")
-            await refuse(send, error)
-            return
-        if method not in ("GET", "HEAD"):
-            error = UnsupportedOperation(f"{path} does not support {method}")
-            allow: Headers = [(b"allow", b"GET, HEAD, OPTIONS")]
-            if method == "OPTIONS":
-                await respond(send, 204, b"", headers=allow)
-            else:
-                await refuse(send, error, headers=allow)
-            return
-        root = scope.get("root_path", "").encode()
-        if root and scope["raw_path"] == root:  # what is relative would begin one level too high
-            await respond(send, 308, b"", headers=[(b"location", root + b"/"), *_SAFE])
-            return
-        await _give(scope, send, file)
 
-
-async def _give(scope: Scope, send: Send, file: File) -> None:
+def _answer(scope: Scope, file: File) -> ASGIApp:
+    root = scope.get("root_path", "").encode()
+    if root and scope["raw_path"] == root:  # what is relative would begin one level too high
+        return response(308, headers=[(b"location", root + b"/"), *_SAFE])
     headers = [*_SAFE, file.cache, _VARY, (b"etag", file.etag)]
     known = header(scope, b"if-none-match") or b""
     if any(_same(part.strip(), file.etag) for part in known.split(b",")):
-        await respond(send, 304, b"", headers=headers)
-        return
+        return response(304, headers=headers)
     body = file.body
     if file.packed is not None and _takes_gzip(header(scope, b"accept-encoding") or b""):
         body = file.packed
         headers.append((b"content-encoding", b"gzip"))
-    await respond(send, 200, body, file.media, headers)
+    return response(200, body, file.media, headers)
 
 
 def _same(named: bytes, etag: bytes) -> bool:

@@ -1,4 +1,4 @@
-"""What somebody may do in a part of the tree.
+"""What somebody may do in a part of the tree, or with a robot.
 
 A part may hold twenty thousand resources. So an answer is remembered: a yes with the resource that
 it is for, a no until the tree changes; and what is not known yet can be found out in steps.
@@ -6,7 +6,7 @@ it is for, a no until the tree changes; and what is not known yet can be found o
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -15,7 +15,7 @@ from rcp_kernel.contract.turns import at_once
 from rcp_kernel.model import Operation
 
 if TYPE_CHECKING:
-    from rcp_kernel.tree.entry import Entry
+    from rcp_kernel.tree.entry import Entry, StopGroup
     from rcp_kernel.tree.registry import Registry
     from rcp_kernel.tree.scope import Scope
 
@@ -57,19 +57,38 @@ class ScopeRights:
         self, rights: Rights, scope: Scope, operations: Operation = Operation.NONE
     ) -> Generator[None, None, bool]:
         """Find out in steps what `may` tells, or without operations what `sees` tells."""
-        wanted = int(operations)
-        key = scope.text, wanted
+        return self._look(rights, scope.text, scope.entries(self._registry), int(operations))
+
+    def sees_robot(self, rights: Rights, robot: StopGroup, scope: Scope | None = None) -> bool:
+        """Tell whether somebody sees a resource of a robot, in a scope if one is given."""
+        own: Iterable[Entry] = robot.own.values()
+        place = robot.name
+        if scope is not None:
+            own = (entry for entry in own if scope.covers(entry.path))
+            place += scope.text
+        return at_once(self._look(rights, place, own, robot=robot))
+
+    def _look(
+        self,
+        rights: Rights,
+        place: str,
+        entries: Iterable[Entry],
+        wanted: int = 0,
+        robot: StopGroup | None = None,
+    ) -> Generator[None, None, bool]:
+        key = place, wanted
         found = self._found.setdefault(rights, {})
         if (path := found.get(key)) is not None:
             entry = self._registry.entries.get(path)
-            if entry is not None and _allows(rights, entry, wanted):
+            own = entry is not None and (robot is None or entry.unit is robot)
+            if entry is not None and own and _allows(rights, entry, wanted):
                 return True
             del found[key]
         none = self._none.setdefault(rights, {})
         generation = self._registry.generation
         if none.get(key) == generation:
             return False
-        for number, entry in enumerate(scope.entries(self._registry), 1):
+        for number, entry in enumerate(entries, 1):
             if _allows(rights, entry, wanted):
                 _keep(found, key, entry.path)
                 return True

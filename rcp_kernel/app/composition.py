@@ -91,6 +91,7 @@ class _Base:
     loop: asyncio.AbstractEventLoop
     turns: Turns
     registry: Registry
+    scopes: ScopeRights
     hub: Hub
     links: Links
     conditions: Conditions
@@ -233,6 +234,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         loop=loop,
         turns=turns,
         registry=registry,
+        scopes=ScopeRights(registry),
         hub=hub,
         links=Links(hub, turns),
         conditions=conditions,
@@ -269,7 +271,7 @@ def _features(
         place=base.inflight.place,
         sessions=clients.sessions,
         control=Control(motion.commands, motion.deadman),
-        scopes=ScopeRights(base.registry),
+        scopes=base.scopes,
         shutdown=base.shutdown,
         turns=base.turns,
         loop=base.loop,
@@ -328,6 +330,9 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         outbound=outbound,
         loop=loop,
     )
+    # What they see is found out in steps from now on, so that a stop need not wait for it.
+    for heard in (sessions.on_begin, sessions.on_renewal):
+        heard.append(lambda session: base.sights.look(session.rights))
     FenceGuard(motion.limits, base.hub, motion.deadman, commands, sessions, records.audit)
     access = CommandAccess(commands, base.visibility, identities)
     return _Clients(identities, outbound, quotas, resume, sessions, access)
@@ -374,6 +379,7 @@ def _system(
         motion.latches,
         motion.deadman,
         motion.commands,
+        scopes=base.scopes,
         identities=clients.identities,
         settings=base.settings,
         halted=features.halted,

@@ -14,7 +14,9 @@ from typing import Annotated, Any, Protocol
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
@@ -31,6 +33,8 @@ __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 
 HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it goes on trying after that
 LONGEST_WAIT = 60.0  # s, where the request's `deadline` allows as much
+_Robots = dict[StopGroup, None]
+"""A set in the order of the configuration."""
 
 
 class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,6 +88,7 @@ class Estop:
         deadman: Deadman,
         commands: CommandTable,
         *,
+        scopes: ScopeRights,
         identities: Identities,
         settings: Settings,
         halted: Callable[[frozenset[str], str, str], None],
@@ -99,6 +104,7 @@ class Estop:
         self._latches = latches
         self._deadman = deadman
         self._commands = commands
+        self._scopes = scopes
         self._identities = identities
         self._settings = settings
         self._tell_halted = halted
@@ -114,8 +120,11 @@ class Estop:
         """Return what a session may see of the latches."""
         mine = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
         wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
-        groups = tuple(name for name in self._groups() if self._members(session, name))
-        return self._state_of(self._visible(session), wide, groups)
+        visible = self._visible(session)
+        groups = tuple(
+            name for name in self._groups() if self._members(session.rights, name, visible)
+        )
+        return self._state_of(visible, wide, groups)
 
     def everything(self) -> EstopState:
         """Return all that is latched."""
@@ -124,7 +133,7 @@ class Estop:
         return self._state_of(units, wide, tuple(self._groups()))
 
     def _state_of(
-        self, units: list[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
+        self, units: Iterable[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
     ) -> EstopState:
         robots: dict[str, dict[str, Any]] = {}
         for unit in units:
@@ -139,15 +148,15 @@ class Estop:
     def _wide(self) -> dict[str, Any]:
         return self._latches.wide
 
-    def _visible(self, session: Session) -> list[StopGroup]:
-        """List the robots that a session may see, one by one."""
-        seen = session.rights.mask
-        return [
-            unit
+    def _visible(self, session: Session) -> _Robots:
+        """Find the robots that a session may see, one by one."""
+        rights, sees = session.rights, self._scopes.sees_robot
+        return {
+            unit: None
             for supervisor in self._supervisors
             for unit in supervisor.units
-            if any(seen(entry.path) for entry in unit.own.values())
-        ]
+            if sees(rights, unit)
+        }
 
     # -- stop and reset ------------------------------------------------------------------------
 
@@ -199,7 +208,7 @@ class Estop:
     def names(self, session: Session, asked: EstopRequest) -> list[str]:
         """Name the robots that a request means, as far as the session sees them; refuse as it would."""
         _, robots = self.check(session, asked)
-        seen = set(self._visible(session))
+        seen = self._visible(session)
         return sorted(robot.name for robot in robots if robot in seen)
 
     def _reset(self, keys: dict[str, str | None], robots: list[StopGroup]) -> list[StopGroup]:
@@ -224,26 +233,26 @@ class Estop:
     ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
         tenants = self._identities.tenants_of(session.principal)
+        visible, rights = self._visible(session), session.rights
         if scope is None and not session.rights.may_stop_all():
             scope = self._own_tenant(session)
         if scope is None:
-            robots = self._visible(session)
-            if "*" in session.rights.tenants and not self._hidden(session, None):
+            robots = list(visible)
+            if "*" in rights.tenants and not self._hidden(visible, None):
                 keys: dict[str, str | None] = {GATEWAY: None}
             else:
-                keys = self._widest(session, tenants, robots)
+                keys = self._widest(visible, tenants, robots)
         elif scope in self._groups():
-            robots = self._members(session, scope)
+            robots = self._members(rights, scope, visible)
             keys = _keys(robots)
         elif not scope.startswith("/"):
-            visible = self._visible(session)
             robots = [unit for unit in visible if scope in (unit.name, unit.whole.name)]
             keys = _keys(robots)
         else:
             found = Scope(scope, session.tenant)
-            robots = self._in(session, found)
+            robots = self._in(rights, found, visible)
             if found.whole and found.tenant in tenants:
-                keys = self._widest(session, [found.tenant], robots)
+                keys = self._widest(visible, [found.tenant], robots)
             else:
                 keys = _keys(robots)
         if not keys:
@@ -261,15 +270,15 @@ class Estop:
             )
         return tenant_key(session.tenant)
 
-    def _members(self, session: Session, group: str) -> list[StopGroup]:
-        """List the robots of a group that a session may see."""
-        found: dict[StopGroup, None] = {}
+    def _members(self, rights: Rights, group: str, visible: _Robots) -> list[StopGroup]:
+        """List the robots of a group that are visible."""
+        found: _Robots = {}
         for scope in self._groups()[group]:
-            found |= dict.fromkeys(self._in(session, Scope(scope)))
+            found |= dict.fromkeys(self._in(rights, Scope(scope), visible))
         return list(found)
 
-    def _in(self, session: Session, scope: Scope) -> list[StopGroup]:
-        return [unit for unit in self._visible(session) if self._within(session, unit, scope)]
+    def _in(self, rights: Rights, scope: Scope, visible: _Robots) -> list[StopGroup]:
+        return [unit for unit in visible if self._within(rights, unit, scope)]
 
     def _with_partners(self, units: list[StopGroup]) -> list[StopGroup]:
         """Add what else fronts the same robots: other backends, whoever may see their resources."""
@@ -283,36 +292,33 @@ class Estop:
         return list(dict.fromkeys((*units, *partners)))
 
     def _widest(
-        self, session: Session, tenants: list[str], robots: list[StopGroup]
+        self, visible: _Robots, tenants: list[str], robots: list[StopGroup]
     ) -> dict[str, str | None]:
         """Mean whole tenants where the session sees all their robots, else the robots it sees."""
         keys: dict[str, str | None] = {}
         for tenant in tenants:
-            if not self._hidden(session, tenant):
+            if not self._hidden(visible, tenant):
                 keys[tenant_key(tenant)] = tenant
             else:
                 keys |= _keys([unit for unit in robots if unit.tenant == tenant])
         return keys
 
-    def _hidden(self, session: Session, tenant: str | None) -> bool:
-        """Tell whether there is a robot that the session may not see, or none at all to go by."""
+    def _hidden(self, visible: _Robots, tenant: str | None) -> bool:
+        """Tell whether there is a robot that is not visible, or none at all to go by."""
         units = [
             u
             for supervisor in self._supervisors
             for u in supervisor.units
             if tenant in (None, supervisor.tenant)
         ]
-        visible = self._visible(session)
         return not units or any(unit.own and unit not in visible for unit in units)
 
-    @staticmethod
-    def _within(session: Session, unit: StopGroup, scope: Scope) -> bool:
+    def _within(self, rights: Rights, unit: StopGroup, scope: Scope) -> bool:
         if unit.tenant != scope.tenant:
             return False
         if scope.whole or (scope.robot is not None and scope.robot == unit.place):
             return True
-        rights = session.rights
-        return any(scope.covers(e.path) and rights.mask(e.path) for e in unit.own.values())
+        return self._scopes.sees_robot(rights, unit, scope)
 
     # -- carrying it out -----------------------------------------------------------------------
 
@@ -365,7 +371,7 @@ class Estop:
         return self.state(session)
 
     def _unconfirmed(self, session: Session, late: Iterable[Stop]) -> DeviceTimeout:
-        visible = set(self._visible(session))
+        visible = self._visible(session)
         shown = [stop for stop in late if stop.unit in visible]
         names = [f"{stop.unit.name} ({stop.detail})" for stop in shown]
         names = names or ["another part of the robot"]

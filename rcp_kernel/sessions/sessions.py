@@ -103,9 +103,11 @@ class Sessions:
         self.updates: dict[str, int] = {}
         """Updates sent over connections that are closed, by transport."""
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
+        self.on_begin: list[Callable[[Session], object]] = []
+        """Called with each session that begins, or is proved anew."""
         self.on_end: list[Callable[[Session], None]] = []
         """Called with each session that ends, first of all."""
-        self.on_renewal: list[Callable[[Session], None]] = []
+        self.on_renewal: list[Callable[[Session], object]] = []
         """Called with a session that goes on under other rights."""
         self.on_review: list[Callable[[], None]] = []
         """Called when who holds what may have other rights than before."""
@@ -155,6 +157,8 @@ class Sessions:
         """Put on record who came in, and watch how long its proof holds."""
         principal = session.principal
         self.watch(session)
+        for began in self.on_begin:
+            began(session)
         if not principal.anonymous:
             self._audit.note(
                 "login",

@@ -12,7 +12,7 @@ from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.features import Scope
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import quantity
 
@@ -23,14 +23,15 @@ ALL = Scope("/tenant/alpha")
 class Owner:
     """A backend that owns resources, and does nothing."""
 
-    name = "robot"
     tenant = "alpha"
     robot = None
     samples = 0
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.entries: dict[str, Any] = {}
-        self._unit = StopGroup(self, None)
+        owner: Any = self
+        self._unit = StopGroup(owner, None)
 
     def unit(self, robot: str | None) -> StopGroup:
         return self._unit
@@ -39,17 +40,19 @@ class Owner:
 class Tree:
     """A tree, and what is asked of it."""
 
-    def __init__(self, *names: str) -> None:
+    def __init__(self, *names: str, robot: str = "robot") -> None:
         self.registry = Registry()
         self.scopes = ScopeRights(self.registry)
-        self.owner = Owner()
+        self.owner = Owner(robot)
         for name in names:
             self.declare(name)
 
-    def declare(self, name: str) -> None:
-        value = quantity("m")
-        resource = Resource(name=name, description="One of many.", value=value)
-        self.registry.declare(self.owner, resource, tenant="alpha")
+    def declare(self, name: str) -> Entry:
+        resource = Resource(name=name, description="One of many.", value=quantity("m"))
+        owner: Any = self.owner
+        entry = self.registry.declare(owner, resource, tenant="alpha")
+        entry.unit.own[name] = entry
+        return entry
 
     def rights(self, *paths: str, operations: tuple[Any, ...] = ("*",)) -> Rights:
         role = Role(allow=(Rule(operations, paths),))
@@ -116,6 +119,31 @@ def test_a_scope_finds_all_that_it_covers_and_nothing_beside_it(
 ) -> None:
     tree = Tree("param/a", "param/ab", "param/a-b/x", "param/a/x", "sensor/a/x")
     assert sorted(entry.name for entry in tree.scopes.entries(Scope(scope))) == found
+
+
+def test_a_robot_is_seen_by_any_of_its_own_resources(tree: Tree) -> None:
+    robot, last = tree.owner.unit(None), tree.rights("/param/p0999")
+    sees = tree.scopes.sees_robot
+    assert sees(last, robot)
+    assert not sees(tree.rights("/sensor/**"), robot)
+    assert sees(last, robot, Scope("/tenant/alpha/param/p0999"))
+    assert not sees(last, robot, Scope("/tenant/alpha/param/p0001"))
+    tree.registry.withdraw("/tenant/alpha/param/p0999")
+    del robot.own["param/p0999"]
+    assert not sees(last, robot)
+
+
+def test_a_resource_that_another_robot_has_by_now_shows_that_one(tree: Tree) -> None:
+    robot, rights = tree.owner.unit(None), tree.rights("/param/p0001")
+    assert tree.scopes.sees_robot(rights, robot)
+    path = "/tenant/alpha/param/p0001"
+    tree.registry.withdraw(path)
+    del robot.own["param/p0001"]
+    other = Tree(robot="other")
+    entry = other.declare("param/p0001")
+    tree.registry.entries[path] = entry
+    assert not tree.scopes.sees_robot(rights, robot)
+    assert tree.scopes.sees_robot(rights, other.owner.unit(None))
 
 
 def test_a_tree_that_changes_while_it_is_gone_through_is_no_error(tree: Tree) -> None:

@@ -1,0 +1,4 @@
+"""Litestar controllers as the application of a `Mount`, refusing as the contract says.
+
+`Application` serves them.
+"""

@@ -1,0 +1,120 @@
+"""Litestar as an ASGI application for a `Mount`: exact routes, refusals that are envelopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, cast
+
+from litestar import Litestar, Request, Response
+from litestar.di import Provide
+from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFoundException
+from litestar.types import ASGIApp, ControllerRouterHandler
+
+from rcp_kernel.asgi import JSON, Receive, Scope, Send, respond
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
+from rcp_web.refusals import Refusal, envelope, headers_of, not_taken
+
+__all__ = ["Application", "Asked", "response", "scope_of"]
+
+Asked = Request[Any, Any, Any]
+_ORDER = ("GET", "PUT", "POST", "DELETE", "HEAD", "OPTIONS")
+
+
+class Application:
+    """Serves controllers.
+
+    Litestar serves `/a/` as `/a` and leaves `HEAD` to handlers of its own. Here a path is served as it
+    is routed or not at all, and `HEAD` is a `GET` whose body the listener leaves out.
+    """
+
+    def __init__(
+        self,
+        handlers: Sequence[ControllerRouterHandler],
+        *,
+        remedy: str,
+        refuse: Callable[[Scope, RcpError], Refusal] = envelope,
+        dependencies: Mapping[str, Provide] | None = None,
+    ) -> None:
+        """Make it; `remedy` is for paths that are not served."""
+        self._refuse = refuse
+        self._remedy = remedy
+        self._litestar = Litestar(
+            handlers,
+            dependencies=dependencies,
+            exception_handlers={Exception: self._answer},
+            openapi_config=None,
+            logging_config=None,
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        path, method = scope["path"], scope["method"]
+        inner = {**scope, "root_path": ""}  # the listener has taken it off the path
+        if path != "/" and (path[-1:] == "/" or "//" in path):
+            inner["path"] = _NOWHERE
+        if method == "HEAD":
+            inner["method"] = "GET"
+        elif method == "OPTIONS":
+            send = _with_head(send)
+        inner[_ASKED] = scope
+        await self._litestar(cast("Any", inner), receive, cast("Any", send))
+
+    def _answer(self, request: Asked, error: Exception) -> Response[bytes]:
+        scope = scope_of(request)
+        told = self._told(scope, error)
+        body, media, headers = self._refuse(scope, told)
+        fields = {k.decode(): v.decode("latin-1") for k, v in (*headers, *headers_of(told))}
+        return Response(body, status_code=told.http, media_type=media.decode(), headers=fields)
+
+    def _told(self, scope: Scope, error: Exception) -> RcpError:
+        path = scope["path"]
+        if isinstance(error, NotFoundException):
+            return UnknownPath(f"nothing found at {path}", remedy=self._remedy)
+        if isinstance(error, MethodNotAllowedException):
+            named = (error.headers or {}).get("allow", "")
+            return not_taken(path, scope["method"], _methods(named.split(", ")))
+        if isinstance(error, HTTPException) and error.status_code < 500:
+            return BadRequest(error.detail or "the request is malformed")
+        return to_internal_error(error, path=path)
+
+
+_ASKED = "rcp.asked"
+"""Where the scope is kept that came, of which Litestar gets another version."""
+_NOWHERE = "/-/-/-"
+
+
+def scope_of(request: Asked) -> Scope:
+    """Return the scope as the listener made it."""
+    return cast("Any", request.scope)[_ASKED]
+
+
+def response(
+    status: int, body: bytes = b"", media: bytes = JSON, headers: Iterable[tuple[bytes, bytes]] = ()
+) -> ASGIApp:
+    """Return what a handler returns that has the whole response: Litestar's own costs more."""
+
+    async def send_it(_scope: Any, _receive: Any, send: Any) -> None:
+        await respond(send, status, body, media, headers)
+
+    return send_it
+
+
+def _methods(named: Iterable[str]) -> list[str]:
+    known = {name.strip() for name in named}
+    if "GET" in known:
+        known.add("HEAD")
+    return [name for name in _ORDER if name in known]
+
+
+def _with_head(send: Send) -> Send:
+    """Answer OPTIONS with `HEAD` among the methods, and without a body's headers."""
+
+    async def sending(message: Any) -> None:
+        if message["type"] == "http.response.start" and message["status"] == 204:
+            named = dict(message["headers"])[b"allow"].decode().split(",")
+            allow = ", ".join(_methods(named)).encode()
+            message = {**message, "headers": [(b"allow", allow)]}
+        await send(message)
+
+    return sending
