@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from rcp_protocol.pieces import is_long
 from rcp_protocol.values import (
     ANY,
     DEPTH,
     Encoding,
     ValueType,
     dump,
+    is_long,
     parse,
     sound,
     to_plain,

@@ -19,12 +19,22 @@ import msgspec
 from rcp_protocol.base64_strings import lifted
 from rcp_protocol.depth import is_deep, is_deep_json
 from rcp_protocol.errors import BadRequest, InvalidValue, OutOfRange, PluginError
-from rcp_protocol.pieces import pieces
+from rcp_protocol.pieces import is_long, pieces
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.published_schema import published
 from rcp_protocol.shape import Beyond, Shape, unescaped
 
-__all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
+__all__ = [
+    "ANY",
+    "DEPTH",
+    "Encoding",
+    "ValueType",
+    "dump",
+    "is_long",
+    "sound",
+    "to_plain",
+    "value_type",
+]
 
 DEPTH = 64
 """How deep lists and maps may stand in each other where a type sets no bound itself."""
