@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterable
+from time import perf_counter
 from typing import Any
 
 from rcp_http.compress import compress
@@ -12,6 +13,7 @@ from rcp_http.negotiate import coding
 from rcp_http.request import HttpRequest
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
 from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.sessions.unsent import left_out
 from rcp_kernel.streams.outbound import SHARE, Outbound
 from rcp_kernel.values import Encoding
@@ -32,8 +34,9 @@ _METHODS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
 class Answers:
     """Writes responses."""
 
-    def __init__(self, config: HttpConfig, outbound: Outbound) -> None:
+    def __init__(self, config: HttpConfig, outbound: Outbound, turns: Turns) -> None:
         self._outbound = outbound
+        self._turns = turns
         self._threshold = config.compress_above
 
     async def reply(
@@ -47,7 +50,10 @@ class Answers:
             await self.unchanged(send, etag)
             return
         # Values are checked when they are written, so only now it is known how the request ended.
+        began = perf_counter()
         told, data = _encode(reply, asked.encoding)
+        if len(data) > SHARE:
+            self._turns.add(perf_counter() - began)
         if not self._outbound.has_room(len(data)):
             told, data = _encode(left_out(reply, len(data)), asked.encoding)
         status = status_of(told)

@@ -34,7 +34,7 @@ class HttpApp:
 
     def __init__(self, config: HttpConfig, client_api: ClientApi) -> None:
         self._client_api = client_api
-        self._answers = Answers(config, client_api.outbound)
+        self._answers = Answers(config, client_api.outbound, client_api.turns)
         self._context = Context(client_api, config, self._answers)
         self._calls = Calls(client_api, config, self._answers, self._context)
         calls = self._calls
