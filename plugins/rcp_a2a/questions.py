@@ -8,9 +8,10 @@ from typing import Any, Literal
 import msgspec
 
 from rcp_a2a.messages import TaskRequest
-from rcp_kernel.plans.lines import from_lines
+from rcp_kernel.features import ServiceKey
 
 __all__ = [
+    "LINES",
     "Decision",
     "Question",
     "decision_of",
@@ -21,6 +22,9 @@ __all__ = [
 ]
 
 Node = dict[str, Any]
+Lines = Callable[[str], list[Node]]
+LINES: ServiceKey[Lines] = ServiceKey("plans.lines")
+"""Of the feature that runs plans: translates commands, one a line, into steps."""
 Decision = Literal["approve", "reject"]
 _DECISIONS: dict[str, Decision] = {
     "approve": "approve",
@@ -106,7 +110,9 @@ def decision_of(answer: TaskRequest) -> Decision | None:
     return None
 
 
-def mended(plan: TaskRequest, question: Question, answer: TaskRequest) -> TaskRequest | None:
+def mended(
+    plan: TaskRequest, question: Question, answer: TaskRequest, lines: Lines
+) -> TaskRequest | None:
     """Return the plan with what an answer gives: a whole plan, or the parameters that lack.
 
     Parameters come by the id of their step, or alone if only one step lacks any. None: the answer
@@ -122,7 +128,7 @@ def mended(plan: TaskRequest, question: Question, answer: TaskRequest) -> TaskRe
         given = dict.fromkeys(steps, body)
     else:
         return None
-    whole = _with_steps(plan.body)
+    whole = _with_steps(plan.body, lines)
     if whole is None:
         return None
     for id_, step in _every(whole["steps"], ""):
@@ -141,15 +147,14 @@ def _value(body: Any) -> Any:
     return body
 
 
-def _with_steps(body: Any) -> Node | None:
+def _with_steps(body: Any, lines: Lines) -> Node | None:
     """Return a copy of a plan written in steps; None if it cannot be."""
     plan: Any = msgspec.json.decode(msgspec.json.encode(body))
     if not isinstance(plan, dict):
         return None
     if "lines" in plan:
-        steps, _ = from_lines(str(plan["lines"]))
         # Their ids are their places, which the gateway gives them anew.
-        return {"steps": [{**msgspec.to_builtins(step), "id": None} for step in steps]}
+        return {"steps": [{**step, "id": None} for step in lines(str(plan["lines"]))]}
     return plan if isinstance(plan.get("steps"), list) else None
 
 

@@ -26,6 +26,7 @@ from rcp_a2a.messages import (
     told,
 )
 from rcp_a2a.questions import (
+    LINES,
     Decision,
     Question,
     decision_of,
@@ -109,7 +110,8 @@ class Run:
         assert question is not None
         if question.approval is not None and not is_plan(answer):
             return self._decide(caller, question.approval, decision_of(answer), answer)
-        plan = mended(self._plan, question, answer)
+        lines = self._client_api.service(LINES) or (lambda _text: [])
+        plan = mended(self._plan, question, answer, lines)
         if plan is None:
             return "That is neither a plan nor what is missing. " + question.text
         self._resume()

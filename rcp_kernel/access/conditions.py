@@ -17,7 +17,6 @@ import msgspec
 
 from rcp_conditions import CLOCK, Condition, Ref, size_of
 from rcp_kernel._plain import is_index, is_map, is_sequence
-from rcp_kernel.access.pace import Allowance
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain
@@ -35,7 +34,7 @@ _FLOATS = {float, bool}
 
 
 class Placed(Protocol):
-    """What belongs to a robot: an entry, or a step of a plan."""
+    """What belongs to a robot: such as an entry."""
 
     @property
     def tenant(self) -> str | None:
@@ -83,8 +82,6 @@ class Conditions:
         self._hub = hub
         self._registry: Registry = hub.registry
         self._today = today
-        self.allowance = Allowance()
-        """Of principals that send conditions."""
         self._used: dict[str, frozenset[str]] = {}
         self._names: Counter[str] = Counter()
         """Names of resources, each with how many parts need it."""
@@ -99,7 +96,7 @@ class Conditions:
             self._used[part] = wanted
         self._names.update(wanted - before)
         self._names.subtract(before - wanted)
-        # Plans begin and end by the dozen: only what nobody or nobody else needs is looked for.
+        # Parts come and go by the dozen: only what nobody or nobody else needs is looked for.
         changed = {n for n in wanted - before if self._names[n] == 1}
         for name in before - wanted:
             if not self._names[name]:

@@ -31,12 +31,9 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
-from rcp_kernel.features.approval import APPROVALS, NoApprovals
-from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.resource import ViewChanges
-from rcp_kernel.plans.checks import PlanChecker
-from rcp_kernel.plans.resource import PlanList, Plans
-from rcp_kernel.plans.waiting import WaitingPlans
+from rcp_kernel.requests.action_host import GatewayActionHost
+from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter, Recorded
 from rcp_kernel.requests.batch import BatchHandler
@@ -53,6 +50,7 @@ from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
+from rcp_kernel.requests.waiting import WaitingCommands
 from rcp_kernel.requests.write import WriteHandler
 from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
@@ -157,7 +155,6 @@ class _System:
     estop: Estop
     guard: GuardLink
     status: StatusReport
-    plans: PlanList
     disclosure: Disclosure
     branch: System
 
@@ -345,7 +342,7 @@ def _requests(
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
-    long_bodies = LongBodies(resolver)
+    long_bodies = LongBodies(resolver, features.actions)
     admission = Admission(
         resolver,
         motion.limits,
@@ -357,7 +354,14 @@ def _requests(
     keys = Keys(records.store, base.loop)
     keys.load(motion.commands.find)
     return _Requests(
-        RequestRouter(base.settings, base.turns, base.counts, records.writer, long_bodies),
+        RequestRouter(
+            base.settings,
+            base.turns,
+            base.counts,
+            records.writer,
+            long_bodies,
+            features.actions,
+        ),
         long_bodies,
         resolver,
         admission,
@@ -414,12 +418,10 @@ def _system(
         store=records.store,
         loop=base.loop,
     )
-    plans = PlanList(clients.access, base.loop)
     disclosure = Disclosure(base.visibility, base.rules)
     branch = System(
         status,
         estop,
-        plans=plans,
         access=clients.access,
         sessions=clients.sessions,
         quotas=clients.quotas,
@@ -434,7 +436,7 @@ def _system(
         changes=base.changes,
         loop=base.loop,
     )
-    return _System(estop, guard, status, plans, disclosure, branch)
+    return _System(estop, guard, status, disclosure, branch)
 
 
 def _handlers(
@@ -490,7 +492,7 @@ def _handlers(
         clients.access,
         estop=system.estop,
         services=system.branch.services,
-        plans=_plans(base, records, motion, clients, requests, system, features),
+        actions=_actions(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
         motion_limits=motion.limits,
         quotas=clients.quotas,
@@ -515,7 +517,7 @@ def _handlers(
     return _Handlers(read, subscribe)
 
 
-def _plans(
+def _actions(
     base: _Base,
     records: _Records,
     motion: _Motion,
@@ -523,34 +525,35 @@ def _plans(
     requests: _Requests,
     system: _System,
     features: Features,
-) -> Plans:
-    approvals = features.service(APPROVALS) or NoApprovals()
-    checker = PlanChecker(
-        registry=base.registry,
-        resolver=requests.resolver,
-        conditions=base.conditions,
-        control=features.service(CONTROL) or NoControl(),
-        motion_limits=motion.limits,
-        approvals=approvals,
-        settings=base.settings,
-        views=system.branch.views,
-        filters=system.branch.filters,
-    )
-    return Plans(
-        system.plans,
-        checker,
-        WaitingPlans(clients.access, motion.commands),
+) -> dict[str, ActionHandler]:
+    """Make the gateway's own long-running actions, by path."""
+    host = GatewayActionHost(
         handle=requests.router.handle,
         resolver=requests.resolver,
+        motion_limits=motion.limits,
         commands=motion.commands,
-        approvals=approvals,
         conditions=base.conditions,
         registry=base.registry,
+        services=features,
+        personal=(system.branch.views, system.branch.filters),
         audit_writer=records.writer,
-        settings=base.settings,
         turns=base.turns,
         loop=base.loop,
     )
+    return {
+        path: ActionHandler(
+            path,
+            action,
+            WaitingCommands(clients.access, motion.commands),
+            host=host,
+            commands=motion.commands,
+            resolver=requests.resolver,
+            registry=base.registry,
+            changes=base.changes,
+            loop=base.loop,
+        )
+        for path, action in features.actions.items()
+    }
 
 
 def _supervise(

@@ -13,6 +13,7 @@ from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (
+    Action,
     Call,
     Feature,
     FeatureHost,
@@ -81,6 +82,11 @@ class Features:
     def resources(self) -> list[SystemResource]:
         """What they add below `/system/`."""
         return [one for _, feature in self._made for one in feature.resources]
+
+    @property
+    def actions(self) -> dict[str, Action]:
+        """Their long-running actions, by path."""
+        return {one.path: one.action for one in self.resources if one.action is not None}
 
     def resources_of(self, name: str) -> list[SystemResource]:
         """What one of them adds."""

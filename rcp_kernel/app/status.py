@@ -23,7 +23,6 @@ from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.model import tenant_of
-from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.sessions.counts import RequestCounts
@@ -34,6 +33,7 @@ from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.streams.subscription import Subscription
+from rcp_kernel.tree.entry import is_system
 from rcp_kernel.tree.registry import Registry
 
 __all__ = ["StatusReport", "gateway_version"]
@@ -253,10 +253,10 @@ class StatusReport:
         }
 
     def _is_counted(self, rights: Rights | None, path: str) -> bool:
-        """Tell whether commands on a path count; plans do for those who see all they may touch."""
+        """Tell whether commands on a path count; the gateway's own for who sees all they may touch."""
         if rights is None:
             return True
-        whole = path != PLANS or self._visibility.sees_whole(rights, None)
+        whole = not is_system(path) or self._visibility.sees_whole(rights, None)
         return whole and bool(rights.mask(path))
 
     def _process_facts(self) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Iterator, Sequence
 from contextlib import asynccontextmanager
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -16,9 +15,7 @@ from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.features import Filter, Service, SystemResource, View
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.plans.examples import EXAMPLES
-from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
-from rcp_kernel.plans.resource import PlanList
+from rcp_kernel.requests.action_list import ActionList
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.disclosure import PATH, Disclosure
 from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
@@ -69,7 +66,6 @@ class System(BaseBackend):
         status: StatusReport,
         estop: Estop,
         *,
-        plans: PlanList,
         access: CommandAccess,
         sessions: Sessions,
         quotas: QuotaTracker,
@@ -104,7 +100,6 @@ class System(BaseBackend):
             "/system/sessions": self._list_sessions,
             "/system/commands": self._list_commands,
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
-            "/system/plans": plans.view,
         }
         """Resources whose value depends on who asks, by path."""
         self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
@@ -120,8 +115,6 @@ class System(BaseBackend):
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
-        plans.on_change.append(partial(self._publish, "plans", []))
-        self._publish("plans", [])
         self._recent = recent
         recent.on_record.append(self._logged)
 
@@ -141,8 +134,11 @@ class System(BaseBackend):
             self._hub.keep(entry)
         if own.execute is not None:
             self.services[own.path] = own.execute
-        if own.view is not None:
-            self.views[own.path] = own.view
+        view = own.view
+        if own.action is not None:
+            view = ActionList(own.path, own.action, self._access).view
+        if view is not None:
+            self.views[own.path] = view
             self._changed(own.path)
 
     def _changed(self, path: str) -> None:
@@ -291,17 +287,5 @@ def _resources() -> list[Resource]:
             operations=_LOOK | Operation.EXECUTE,
             examples=({}, {"scope": "/tenant/alpha", "reason": "person in the cell"}),
             timeout=LONGEST_WAIT + 1,
-        ),
-        Resource(
-            name="action/plans",
-            description="Many operations as one command: checked whole first, then run step by step.",
-            value=list[PlanState],
-            input=Plan,
-            output=PlanResult,
-            feedback=StepState,
-            operations=_LOOK | Operation.EXECUTE,
-            policy="parallel",
-            examples=EXAMPLES,
-            history=1,
         ),
     ]

@@ -29,7 +29,6 @@ from rcp_kernel.config.identity import (
     check_identity,
 )
 from rcp_kernel.config.limits import Limits, Quota, Quotas
-from rcp_kernel.config.plans import PlansConfig, check_plans
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
@@ -127,7 +126,8 @@ class GatewayConfig(Table, frozen=True):
     limits: Limits = Limits()
     safety: Safety = Safety()
     quotas: Quotas = Quotas()
-    plans: PlansConfig = PlansConfig()
+    plans: dict[str, Any] = {}
+    """The table that the feature's own type decodes."""
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
     audit: AuditConfig = AuditConfig()
@@ -145,6 +145,8 @@ class GatewayConfig(Table, frozen=True):
             used.add("approvals")
         if self.jwt:
             used.add("jwt")
+        if self.plans:
+            used.add("plans")
         if self.safety.lease_required:
             used.add("leases")
         return frozenset(used)
@@ -363,7 +365,6 @@ def _check(config: GatewayConfig, source: str) -> None:
     check_groups(config.safety.groups, names, config.tenant_names, source)
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)
-    check_plans(config.plans, source)
     off = sorted(name for name in config.used_features if config.features.get(name) is False)
     if off:
         raise ConfigError(

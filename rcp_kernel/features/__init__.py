@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
@@ -11,6 +12,9 @@ from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.tree.scope import Scope
 
 __all__ = [
+    "Action",
+    "ActionHost",
+    "ActionRun",
     "Call",
     "Feature",
     "FeatureHost",

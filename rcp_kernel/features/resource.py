@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from rcp_kernel.features.action import Action
 from rcp_kernel.model import Resource
 from rcp_kernel.sessions.session import Session
 
@@ -38,6 +39,9 @@ class SystemResource:
     """Decides of each sample who sees what of it."""
     execute: Service | None = None
     """Does what an `execute` asks for; must not block."""
+    action: Action | None = None
+    """Does what an `execute` asks for as a command, for as long as it takes. The value of the
+    resource is the list of its commands: each reader gets those that it may see."""
 
     @property
     def path(self) -> str:

@@ -105,7 +105,8 @@ class Admission:
     def _asked(self, call: Call) -> tuple[Guard, ...]:
         """Return the guards that a call has to pass.
 
-        None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+        None keeps anybody from bringing something to rest. An action of the gateway's own passes
+        none: the requests that it sends do.
         """
         if not self.active or call.entry.tenant is None or call.rests:
             return ()

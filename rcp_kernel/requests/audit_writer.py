@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.config.settings import Settings
@@ -16,8 +17,6 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
 from rcp_kernel.model import tenant_of
-from rcp_kernel.plans.model import PATH as PLANS
-from rcp_kernel.requests.outline import outline
 from rcp_kernel.safety.safety import safe_value
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.store.audit import FULL, Audit, bounded, hashed, value_of
@@ -53,7 +52,7 @@ DENIALS = frozenset(
     )
 )
 """Codes that go on record whatever the request was; a write or an execute does with any code."""
-ID = "a-"  # what the ids of approvals begin with; the passes of plans' steps are nobody's business
+ID = "a-"  # what the ids of approvals begin with; a pass for many commands is nobody's business
 _LOOK = 0.25  # s between looks for replies whose deadline passes
 _LONGEST = 5.0  # s that a reply is held back at most
 _ESTOP = 0.25  # s for that of an e-stop, which is told in any case
@@ -121,8 +120,13 @@ class AuditWriter:
 
     # -- records -------------------------------------------------------------------------------
 
-    def refused(self, session: Session, request: Request, reply: Reply, answer: Answer) -> Answer:
-        """Record a refusal; return what its reply goes to."""
+    def refused(
+        self, session: Session, request: Request, reply: Reply, answer: Answer, *, hide: bool
+    ) -> Answer:
+        """Record a refusal; return what its reply goes to.
+
+        `hide` leaves of the value its hash: it belongs to other paths than the request's.
+        """
         error = reply.error or {}
         noted = self._audit.note(
             "denial",
@@ -131,7 +135,7 @@ class AuditWriter:
             path=reply.path,
             outcome=error.get("code", "internal"),
             message=reply.message,
-            **_facts(request),
+            **_facts(request, hide=hide),
         )
         return self.held(answer, request) if noted else answer
 
@@ -220,7 +224,8 @@ class AuditWriter:
 
     def started(self, session: Session, request: Request, command: Command) -> None:
         """Record that a command was accepted."""
-        work = command.work if command.path == PLANS else None
+        work = command.work
+        outline = None if work is None else work.outline(work.report(over=False))
         self._audit.note(
             "execute",
             principal=session.principal,
@@ -229,9 +234,9 @@ class AuditWriter:
             path=command.path,
             outcome="accepted",
             command=command.id,
-            touches=None if work is None else command.touches,
-            steps=None if work is None else _steps(work.report(over=False)),
-            **_facts(request),
+            touches=None if outline is None else command.touches,
+            **_bounded(outline),
+            **_facts(request, hide=outline is not None),
         )
 
     def estop(
@@ -264,7 +269,7 @@ class AuditWriter:
     def looked(
         self, session: Session, request: Request, path: str, told: Any, touches: list[str]
     ) -> None:
-        """Record what a step of a plan has read; of what shows each reader its own, not the value."""
+        """Record what was read for a session; of what shows each reader its own, not the value."""
         facts = _facts(request)
         if "*" not in path and not path.startswith("/system/"):
             facts["value"] = told
@@ -281,7 +286,8 @@ class AuditWriter:
     def ended(self, command: Command) -> None:
         """Record what became of a command, and what the robot said."""
         last, asker = command.history[-1], command.asker
-        error, plan = last.error, command.path == PLANS
+        error, work = last.error, command.work
+        outline = None if work is None else work.outline(last.body)
         self._audit.note(
             "command",
             principal=None if asker is None else asker.principal,
@@ -295,9 +301,9 @@ class AuditWriter:
             command=command.id,
             id=command.request_id,
             origin=None if error is None else error.get("origin"),
-            value=None if plan or last.body is NO_BODY else bounded(last.body),
-            touches=command.touches if plan else None,
-            steps=_steps(last.body) if plan else None,
+            value=None if command.is_system or last.body is NO_BODY else bounded(last.body),
+            touches=command.touches if command.is_system else None,
+            **_bounded(outline),
             x=bounded(command.custom) if command.custom else None,
         )
 
@@ -377,12 +383,11 @@ class Recorded:
         self._keeper.forget(command)
 
 
-def _steps(report: Any) -> Any:
-    steps = outline(report)
-    return None if steps is None else bounded(steps)
+def _bounded(outline: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {} if outline is None else {name: bounded(fact) for name, fact in outline.items()}
 
 
-def _facts(request: Request) -> dict[str, Any]:
+def _facts(request: Request, *, hide: bool = False) -> dict[str, Any]:
     acts, approval = request.type in ACTS, request.approval
     return {
         "request": request.type,
@@ -390,14 +395,13 @@ def _facts(request: Request) -> dict[str, Any]:
         "idempotency_key": request.idempotency_key,
         "dry_run": request.dry_run or None,
         "approval": approval if approval and approval.startswith(ID) else None,
-        "value": _value(request) if acts else None,
+        "value": _value(request, hide=hide) if acts else None,
         "x": bounded(request.custom) if request.custom else None,
     }
 
 
-def _value(request: Request) -> Any:
-    # The values of a plan are those of its steps' paths, not of the tenant that it was sent in.
-    return hashed(bytes(request.body)) if request.path == PLANS else value_of(request)
+def _value(request: Request, *, hide: bool) -> Any:
+    return hashed(bytes(request.body)) if hide else value_of(request)
 
 
 def _unrecorded(reply: Reply) -> Reply:

@@ -9,7 +9,6 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Operation
-from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.session import Session
@@ -35,9 +34,9 @@ class CommandAccess:
             return False
         if is_own(session, command):  # also what is told of it already, unless the rights have gone
             return sight.sees_all(rights, (p for p in command.touches if p != EVERYTHING))
-        if command.path == PLANS:
+        if command.is_system:
             tenants = self._identities.tenants_of(session.principal)
-            # Of what a step has read the value is told.
+            # Of what it has read in the name of who sent it, the value is told.
             if command.tenant not in tenants or not sight.sees_all(rights, command.touches, _READ):
                 return False
         return not sight.names_hidden(rights, command.tenant, command.names)
@@ -46,10 +45,14 @@ class CommandAccess:
         """List the commands that a session may see, newest first."""
         return [command for command in self.judged(session) if command is not None]
 
-    def judged(self, session: Session) -> Iterator[Command | None]:
-        """Go through all commands, newest first; None stands for one that a session may not see."""
+    def judged(self, session: Session, path: str | None = None) -> Iterator[Command | None]:
+        """Go through all commands, or those on a path, newest first.
+
+        None stands for one that is left out: the session may not see it, or it is on another path.
+        """
         for command in self._commands.every():
-            yield command if self.sees(session, command) else None
+            wanted = path is None or command.path == path
+            yield command if wanted and self.sees(session, command) else None
 
     def visited(self, session: Session) -> Iterator[Command | None]:
         """Go through all commands, newest first; None stands for one that a session may not see."""

@@ -11,7 +11,6 @@ from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.contract.identity import Grants
 from rcp_kernel.model import Operation
-from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.latches import GATEWAY
 
@@ -21,6 +20,7 @@ PATH = "/system/audit"
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _KNOWN = 2000  # records whose names are remembered
 _KEPT = 20_000  # verdicts: of twenty sets of rights about all records at hand
+_PLANS = "/system/plans"  # in records of gateways before this one
 _PLAN = frozenset(("name", "steps", "symbolic", "lines"))  # what the body of a plan may have
 _ROBOTS = ("robots", "latches")
 _WHOLE = 2  # slashes of the key of a tenant
@@ -171,7 +171,7 @@ def _tells_of_a_whole_plan(record: dict[str, Any]) -> bool:
     """Tell whether a record has a plan with its values: as gateways before this one wrote them."""
     if "touches" in record:
         return False
-    if record.get("path") == PLANS and record.get("what") in ("execute", "command", "approval"):
+    if record.get("path") == _PLANS and record.get("what") in ("execute", "command", "approval"):
         return True
     value = record.get("value")
     return (

@@ -20,17 +20,14 @@ from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.model import Kind, Operation
-from rcp_kernel.plans.resource import PATH as PLANS
-from rcp_kernel.plans.resource import Plans
-from rcp_kernel.plans.resource import Work as PlanWork
-from rcp_kernel.plans.stops import only_stops
-from rcp_kernel.plans.waiting import WaitingPlan
+from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.waiting import WaitingCommand
 from rcp_kernel.requests.write import DryRun, dry_run_reply
 from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.motion_limits import MotionLimits
@@ -82,7 +79,7 @@ class ExecuteHandler:
         *,
         estop: EstopLane,
         services: Mapping[str, Service],
-        plans: Plans,
+        actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
         motion_limits: MotionLimits,
         quotas: QuotaTracker,
@@ -101,7 +98,7 @@ class ExecuteHandler:
         self._access = access
         self._estop_lane = estop
         self._services = services
-        self._plans = plans
+        self._actions = actions
         self._dry_run = dry_run
         self._motion_limits = motion_limits
         self._quotas = quotas
@@ -117,30 +114,52 @@ class ExecuteHandler:
     def execute_in_steps(
         self, session: Session, request: Request, answer: Answer
     ) -> Generator[None, None, Reply | None]:
-        """Start a command; a plan waits from now on, and is checked in steps first."""
-        waiting = self._plans.waiting.enter(session) if request.path == PLANS else None
-        return self._execute_checked(session, request, answer, waiting)
+        """Start a command; one of the gateway's own waits from now on, and is checked in steps."""
+        action = self._actions.get(request.path or "")
+        if action is None:
+            return self._execute_soon(session, request, answer)
+        waiting = action.waiting.enter(session)
+        return self._execute_checked(session, request, answer, action, waiting)
+
+    def _execute_soon(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
+        yield from ()
+        return self.execute(session, request, answer)
 
     def _execute_checked(
-        self, session: Session, request: Request, answer: Answer, waiting: WaitingPlan | None
+        self,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        action: ActionHandler,
+        waiting: WaitingCommand,
     ) -> Generator[None, None, Reply | None]:
-        if waiting is None or self._keys.find(session, request, PLANS) is not None:
-            return self.execute(session, request, answer)
         try:
-            self._quotas.check_command(session, PLANS)
-            self._plans.check_running(session)
-            plan = yield from self._plans.prepare(session, request, waiting)
-            return self.execute(session, request, answer, plan)
+            if self._keys.find(session, request, action.path) is not None:
+                return self.execute(session, request, answer)
+            self._quotas.check_command(session, action.path)
+            action.check_running(session)
+            prepared = yield from action.prepare(session, request, waiting)
+            return self.execute(session, request, answer, prepared)
         finally:
-            self._plans.waiting.leave(waiting)
+            action.waiting.leave(waiting)
 
     def execute(
-        self, session: Session, request: Request, answer: Answer, plan: PlanWork | None = None
+        self,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        prepared: PreparedRun | None = None,
     ) -> Reply | None:
-        """Start a command, or follow the one that the same key started; `plan` is checked already."""
+        """Start a command, or follow the one that the same key started.
+
+        `prepared` is what was checked already of an action of the gateway's own.
+        """
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
-        value = self._input(request, entry) if plan is None else plan.plan
+        action = self._actions.get(entry.path)
+        value = self._input(request, entry) if prepared is None else prepared.run.input
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
@@ -153,41 +172,29 @@ class ExecuteHandler:
         call = Call(session, request, entry, value)
         self._admission.admit(call)
         self._commands.admit(entry)
-        halts = entry.is_hold or (entry.path == PLANS and self.stops(session, request))
+        halts = entry.is_hold or (action is not None and self.stops(session, request))
         if not halts:
             self._quotas.check_command(session, entry.path)
-            if entry.path == PLANS:
-                self._plans.check_running(session)
+            if action is not None:
+                action.check_running(session)
         if entry.is_hold and not request.dry_run:
             self._hold(call, answer, started)
             return None
-        work = self._plan(session, request, plan) if entry.path == PLANS else None
+        if action is not None:
+            prepared = self._prepared(action, session, request, prepared)
         self._admission.ask(call)
         if request.dry_run:
-            if work is not None:
-                return dry_run_reply(request, entry, work.would())
+            if prepared is not None:
+                return dry_run_reply(request, entry, dict(prepared.run.dry_run()))
             held = self._motion_limits.applied(session, entry)
             facts = {"envelopes": held or None, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"execute": value, **facts})
-        if work is not None:
-            work.approve(session, request, entry)
-        command = Command(
-            id="cmd-" + secrets.token_hex(8) if work is None else work.waiting.command,
-            path=entry.path,
-            principal=session.principal.name,
-            proof=session.principal.proof,
-            tenant=entry.tenant if work is None else work.tenant,
-            work=work,
-            touches=() if work is None else work.touches,
-            request_id=request.id,
-            custom=request.custom,
-            timestamp=request.timestamp,
-            input=LongValue(value) if isinstance(request, Prepared) else value,
-            session=session.id,
-            entry=entry,
-        )
-        if work is not None:
-            command.followers.append(work.told)
+        if action is None or prepared is None:
+            command = _command(call)
+        else:
+            prepared.run.begin(session, request, entry)
+            command = prepared.command(session, request, entry)
+            command.followers.append(action.follow)
         if request.idempotency_key is not None:
             command.ready = self._audit_writer.committed
             command.followers.append(self._settling(session, request, entry.path))
@@ -205,38 +212,31 @@ class ExecuteHandler:
             request.deadline,
             confirm=partial(self._admission.confirm, call),
         )
-        if work is not None:
-            self._plans.waiting.settle(work.waiting, command)
+        if action is not None and prepared is not None:
+            action.waiting.settle(prepared.waiting, command)
         return None
 
-    def _plan(self, session: Session, request: Request, plan: PlanWork | None) -> PlanWork:
-        """Return a checked plan that may begin now.
+    @staticmethod
+    def _prepared(
+        action: ActionHandler, session: Session, request: Request, prepared: PreparedRun | None
+    ) -> PreparedRun:
+        """Return a checked run that may begin now.
 
-        :raises EstopActive: a robot of it was stopped since it was sent.
+        :raises EstopActive: a robot that it is about was stopped since it was sent.
         :raises RcpError: something is wrong with it.
         """
-        if plan is None:
-            waiting = self._plans.waiting.enter(session)
-            plan = at_once(self._plans.prepare(session, request, waiting))
-        plan.check_stops()
-        return plan
+        if prepared is None:
+            waiting = action.waiting.enter(session)
+            prepared = at_once(action.prepare(session, request, waiting))
+        prepared.check_stops()
+        return prepared
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
         """Bring a robot to rest without an e-stop, past envelopes, quotas and all guards."""
         session, request, entry = call.session, call.request, call.entry
-        command = Command(
-            id="cmd-" + secrets.token_hex(8),
-            path=entry.path,
-            principal=session.principal.name,
-            proof=session.principal.proof,
-            tenant=entry.tenant,
-            work=Hold([entry.unit, *self._partners.of(entry)], self._commands, self._deadman),
-            request_id=request.id,
-            custom=request.custom,
-            timestamp=request.timestamp,
-            session=session.id,
-            entry=entry,
-        )
+        command = _command(call)
+        units = [entry.unit, *self._partners.of(entry)]
+        command.work = Hold(units, self._commands, self._deadman)
         self._follow(session, request, command, answer, started)
         self._audit_writer.started(session, request, command)
         timeout = self._timeout(request, entry)
@@ -254,8 +254,9 @@ class ExecuteHandler:
         """Tell whether a request brings a robot to rest."""
         if request.type != "execute":
             return False
-        if only_stops(request, lambda step: is_exempt(step) or self.stops(session, step)):
-            return True
+        action = self._actions.get(request.path or "")
+        if action is not None:
+            return action.stops(request, lambda one: is_exempt(one) or self.stops(session, one))
         try:
             return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
         except RcpError:
@@ -392,7 +393,8 @@ class ExecuteHandler:
         if wanted is None:
             running = [c for c in self._commands.running.values() if c.path == entry.path]
             found = [c for c in running if self._access.sees(session, c)]
-        waiting = self._plans.waiting if wanted is None and entry.path == PLANS else None
+        action = self._actions.get(entry.path) if wanted is None else None
+        waiting = None if action is None else action.waiting
         own = found or (waiting is not None and waiting.own(session))
         if not own or not all(is_own(session, command) for command in found):
             # Whoever set something going may stop it, whatever has become of the conditions.
@@ -418,6 +420,24 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
+
+
+def _command(call: Call) -> Command:
+    """Return the command that a call to a robot becomes."""
+    session, request, entry = call.session, call.request, call.entry
+    return Command(
+        id="cmd-" + secrets.token_hex(8),
+        path=entry.path,
+        principal=session.principal.name,
+        proof=session.principal.proof,
+        tenant=entry.tenant,
+        request_id=request.id,
+        custom=request.custom,
+        timestamp=request.timestamp,
+        input=LongValue(call.value) if isinstance(request, Prepared) else call.value,
+        session=session.id,
+        entry=entry,
+    )
 
 
 def _forget_finished(commands: dict[str, OwnCommand]) -> None:

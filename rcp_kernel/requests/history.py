@@ -9,12 +9,12 @@ from msgspec import Raw
 
 from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError, InvalidValue
-from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resume import hashed
 from rcp_kernel.store.store import Store
 from rcp_kernel.store.touches import EVERYTHING
+from rcp_kernel.tree.entry import is_system
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 
@@ -100,7 +100,7 @@ def _read(row: dict[str, Any]) -> Command | None:
     """Return the command of a row; one that cannot be read is left out and told of."""
     try:
         steps = row.pop("history")
-        unknown = (EVERYTHING,) if row["path"] == PLANS else ()  # of a gateway before this one
+        unknown = (EVERYTHING,) if is_system(row["path"]) else ()  # of a gateway before this one
         row["touches"] = tuple(row.get("touches", unknown))
         command = Command(**row)
         for step in steps:

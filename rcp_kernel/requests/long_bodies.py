@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Container, Generator
 from typing import Any
 
 import msgspec
@@ -11,7 +11,6 @@ from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.structure import LONG
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
-from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.audit import hashing
@@ -27,16 +26,17 @@ _TYPES = {"write": Operation.WRITE, "execute": Operation.EXECUTE}
 class LongBodies:
     """Prepares requests; whether they are carried out is for their handlers to say."""
 
-    def __init__(self, resolver: Resolver) -> None:
+    def __init__(self, resolver: Resolver, actions: Container[str]) -> None:
+        """Prepare no request to one of `actions`, which are checked in steps of their own."""
         self._resolver = resolver
+        self._actions = actions
 
-    @staticmethod
-    def takes(request: Request) -> bool:
-        """Tell whether a request has a long body that is not prepared; a plan is checked by itself."""
+    def takes(self, request: Request) -> bool:
+        """Tell whether a request has a long body that is to be prepared and is not yet."""
         return (
             len(request.body) > LONG
             and request.type in _TYPES
-            and request.path != PLANS
+            and (request.path or "") not in self._actions
             and not isinstance(request, Prepared)
         )
 

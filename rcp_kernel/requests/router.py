@@ -6,7 +6,7 @@ becomes the one final reply of that request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Container, Generator
 from time import perf_counter
 
 from rcp_kernel.access.token_bucket import is_exempt
@@ -17,7 +17,6 @@ from rcp_kernel.contract.structure import LONG, check_structure
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
-from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.requests.audit_writer import ACTS, DENIALS, AuditWriter
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.sessions.counts import RequestCounts
@@ -48,12 +47,15 @@ class RequestRouter:
         counts: RequestCounts,
         audit_writer: AuditWriter,
         long_bodies: LongBodies,
+        actions: Container[str],
     ) -> None:
+        """`actions` are the paths of the gateway's long-running actions."""
         self._settings = settings
         self._turns = turns
         self._counts = counts
         self._audit_writer = audit_writer
         self._long_bodies = long_bodies
+        self._actions = actions
         self._routes: dict[str, Route] = {"ping": _ping, "hello": _hello}
         self._stepped: dict[str, SteppedRoute] = {}
         self._stopping: dict[str, Callable[[Session, Request], bool]] = {}
@@ -92,7 +94,7 @@ class RequestRouter:
             ):
                 raise meter.refusal(started)
             long = len(request.body) > LONG and self._long_bodies.takes(request)
-            if (long or _dear(session, request)) and not self._stops(session, request):
+            if (long or self._dear(session, request)) and not self._stops(session, request):
                 stepped = None if long else self._stepped.get(request.type)
                 steps = None if stepped is None else stepped(session, request, answer)
                 work = self._slowly(session, request, answer, started, steps)
@@ -140,6 +142,21 @@ class RequestRouter:
         stops = self._stopping.get(request.type)
         return stops is not None and stops(session, request)
 
+    def _dear(self, session: Session, request: Request) -> bool:
+        """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
+        path = request.path
+        if len(request.body) > LONG and session.connection is None:
+            return True  # a connection has waited with a long message until it was its turn
+        match request.type:
+            case "discover" | "batch" | "subscribe" | "unsubscribe" | "status":
+                return True
+            case "read":
+                return path is not None and ("*" in path or path.startswith("/system/"))
+            case "execute":
+                return (path or "") in self._actions
+            case _:
+                return False
+
     def _refuse(
         self, session: Session, request: Request, answer: Answer, error: Exception
     ) -> tuple[Reply, Answer]:
@@ -152,7 +169,8 @@ class RequestRouter:
         reply = failure(told, request.type, request.id, path)
         reply.custom = request.custom
         if told.code in DENIALS or request.type in ACTS:
-            answer = self._audit_writer.refused(session, request, reply, answer)
+            hide = (request.path or "") in self._actions
+            answer = self._audit_writer.refused(session, request, reply, answer, hide=hide)
         return reply, answer
 
 
@@ -175,19 +193,3 @@ def _full(path: str | None, tenant: str | None) -> str | None:
         return Pattern(path, tenant).text
     except RcpError:
         return path
-
-
-def _dear(session: Session, request: Request) -> bool:
-    """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
-    path = request.path
-    if len(request.body) > LONG and session.connection is None:
-        return True  # a connection has waited with a long message until it was its turn
-    match request.type:
-        case "discover" | "batch" | "subscribe" | "unsubscribe" | "status":
-            return True
-        case "read":
-            return path is not None and ("*" in path or path.startswith("/system/"))
-        case "execute":
-            return path == PLANS
-        case _:
-            return False

@@ -92,3 +92,6 @@ class Hold:
     def report(self, *, over: bool) -> Any:
         """Report nothing beside the result."""
         return NO_BODY
+
+    def outline(self, report: Any) -> None:
+        """Have the whole result recorded."""

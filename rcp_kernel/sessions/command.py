@@ -23,7 +23,7 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.sessions.long_value import plain
 from rcp_kernel.spi import Progress
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.entry import Entry, is_system
 from rcp_kernel.values import ANY, Encoding
 from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Status
 
@@ -46,6 +46,13 @@ class Work(Protocol):
 
     def report(self, *, over: bool) -> Any:
         """Return how far it has come; with `over` it goes no further."""
+        ...
+
+    def outline(self, report: Any) -> Mapping[str, Any] | None:
+        """Return what the audit log keeps of a report or a result; None for the whole of it.
+
+        Values that belong to other paths are in the records of those paths.
+        """
         ...
 
 
@@ -117,7 +124,7 @@ class _Listed(Body):
         return data
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, weakref_slot=True)
 class Command:
     """One execute, from request to its one final status."""
 
@@ -141,7 +148,7 @@ class Command:
     work: Work | None = None
     """What the gateway itself does for it; None for the work of a robot."""
     touches: tuple[str, ...] = ()
-    """Paths beside its own that it is about: of the steps of a plan."""
+    """Paths beside its own that it is about."""
     ready: Callable[[], Awaitable[None]] | None = None
     """Awaited before the robot is told."""
     entry: Entry | None = None
@@ -165,6 +172,11 @@ class Command:
     def final(self) -> bool:
         """Whether the command has ended."""
         return self.status in FINAL
+
+    @property
+    def is_system(self) -> bool:
+        """Whether the gateway itself carries it out: then it is about what it touches."""
+        return is_system(self.path)
 
     @property
     def names(self) -> frozenset[str]:

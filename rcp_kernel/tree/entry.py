@@ -19,10 +19,15 @@ from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType, value_type
 
-__all__ = ["Entry", "Listener", "Owner", "StopGroup"]
+__all__ = ["Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
 _IDLE_HISTORY = 16  # samples kept of a resource nobody subscribes to
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
+
+
+def is_system(path: str) -> bool:
+    """Tell whether a path is in the gateway's own branch."""
+    return path.startswith("/system/")
 
 
 class Owner(Protocol):

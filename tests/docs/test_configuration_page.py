@@ -30,9 +30,9 @@ from rcp_kernel.config.file import (
     TenantConfig,
     parse,
 )
-from rcp_kernel.config.plans import ActionTable, PlansConfig
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
+from rcp_plans.config import ActionTable, PlansConfig
 
 PAGE = DOCS / "configuration.md"
 _NEEDED = object()

@@ -88,8 +88,6 @@ async def test_a_gateway_without_any_feature_serves_and_stops_robots() -> None:
         assert (await client.ask(type="read", path="/param/limit"))["body"] == 1.5
         assert (await client.ask(**LIMIT))["status"] == "completed"
         assert await completes(world, client, "/action/go", 2.0)
-        plan = {"steps": [{"do": "execute", "path": "/service/echo", "value": "x"}]}
-        assert await completes(world, client, "/system/plans", plan)
         halts = robot.halts
         assert await completes(world, client, "/service/hold", {})
         assert robot.halts > halts
@@ -97,7 +95,7 @@ async def test_a_gateway_without_any_feature_serves_and_stops_robots() -> None:
         refused = await client.ask(type="execute", path="/action/go", body=2.0)
         assert refused["error"]["code"] == "estop_active"
         admin = world.client("admin-admin-admin")
-        for name in ("approvals", "leases"):
+        for name in ("approvals", "leases", "plans"):
             reply = await admin.ask(type="read", path=f"/system/{name}")
             assert reply["error"]["code"] == "unknown_path"
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from rcp_a2a.messages import TaskRequest
 from rcp_a2a.questions import Question, mended, question_of
+from rcp_plans.lines import plain_steps
 
 
 def lacking(*steps: str) -> Question:
@@ -14,7 +15,7 @@ def lacking(*steps: str) -> Question:
 
 
 def after(plan: Any, question: Question, answer: Any) -> Any:
-    found = mended(TaskRequest(plan), question, TaskRequest(answer))
+    found = mended(TaskRequest(plan), question, TaskRequest(answer), plain_steps)
     return None if found is None else found.body
 
 

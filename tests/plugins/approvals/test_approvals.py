@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from kernel.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run, states, step
-from kernel.world import Client, World, world_of
+from kernel.world import Client, World, features_of, world_of
+from plugins.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run, states, step
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.features.approval import APPROVALS
@@ -221,7 +221,7 @@ async def test_an_approval_of_a_plan_is_for_what_it_means_and_shows_it() -> None
         assert (step["path"], step["value"]) == ("/tenant/alpha/action/go", 2.0)
         await decide(guard, details["approval"])
         config = parse(PEOPLE.replace("metres = 2.0", "metres = 3.0"), "test")
-        world.server.kernel.reconfigure(config)
+        world.server.kernel.reconfigure(config, features_of(config))
         assert code(await agent.ask(**plan, approval=details["approval"])) == "forbidden"
 
 

@@ -7,13 +7,11 @@ request.
 
 from __future__ import annotations
 
-from collections.abc import Container, Generator
+from collections.abc import Generator
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
@@ -25,28 +23,26 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.features import ActionHost
 from rcp_kernel.features.approval import ApprovalService
 from rcp_kernel.features.control import ControlService
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.plans.fault import Fault, refusal
-from rcp_kernel.plans.lines import from_lines
-from rcp_kernel.plans.looking import looked_at
-from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read, Retry, Step, Write
-from rcp_kernel.plans.names import NameScope
-from rcp_kernel.plans.nearest import Nearest, nearest
-from rcp_kernel.plans.node import MARK, Checked, Node, references
-from rcp_kernel.plans.reading import ConditionReader
-from rcp_kernel.plans.symbolic import from_symbolic
-from rcp_kernel.requests.read import READ_OPTIONS
-from rcp_kernel.safety.motion_limits import MotionLimits
-from rcp_kernel.safety.safety import check_motion
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.registry import Registry
 from rcp_kernel.tree.scope import Scope
 from rcp_kernel.values import Encoding, ValueType, dump
+from rcp_plans.config import PlansConfig
+from rcp_plans.fault import Fault, refusal
+from rcp_plans.lines import from_lines
+from rcp_plans.looking import looked_at
+from rcp_plans.model import Execute, Group, Operate, Parallel, Plan, Read, Retry, Step, Write
+from rcp_plans.names import NameScope
+from rcp_plans.nearest import Nearest, nearest
+from rcp_plans.node import MARK, Checked, Node, references
+from rcp_plans.pace import Allowance
+from rcp_plans.reading import ConditionReader
+from rcp_plans.symbolic import from_symbolic
 
 __all__ = ["PlanChecker"]
 
@@ -61,21 +57,16 @@ _STEP = 32  # resources that are judged at once
 _MARK = f'"{MARK}"'.encode()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class PlanChecker:
     """Checks plans against all that their steps will have to pass."""
 
-    registry: Registry
-    resolver: Resolver
-    conditions: Conditions
+    host: ActionHost
     control: ControlService
-    motion_limits: MotionLimits
     approvals: ApprovalService
-    settings: Settings
-    views: Container[str]
-    """Paths that show each reader something else."""
-    filters: Container[str]
-    """Paths of whose samples everybody sees their own only."""
+    config: PlansConfig
+    allowance: Allowance
+    """Of principals that send conditions."""
 
     def check(self, session: Session, plan: Plan) -> Generator[None, None, Checked]:
         """Return a plan that may begin, or refuse it with everything that is wrong, in steps.
@@ -90,15 +81,16 @@ class _Check:
     """One check."""
 
     def __init__(self, against: PlanChecker, session: Session) -> None:
-        self._against = against
+        self._host, self._approvals = against.host, against.approvals
+        self._control = against.control
         self._session = session
-        self._limits = self._against.settings.config.plans
+        self._limits = against.config
         self._faults: list[Fault] = []
         self._ids: dict[str, Node] = {}
         self._types: dict[str, ValueType] = {}
         """Of the results of steps."""
         self._count = 0
-        self._reader = ConditionReader(against.conditions, session.principal.name)
+        self._reader = ConditionReader(against.allowance, session.principal.name)
         self._searches = 0
         self._gained: list[Scope] = []
         """What earlier steps gain control of."""
@@ -130,7 +122,7 @@ class _Check:
         if plan.lines is not None:
             steps, self._faults = from_lines(plan.lines, most)
             return steps
-        naming = NameScope(self._against.registry, self._session)
+        naming = NameScope(self._host.registry, self._session)
         yield from naming.prepare()
         steps, self._faults = yield from from_symbolic(
             plan.symbolic or "", self._limits, naming, most
@@ -284,26 +276,26 @@ class _Check:
         self._checked.touches[entry.path] = None
         self._types[node.id] = entry.output_type if isinstance(step, Execute) else entry.value_type
         if isinstance(step, Read):
-            if entry.path in self._against.views or entry.path in self._against.filters:
+            if self._host.is_personal(entry.path):
                 self._checked.touches[EVERYTHING] = None  # it shows whoever sent the plan his own
             if not refers:
-                self._decode(READ_OPTIONS, step.value, "read")
+                self._host.check_read(step.value)
             return
         value = None if refers else self._value(step, entry)
         self._admit(entry, value, refers=refers)
-        if self._against.approvals.wanted(self._session, entry, value):
+        if self._approvals.wanted(self._session, entry, value):
             self._checked.asks.append(node.id)
         if isinstance(step, Execute):
-            gained = self._against.control.gains(self._session, entry, step.value)
+            gained = self._control.gains(self._session, entry, step.value)
             self._gained += [] if gained is None else [gained]
         yield
 
     def _pattern(self, node: Node, step: Read) -> Work:
         pattern = Pattern(step.path, self._session.tenant)
         node.path = node.state.path = pattern.text
-        self._decode(READ_OPTIONS, step.value, "read")
+        self._host.check_read(step.value)
         permits = self._session.rights.permits
-        found = iter(self._against.registry.match(pattern))
+        found = iter(self._host.registry.match(pattern))
         assert self._checked is not None
         while some := list(islice(found, _STEP)):
             named = [e.path for e in some if permits(e, Operation.READ)]
@@ -313,7 +305,7 @@ class _Check:
     def _entry(self, step: Operate) -> Generator[None, None, Entry]:
         operation = _OPERATIONS[step.do]
         try:
-            entry = self._against.resolver.resolve(self._session, step.path, operation, anyway=True)
+            entry = self._host.resolve(self._session, step.path, operation)
         except UnknownPath as error:
             near = yield from self._near(error.path or step.path, operation)
             if near:
@@ -336,7 +328,7 @@ class _Check:
         near = Nearest(path, 0.85)  # paths have much in common
         tenants = self._session.rights.tenants
         permitted = self._session.rights.mask
-        entries = iter(list(self._against.registry.entries.values()))
+        entries = iter(list(self._host.registry.entries.values()))
         while not near.full and (some := list(islice(entries, _STEP))):
             for entry in some:
                 if (
@@ -360,20 +352,15 @@ class _Check:
         return type_.decode(dump(value, Encoding.JSON), Encoding.JSON, label)
 
     def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
-        check_motion(entry, entry.unit.latch)
-        if not any(scope.covers(entry.path) for scope in self._gained):
-            self._against.control.check(self._session, entry)
-        if entry.owner.backend is None:
-            raise entry.owner.unavailable()
-        if not refers:
-            self._against.motion_limits.check_later(self._session, entry, value)
+        gained = any(scope.covers(entry.path) for scope in self._gained)
+        self._host.foresee(self._session, entry, value, gained=gained, complete=not refers)
 
     def _condition(self, node: Node, text: str, name: str) -> Work:
         """Compile a condition of a step, which may be about what its asker may read alone."""
         found = self._reader.read(text, name)
         yield
         assert self._checked is not None
-        paths = looked_at(self._against.conditions, self._session, node, found)
+        paths = looked_at(self._host.conditions, self._session, node, found)
         self._checked.touches |= dict.fromkeys(paths)
         if name == "when":
             node.when = found

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from kernel.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
 from kernel.world import Client, World, world_of
+from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from rcp_kernel.app.features import active
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
+from rcp_plans import rcp_features
 
 
 @pytest.mark.parametrize(
@@ -25,6 +27,6 @@ from rcp_kernel.errors import ConfigError
 )
 def test_a_table_that_makes_no_sense_is_refused_with_its_name(text: str, told: str) -> None:
     with pytest.raises(ConfigError) as wrong:
-        parse(text, "rcp.toml")
+        active(parse(text, "rcp.toml"), {kind.name: kind for kind in rcp_features()}, "rcp.toml")
     assert told in str(wrong.value)
     assert str(wrong.value).startswith("rcp.toml: ")

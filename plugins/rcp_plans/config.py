@@ -11,7 +11,7 @@ from msgspec import Meta
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import parse_path
 
-__all__ = ["ARGUMENT", "ActionTable", "PlansConfig", "check_plans"]
+__all__ = ["ARGUMENT", "ActionTable", "PlansConfig", "PlansTable", "check_plans"]
 
 ARGUMENT = re.compile(r"\{(\d+)((?:\.\w+)*)\}")
 """`{1}`, or `{1.x}` for a field of an object."""
@@ -45,13 +45,19 @@ class PlansConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Values by the names that symbolic plans use for them."""
 
 
-def check_plans(config: PlansConfig, source: str) -> None:
+class PlansTable(msgspec.Struct, frozen=True, kw_only=True):
+    """The table under its name, so that what is wrong with it is told with its place."""
+
+    plans: PlansConfig = PlansConfig()
+
+
+def check_plans(config: PlansConfig) -> None:
     """Refuse actions that could never be carried out.
 
-    :raises ConfigError: with the file and the table.
+    :raises ConfigError: with the table.
     """
     for name, table in config.actions.items():
-        where = f"{source}: [plans.actions.{name}]"
+        where = f"[plans.actions.{name}]"
         if any(match[2] for match in ARGUMENT.finditer(table.path)):
             raise ConfigError(
                 f"{where} path = {table.path!r}: a path cannot contain a field of an object"

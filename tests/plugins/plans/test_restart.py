@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from kernel.plans.planned import begun, echo, go, run, send
 from kernel.world import kept_in, settled, world_of
+from plugins.plans.planned import begun, echo, go, run, send
 
 
 async def test_a_plan_that_a_crash_cut_off_is_failed_with_that_reason(tmp_path: Path) -> None:

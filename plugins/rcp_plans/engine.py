@@ -11,10 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rcp_conditions import Condition
-from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.access.pace import Pace
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     BY_CODE,
     DeadlineExceeded,
@@ -23,17 +20,16 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     RcpError,
 )
-from rcp_kernel.plans.limit import paced_timeout
-from rcp_kernel.plans.looking import looked_at, refuse_excess
-from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
-from rcp_kernel.plans.node import Checked, Node, every
-from rcp_kernel.plans.progress import ProgressReport
-from rcp_kernel.plans.requests import StepRequests
-from rcp_kernel.requests.audit_writer import AuditWriter
-from rcp_kernel.requests.commands import Commands
-from rcp_kernel.sessions.session import Handler, Session
-from rcp_kernel.tree.registry import Registry
+from rcp_kernel.features import ActionHost
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request, error_body
+from rcp_plans.limit import paced_timeout
+from rcp_plans.looking import looked_at, refuse_excess
+from rcp_plans.model import Group, Operate, Parallel, Retry, Wait
+from rcp_plans.node import Checked, Node, every
+from rcp_plans.pace import Pace
+from rcp_plans.progress import ProgressReport
+from rcp_plans.requests import StepRequests
 
 __all__ = ["Engine"]
 
@@ -51,30 +47,20 @@ class Engine:
         checked: Checked,
         command: str,
         telling: ProgressReport,
-        *,
-        handle: Handler,
-        commands: Commands,
-        conditions: Conditions,
-        registry: Registry,
-        audit_writer: AuditWriter,
-        turns: Turns,
-        loop: asyncio.AbstractEventLoop,
+        host: ActionHost,
     ) -> None:
-        self._handle = handle
-        self._values = conditions
-        self._registry = registry
-        self._loop = loop
+        self._host = host
+        self._values = host.conditions
+        self._loop = host.loop
         self._session = session
         self._checked = checked
         self._telling = telling
         nodes = list(every(checked.nodes))
         known = {node.id: node for node in nodes}
-        self._sending = StepRequests(
-            handle, commands, audit_writer, session, known, command, turns, loop
-        )
+        self._sending = StepRequests(host, session, known, command)
         self._part = f"plan {command}"
         self._asked: set[str] = set()
-        self._turns, self._owner = turns, session.principal.identity
+        self._turns, self._owner = host.turns, session.principal.identity
         self._pace = Pace(self._turns, self._owner)
         self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
 
@@ -310,11 +296,11 @@ class Engine:
     def _ask_for(self, paths: list[str]) -> None:
         """Have values read that no robot has published yet: some never do by themselves."""
         for path in paths:
-            entry = self._registry.entries.get(path)
+            entry = self._host.registry.entries.get(path)
             if entry is not None and entry.latest is None and path not in self._asked:
                 self._asked.add(path)
                 request = Request(type="read", path=path)
-                self._handle(self._session, request, lambda _reply: None)
+                self._host.send(self._session, request, lambda _reply: None)
 
 
 def _again(retry: Retry | None, error: RcpError) -> bool:

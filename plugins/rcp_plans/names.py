@@ -11,12 +11,12 @@ from rcp_kernel._plain import is_map
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import InvalidValue, UnknownPath
 from rcp_kernel.model import Kind
-from rcp_kernel.plans.lines import word
-from rcp_kernel.plans.nearest import nearest
-from rcp_kernel.plans.symbolic import Action
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
+from rcp_plans.lines import word
+from rcp_plans.nearest import nearest
+from rcp_plans.symbolic import Action
 
 __all__ = ["NameScope"]
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.plans.model import PlanResult, State, StepState
-from rcp_kernel.plans.node import Checked, Node, every
 from rcp_kernel.spi import Progress
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import encode_body
+from rcp_plans.model import PlanResult, State, StepState
+from rcp_plans.node import Checked, Node, every
 
 __all__ = ["LONGEST", "ProgressReport"]
 
@@ -25,10 +24,9 @@ _FEEDBACK = 16_384  # of the result or feedback that one message carries
 class ProgressReport:
     """The states of all steps of one plan."""
 
-    def __init__(self, checked: Checked, changed: Callable[[], None]) -> None:
+    def __init__(self, checked: Checked) -> None:
         self._nodes = list(every(checked.nodes))
         self._counts = frozenset(n.id for top in checked.nodes for n in _counted(top))
-        self._changed = changed
         self._room = _TOGETHER
         self._sizes: dict[str, int] = {}
         self._done = 0.0
@@ -45,7 +43,6 @@ class ProgressReport:
             setattr(node.state, name, fact)
         if node.state.progress and node.id in self._counts and not node.ended:
             self._partly[node.id] = node.state.progress
-        self._changed()
         if self.progress is not None:
             told = self._short(node)
             self.progress(told, fraction=self._fraction())

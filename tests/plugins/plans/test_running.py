@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from kernel.plans.planned import LIMIT, begun, code, echo, go, run, send, states, step
 from kernel.world import CONFIG, kept_in, world_of
+from plugins.plans.planned import LIMIT, begun, code, echo, go, run, send, states, step
 from rcp_kernel.model import Resource
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rcp_kernel.errors import RcpError
-from rcp_kernel.plans.lines import from_lines
-from rcp_kernel.plans.model import PATH, Execute, Plan, Step
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
+from rcp_plans.lines import from_lines
+from rcp_plans.model import PATH, Execute, Plan, Step
 
 __all__ = ["only_stops"]
 

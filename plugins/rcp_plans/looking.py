@@ -6,8 +6,8 @@ from rcp_conditions import Condition, ConditionTooCostly
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.errors import Forbidden, PreconditionFailed, UnknownPath
 from rcp_kernel.model import Operation
-from rcp_kernel.plans.node import Node
 from rcp_kernel.sessions.session import Session
+from rcp_plans.node import Node
 
 __all__ = ["looked_at", "refuse_excess"]
 

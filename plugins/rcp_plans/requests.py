@@ -8,17 +8,14 @@ from typing import Any
 
 from msgspec import Raw
 
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
-from rcp_kernel.plans.model import Execute, Operate, Read, Write
-from rcp_kernel.plans.node import Filling, Node
-from rcp_kernel.plans.progress import LONGEST
-from rcp_kernel.requests.audit_writer import AuditWriter
-from rcp_kernel.requests.commands import Commands
-from rcp_kernel.sessions.session import Handler, Session
-from rcp_kernel.store.audit import bounded, hashing
+from rcp_kernel.features import ActionHost
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
+from rcp_plans.model import Execute, Operate, Read, Write
+from rcp_plans.node import Filling, Node
+from rcp_plans.progress import LONGEST
 
 __all__ = ["StepRequests"]
 
@@ -32,20 +29,14 @@ class StepRequests:
 
     def __init__(
         self,
-        handle: Handler,
-        commands: Commands,
-        audit_writer: AuditWriter,
+        host: ActionHost,
         session: Session,
         known: dict[str, Node],
         command: str,
-        turns: Turns,
-        loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._handle = handle
-        self._turns, self._owner = turns, session.principal.identity
-        self._commands = commands
-        self._audit_writer = audit_writer
-        self._loop = loop
+        self._host = host
+        self._turns, self._owner = host.turns, session.principal.identity
+        self._loop = host.loop
         self._session = session
         self._known = known
         self._plan = command
@@ -78,18 +69,11 @@ class StepRequests:
 
     async def _looked(self, request: Request, reply: Reply) -> Any:
         """Put on record what was read; return it, as it is if it is too long to be told."""
-        path = reply.path or request.path or ""
-        body, touches = reply.body, [path]
-        if "*" in path:
-            value = told = _plain(body)
-            touches = [item["path"] for item in value]
-        elif isinstance(body, Body) and len(data := body.encoded(Encoding.JSON)) > LONGEST:
-            value, told = body, await self._turns.finish(self._owner, hashing(data))
-        else:
-            value = _plain(body)
-            told = bounded(value)
-        self._audit_writer.looked(self._session, request, path, told, touches)
-        return value
+        await self._host.record_read(self._session, request, reply)
+        body = reply.body
+        if isinstance(body, Body) and "*" not in (reply.path or request.path or ""):
+            return body if len(body.encoded(Encoding.JSON)) > LONGEST else _plain(body)
+        return _plain(body)
 
     async def _request(self, node: Node, step: Operate, limit: float | None) -> Request:
         value = step.value
@@ -111,7 +95,7 @@ class StepRequests:
         def answer(reply: Reply) -> None:
             if reply.command is not None and node.state.command is None:
                 node.state.command = reply.command
-                self._forget(reply.command)
+                self._host.disown(self._session, reply.command)
             if final.done():
                 return
             if reply.final:
@@ -120,7 +104,7 @@ class StepRequests:
                 told(_plain(reply.body), reply.progress)
 
         with self._turns.spending():
-            self._handle(self._session, request, answer)
+            self._host.send(self._session, request, answer)
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:
@@ -129,25 +113,17 @@ class StepRequests:
 
     async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
         """Have what a step set going stopped, and wait until it is at rest."""
-        state, running = node.state, self._commands.running.values()
-        # Not by its id: the reply that tells it may wait for its record.
-        command = next((c for c in running if c.custom is request.custom), None)
+        state, command = node.state, self._host.started_by(request)
         if command is None:
             if isinstance(node.step, (Write, Execute)):
                 state.message = "it was running when the plan ended; check the robot"
             return
-        self._commands.cancel(command, "its plan ended")
+        self._host.cancel(command, "its plan ended")
         done, _ = await asyncio.wait([final], timeout=_END)
         if not done:
             state.message = "the robot did not confirm that it stopped"
         elif (reply := final.result()).error is not None:
             state.error, state.message = reply.error, reply.message
-
-    def _forget(self, id_: str) -> None:
-        """Have a client that comes back told of the plan alone, not of each step's command."""
-        command = self._commands.find(id_)
-        if command is not None and command.entry is not None and command.entry.resource.outlives:
-            self._session.commands.pop(id_, None)
 
 
 def _plain(body: Any) -> Any:

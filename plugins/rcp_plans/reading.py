@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rcp_conditions import Condition, ConditionTooCostly, condition
-from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.errors import ConfigError, InvalidValue, OutOfRange
+from rcp_plans.pace import Allowance
 
 __all__ = ["ConditionReader"]
 
@@ -14,8 +14,8 @@ _TEXT = 8192  # characters of all different conditions of a plan: reading them t
 class ConditionReader:
     """Compiles the conditions of one plan."""
 
-    def __init__(self, conditions: Conditions, principal: str) -> None:
-        self._allowance = conditions.allowance
+    def __init__(self, allowance: Allowance, principal: str) -> None:
+        self._allowance = allowance
         self._principal = principal
         self._texts: set[str] = set()
         self._length = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
@@ -11,10 +11,14 @@ import msgspec
 
 from rcp_kernel._plain import is_map
 from rcp_kernel.errors import BadRequest, InvalidValue, RcpError
-from rcp_kernel.plans.fault import Fault
-from rcp_kernel.plans.model import Execute, Read, Step, Write
+from rcp_kernel.features import ServiceKey
+from rcp_plans.fault import Fault
+from rcp_plans.model import Execute, Read, Step, Write
 
-__all__ = ["from_lines", "word"]
+__all__ = ["LINES", "from_lines", "plain_steps", "word"]
+
+LINES: ServiceKey[Callable[[str], list[dict[str, Any]]]] = ServiceKey("plans.lines")
+"""Translates commands, one a line, into the steps of a plan as plain data."""
 
 _LINE = re.compile(r"(?P<do>\S+)\s+(?P<path>\S+)(?:\s+(?P<rest>.*\S))?\s*\Z", re.DOTALL)
 _PAIR = re.compile(r"([A-Za-z_][\w.]*)=(\"(?:[^\"\\]|\\.)*\"|\S+)(?:\s+|\Z)")
@@ -31,6 +35,11 @@ def from_lines(text: str, most: int | None = None) -> tuple[list[Step], list[Fau
         except RcpError as error:
             faults.append(Fault(f"line {number}", error))
     return steps, faults
+
+
+def plain_steps(text: str) -> list[dict[str, Any]]:
+    """Translate commands into steps as plain data; what is no command is left out."""
+    return [msgspec.to_builtins(step) for step in from_lines(text)[0]]
 
 
 def _lines(text: str) -> Iterable[tuple[int, str]]:

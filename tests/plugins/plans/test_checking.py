@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from kernel.plans.planned import (
+from kernel.world import CONFIG, Client, world_of
+from plugins.plans.planned import (
     LIMIT,
     PEOPLE,
     begun,
@@ -19,7 +20,6 @@ from kernel.plans.planned import (
     states,
     step,
 )
-from kernel.world import CONFIG, Client, world_of
 
 HALF = "half-half-half-half"
 

@@ -1,0 +1,124 @@
+"""What the gateway's long-running actions receive of the gateway."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Container
+from typing import Any, TypeVar
+
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.contract.turns import Turns
+from rcp_kernel.features.control import CONTROL, NoControl
+from rcp_kernel.features.services import ServiceKey, ServiceLookup
+from rcp_kernel.model import Operation
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.read import READ_OPTIONS
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.safety import check_motion
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Handler, Session
+from rcp_kernel.store.audit import bounded, hashing
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.registry import Registry
+from rcp_kernel.values import Encoding, dump, to_plain
+from rcp_kernel.wire import NO_BODY, Body, Reply, Request
+
+__all__ = ["GatewayActionHost"]
+
+T = TypeVar("T")
+_LONG = 262_144  # bytes of a value that is hashed in steps
+
+
+class GatewayActionHost:
+    """The `ActionHost` of all of them."""
+
+    def __init__(
+        self,
+        *,
+        handle: Handler,
+        resolver: Resolver,
+        motion_limits: MotionLimits,
+        commands: Commands,
+        conditions: Conditions,
+        registry: Registry,
+        services: ServiceLookup,
+        personal: tuple[Container[str], ...],
+        audit_writer: AuditWriter,
+        turns: Turns,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        """`personal` has the paths that show each reader something else."""
+        self._resolver = resolver
+        self._commands = commands
+        self._motion_limits = motion_limits
+        self._services = services
+        self._control = services.service(CONTROL) or NoControl()
+        self._personal = personal
+        self._audit_writer = audit_writer
+        self.send = handle
+        self.cancel = commands.cancel
+        self.conditions = conditions
+        self.registry = registry
+        self.turns = turns
+        self.loop = loop
+
+    def service(self, key: ServiceKey[T]) -> T | None:
+        """Return what another feature offers."""
+        return self._services.service(key)
+
+    def resolve(self, session: Session, path: str, operation: Operation) -> Entry:
+        """Return a resource on which a session may do something, now or in another state."""
+        return self._resolver.resolve(session, path, operation, anyway=True)
+
+    def is_personal(self, path: str) -> bool:
+        """Tell whether a resource shows each reader something else."""
+        return any(path in paths for paths in self._personal)
+
+    def check_read(self, options: Any) -> None:
+        """Refuse what is no body of a `read`."""
+        READ_OPTIONS.decode(dump(options, Encoding.JSON), Encoding.JSON, "read")
+
+    def foresee(
+        self, session: Session, entry: Entry, value: Any, *, gained: bool, complete: bool
+    ) -> None:
+        """Refuse a later command that would be refused whatever happens until then."""
+        check_motion(entry, entry.unit.latch)
+        if not gained:
+            self._control.check(session, entry)
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        if complete:
+            self._motion_limits.check_later(session, entry, value)
+
+    def started_by(self, request: Request) -> Command | None:
+        """Return the command that a request has started, while it runs."""
+        # Not by its id: the reply that tells it may wait for its record.
+        running = self._commands.running.values()
+        return next((c for c in running if c.custom is request.custom), None)
+
+    def disown(self, session: Session, id_: str) -> None:
+        """Have a client that comes back not told of a command."""
+        command = self._commands.find(id_)
+        if command is not None and command.entry is not None and command.entry.resource.outlives:
+            session.commands.pop(id_, None)
+
+    async def record_read(self, session: Session, request: Request, reply: Reply) -> None:
+        """Record what was read for a session; a long value by its hash."""
+        path = reply.path or request.path or ""
+        body, touches = reply.body, [path]
+        if "*" in path:
+            told = _plain(body)
+            touches = [item["path"] for item in told]
+        elif isinstance(body, Body) and len(data := body.encoded(Encoding.JSON)) > _LONG:
+            told = await self.turns.finish(session.principal.identity, hashing(data))
+        else:
+            told = bounded(_plain(body))
+        self._audit_writer.looked(session, request, path, told, touches)
+
+
+def _plain(body: Any) -> Any:
+    if body is NO_BODY:
+        return None
+    return to_plain(body.value if isinstance(body, Body) else body)
