@@ -11,11 +11,8 @@ from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_http.request import HttpRequest
+from rcp_kernel.api import BACKLOG_SHARE, Outbound, Turns, left_out, to_internal_error
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
-from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns
-from rcp_kernel.sessions.unsent import left_out
-from rcp_kernel.streams.outbound import SHARE, Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 
@@ -52,7 +49,7 @@ class Answers:
         # Values are checked when they are written, so only now it is known how the request ended.
         began = perf_counter()
         told, data = _encode(reply, asked.encoding)
-        if len(data) > SHARE:
+        if len(data) > BACKLOG_SHARE:
             self._turns.add(perf_counter() - began)
         if not self._outbound.has_room(len(data)):
             told, data = _encode(left_out(reply, len(data)), asked.encoding)
@@ -90,7 +87,7 @@ class Answers:
                 data = await compress(data, chosen)
                 headers.append(_CODED[chosen])
         headers.append((b"content-length", b"%d" % len(data)))
-        if len(data) <= SHARE:
+        if len(data) <= BACKLOG_SHARE:
             await _send(send, status, headers, data)
             return
         backlog = self._outbound.open()
