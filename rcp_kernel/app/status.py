@@ -21,9 +21,9 @@ from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.contract.version import gateway_version
+from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
@@ -58,7 +58,7 @@ class StatusReport:
         outbound: Outbound,
         commands: Commands,
         counts: RequestCounts,
-        motion_limits: MotionLimits,
+        features: Callable[[Rights | None], Iterable[StatusPart]],
         store: Store,
         metrics: Callable[[], Iterable[Metric]],
         loop: asyncio.AbstractEventLoop,
@@ -76,7 +76,7 @@ class StatusReport:
         self._feature_metrics = metrics
         self._commands = commands
         self._counts = counts
-        self._motion_limits = motion_limits
+        self._features = features
         self._store = store
         self._loop = loop
         self.transports: list[dict[str, Any]] = []
@@ -124,12 +124,8 @@ class StatusReport:
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or (self._store.trouble or self._store.damage) is not None
-        faults = {
-            path: why
-            for path, why in self._motion_limits.faults_in(tenants).items()
-            if rights is None or rights.mask(path)
-        }
-        broken = broken or bool(faults)
+        told = list(self._features(rights))
+        broken = broken or any(part.degraded for part in told)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
@@ -142,7 +138,6 @@ class StatusReport:
             "backends": robots,
             "transports": self.transports if every else [_part(one) for one in self.transports],
             "adapters": adapters if every else [_part(one) for one in self.adapters],
-            "envelopes": faults,
             "guard": self._guarded(supervisors, rights),
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
@@ -151,6 +146,8 @@ class StatusReport:
             "queues": self._queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
+        for part in told:
+            report |= part.facts
         if every:
             report["process"] = self._process_facts()
             report["host"] = {

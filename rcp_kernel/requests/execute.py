@@ -14,6 +14,7 @@ import msgspec
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
@@ -29,12 +30,12 @@ from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.waiting import WaitingCommand
 from rcp_kernel.requests.write import DryRun, dry_run_reply
 from rcp_kernel.safety.hold import Hold
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, OwnCommand, Session
 from rcp_kernel.tree.entry import Entry
@@ -79,7 +80,6 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
-        motion_limits: MotionLimits,
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
@@ -97,7 +97,6 @@ class ExecuteHandler:
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
-        self._motion_limits = motion_limits
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
@@ -182,9 +181,7 @@ class ExecuteHandler:
         if request.dry_run:
             if prepared is not None:
                 return dry_run_reply(request, entry, dict(prepared.run.dry_run()))
-            held = self._motion_limits.applied(session, entry)
-            facts = {"envelopes": held or None, **self._dry_run(call)}
-            return dry_run_reply(request, entry, {"execute": value, **facts})
+            return dry_run_reply(request, entry, {"execute": value, **self._dry_run(call)})
         if action is None or prepared is None:
             command = _command(call)
         else:
@@ -228,7 +225,7 @@ class ExecuteHandler:
         return prepared
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past envelopes, accounts and all guards."""
+        """Bring a robot to rest without an e-stop, past accounts and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = _command(call)
         units = [entry.unit, *self._partners.of(entry)]
@@ -436,7 +433,7 @@ def _command(call: Call) -> Command:
         request_id=request.id,
         custom=request.custom,
         timestamp=request.timestamp,
-        input=call.value,
+        input=LongValue(call.value) if isinstance(request, Prepared) else call.value,
         session=session.id,
         entry=entry,
     )
