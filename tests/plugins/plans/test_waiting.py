@@ -59,6 +59,20 @@ async def test_who_may_start_no_plans_cancels_none_that_waits() -> None:
         assert (await client.final(plan))["status"] == "completed"
 
 
+async def test_few_others_are_remembered_that_cancel_a_plan_while_it_waits() -> None:
+    keys = "".join(
+        f'[[keys]]\nname = "also-{n}"\nrole = "admin"\nkey = "also-also-also-{n}"\n'
+        for n in range(17)
+    )
+    async with busy_world(PEOPLE + keys) as (world, client):
+        plan = send(client, go(2.0))
+        others = [world.client(f"also-also-also-{n}") for n in range(17)]
+        asked = [other.send(type="cancel", path="/system/plans") for other in others * 2]
+        codes = [code(await other.final(id_)) for other, id_ in zip(others * 2, asked, strict=True)]
+        assert codes == (["completed"] * 16 + ["queue_full"]) * 2
+        assert (await client.final(plan))["status"] == "cancelled"
+
+
 async def test_a_cancel_does_not_reach_a_plan_that_is_sent_after_it() -> None:
     async with busy_world() as (_, client):
         client.send(type="cancel", path="/system/plans")
