@@ -37,6 +37,7 @@ from rcp_a2a.questions import (
 )
 from rcp_a2a.stops import PLANS
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
@@ -93,7 +94,8 @@ class Run:
     def start(self, caller: Caller, plan: TaskRequest, approval: str | None = None) -> None:
         """Have the gateway check the plan and begin it."""
         self._plan, self._session = plan, caller.session
-        request = Request(
+        request = HeldRequest(
+            since=caller.since,
             type="execute",
             path=PLANS,
             id=f"a2a-{self.task.id}",

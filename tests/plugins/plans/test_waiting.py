@@ -9,10 +9,13 @@ from contextlib import asynccontextmanager
 from itertools import count
 from typing import Any
 
+import msgspec
 import pytest
+from msgspec import Raw
 
 from kernel.world import Client, World, world_of
 from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
+from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
@@ -92,6 +95,20 @@ async def test_a_plan_that_waits_while_its_robot_is_stopped_never_starts() -> No
         assert world.robot.started.empty()
         world.robot.release.set()
         assert (await run(client, go(2.0)))["status"] == "completed"  # sent after the reset
+
+
+async def test_a_plan_that_an_adapter_held_back_while_its_robot_was_stopped_never_starts() -> None:
+    async with world_of(PEOPLE) as world:
+        admin, client_api = world.client("admin-admin-admin"), world.server.client_api
+        body = Raw(msgspec.json.encode({"steps": [echo()]}))
+        since = time.monotonic()
+        await admin.ask(**STOP)
+        await admin.ask(**STOP, body={"reset": True})
+        session = world.client().connection.session
+        for moment, told in ((since, "estop_active"), (time.monotonic(), None)):
+            request = HeldRequest(since=moment, type="execute", path="/system/plans", body=body)
+            reply = await client_api.ask(session, request)
+            assert (reply.error or {}).get("code") == told
 
 
 # -- what a turn of the loop costs ------------------------------------------------------------------
