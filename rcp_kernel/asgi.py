@@ -81,11 +81,11 @@ def peer_of(scope: Scope) -> Peer:
     return UNKNOWN if found is None else found
 
 
-async def read_body(receive: Receive, limit: int, patience: float) -> bytes:
+async def read_body(receive: Receive, limit: int, patience: float | None) -> bytes:
     """Read a request's body.
 
     :raises PayloadTooLarge: it is longer than `limit` bytes.
-    :raises DeadlineExceeded: it did not come within `patience` seconds.
+    :raises DeadlineExceeded: it did not come within `patience` seconds, if there is a limit.
     :raises BadRequest: the connection ended before.
     """
     parts: list[bytes] = []

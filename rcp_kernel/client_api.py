@@ -265,10 +265,15 @@ class ClientApi:
         flush: Callable[[], None],
         tenant: str | None = None,
         peer: Peer = UNKNOWN,
+        *,
+        one_way: bool = False,
+        wraps: bool = False,
     ) -> Connection:
         """Open a connection with a session of its own; `flush` is called when it has to send.
 
         It is called once more when the session was ended or taken over (`Connection.expelled`).
+        One that is `one_way` takes no requests from its client (SSE). One that `wraps` puts each
+        message into what is this client's own, so there are no frames to share.
 
         :raises Forbidden: the principal does not act in `tenant`.
         :raises QueueFull: the gateway holds too many sessions.
@@ -278,7 +283,11 @@ class ClientApi:
         except Forbidden as error:
             self._parts.audit_writer.stranger(self.name, peer, error, principal)
             raise
-        return Connection(self._parts.connections, session, encoding, flush, peer)
+        connection = Connection(
+            self._parts.connections, session, encoding, flush, peer, one_way=one_way
+        )
+        connection.outbox.alone = wraps
+        return connection
 
     def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
         """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
@@ -308,7 +317,7 @@ class ClientApi:
         """
         self._handle(session, request, answer)
 
-    async def ask(self, session: Session, request: Request) -> Reply:
+    async def request(self, session: Session, request: Request) -> Reply:
         """Have a request handled and return its final reply."""
         final: asyncio.Future[Reply] = self._parts.loop.create_future()
 

@@ -15,6 +15,7 @@ from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.store.damage import find_damage
 from rcpd.audit import audit
 from rcpd.exits import FAILED, fail
+from rcpd.scaffold import KINDS, write_plugin
 from rcpd.store import store
 from rcpd.tokens import token
 
@@ -142,31 +143,41 @@ def new() -> None:
     """Generate the skeleton of a new plugin."""
 
 
-@new.command("backend")
-@click.argument("name")
-@click.option(
-    "--into",
-    type=click.Path(path_type=Path),
-    default=Path(),
-    help="Parent folder. Default: the current folder.",
-)
-def new_backend(name: str, into: Path) -> None:
-    """Generate a backend plugin with its own distribution that passes the public test suite."""
-    from rcpd.scaffold import write_backend
+def _new(kind: str) -> click.Command:
+    """Make the command that generates a plugin of a kind."""
 
-    try:
-        made = write_backend(name, into)
-    except StartupError as error:
-        fail(str(error))
-    click.echo(f"Wrote {made}. Next:")
-    click.echo(f"  pip install -e {made}[test]")
-    click.echo(f"  pytest {made}")
+    @click.command(
+        kind,
+        help=f"Generate {'an' if kind[0] in 'aeiou' else 'a'} {kind} plugin with its own distribution "
+        "that passes the public test suite.",
+    )
+    @click.argument("name")
+    @click.option(
+        "--into",
+        type=click.Path(path_type=Path),
+        default=Path(),
+        help="Parent folder. Default: the current folder.",
+    )
+    def write(name: str, into: Path) -> None:
+        try:
+            made = write_plugin(kind, name, into)
+        except StartupError as error:
+            fail(str(error))
+        click.echo(f"Wrote {made}. Next:")
+        click.echo(f"  pip install -e {made}[test]")
+        click.echo(f"  pytest {made}")
+
+    return write
+
+
+for _kind in KINDS:
+    new.add_command(_new(_kind))
 
 
 @main.command()
 def version() -> None:
     """Print the gateway's and the protocol's version."""
-    from rcp_kernel.app.status import gateway_version
+    from rcp_kernel.contract.version import gateway_version
     from rcp_kernel.wire import VERSION
 
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")

@@ -1,7 +1,7 @@
-"""Write the beginning of a backend: a distribution of its own that passes the public suite.
+"""Write the beginning of a plugin: a distribution of its own that passes the public suite.
 
-The device in it is a small linear axis, simulated in the module, so that every part of a backend
-has a place already: a sensor, a param, an actuator and an action. Its author replaces it.
+Each has a small example in it, so that every part has a place already: a backend a simulated linear
+axis, the others what the tutorials describe. Its author replaces it.
 """
 
 from __future__ import annotations
@@ -9,40 +9,58 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 from pathlib import Path
+from typing import NamedTuple
 
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["write_backend"]
+__all__ = ["KINDS", "write_plugin"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:[-_][a-z0-9]+)*\Z")
 _LONGEST = 40  # characters
-_TEMPLATES = {
-    "pyproject.toml": "pyproject.toml",
-    "README.md": "README.md",
-    "backend.py": "rcp_{word}/__init__.py",
-    "py.typed": "rcp_{word}/py.typed",
-    "test_backend.py": "tests/test_{word}.py",
+
+
+class _Kind(NamedTuple):
+    """What differs between the kinds of plugins."""
+
+    group: str
+    """Of its entry point: `rcp.<group>`."""
+    table: str
+    """Of the configuration."""
+    page: str
+    """The tutorial."""
+    readme: str = "README_client.md"
+    needs: str = '"pytest>=8.3"'
+    """What its tests need."""
+
+
+KINDS = {
+    "backend": _Kind("backends", "backends", "Write a backend", "README_backend.md"),
+    "transport": _Kind("transports", "transports", "Write a transport"),
+    "adapter": _Kind(
+        "plugins", "plugins", "Write an adapter", needs='"httpx>=0.28", "pytest>=8.3"'
+    ),
+    "feature": _Kind("features", "features", "Write a feature"),
 }
 
 
-def write_backend(name: str, into: Path) -> Path:
-    """Write `rcp-backend-<name>` below a folder; return the folder it made.
+def write_plugin(kind: str, name: str, into: Path) -> Path:
+    """Write `rcp-<kind>-<name>` below a folder, of one of `KINDS`; return the folder it made.
 
     :raises ConfigError: the name cannot be a package's, or the folder is there already.
     """
     if not _NAME.match(name) or len(name) > _LONGEST:
         raise ConfigError(
-            f"{name[:60]!r} is not a valid backend name: use lower-case letters, digits and "
+            f"{name[:60]!r} is not a valid {kind} name: use lower-case letters, digits and "
             "single dashes, starting with a letter, at most 40 characters"
         )
     dashed, word = name.replace("_", "-"), name.replace("-", "_")
-    made = into / f"rcp-backend-{dashed}"
+    made = into / f"rcp-{kind}-{dashed}"
     if made.exists():
         raise ConfigError(f"{made} already exists: choose another name")
-    facts = {"@name@": dashed, "@word@": word, "@Word@": _camel(word)}
+    facts = _facts(kind, dashed, word)
     try:
-        for template, place in _TEMPLATES.items():
-            file = made / place.format(word=word)
+        for template, place in _templates(kind, word).items():
+            file = made / place
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(_filled(template, facts), encoding="utf-8")
     except OSError as error:
@@ -50,8 +68,30 @@ def write_backend(name: str, into: Path) -> Path:
     return made
 
 
-def _camel(word: str) -> str:
-    return "".join(part.capitalize() for part in word.split("_"))
+def _templates(kind: str, word: str) -> dict[str, str]:
+    return {
+        "pyproject.toml": "pyproject.toml",
+        KINDS[kind].readme: "README.md",
+        f"{kind}.py": f"rcp_{word}/__init__.py",
+        "py.typed": f"rcp_{word}/py.typed",
+        f"test_{kind}.py": f"tests/test_{word}.py",
+    }
+
+
+def _facts(kind: str, dashed: str, word: str) -> dict[str, str]:
+    of = KINDS[kind]
+    return {
+        "@kind@": kind,
+        "@n@": "n" if kind[0] in "aeiou" else "",
+        "@group@": of.group,
+        "@table@": of.table,
+        "@page@": of.page,
+        "@test@": of.needs,
+        "@name@": dashed,
+        "@word@": word,
+        "@WORD@": word.upper(),
+        "@Word@": "".join(part.capitalize() for part in word.split("_")),
+    }
 
 
 def _filled(template: str, facts: dict[str, str]) -> str:

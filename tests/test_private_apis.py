@@ -12,10 +12,12 @@ import logging
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import pytest
 from httptools import HttpRequestParser
+from msgspec import Meta
 from picows import WSAutoPingStrategy
 from picows.picows import WSProtocol
 from uvicorn.config import Config
@@ -23,10 +25,12 @@ from uvicorn.protocols.http import httptools_impl
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT, FlowControl
 from uvicorn.server import ServerState
 
+from rcp_protocol.validation import fault_of
+
 PROJECT = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
 
 
-@pytest.mark.parametrize("name", ["a2a-sdk", "httptools", "mcp", "picows", "uvicorn"])
+@pytest.mark.parametrize("name", ["a2a-sdk", "httptools", "mcp", "msgspec", "picows", "uvicorn"])
 def test_what_has_no_public_api_for_us_is_pinned_from_above(name: str) -> None:
     extras = PROJECT["optional-dependencies"].values()
     every = [*PROJECT["dependencies"], *(one for extra in extras for one in extra)]
@@ -110,6 +114,39 @@ async def test_picows_protocol_takes_over_a_connection() -> None:
         WSAutoPingStrategy.PING_WHEN_IDLE, False, 1024, None, 1024,
     )  # fmt: skip
     assert {"connection_made", "get_buffer", "buffer_updated"} <= set(dir(protocol))
+
+
+class Inner(msgspec.Struct, forbid_unknown_fields=True):
+    needed: int
+    rate: Annotated[float, Meta(ge=0, lt=2)] = 0.0
+    gears: dict[Annotated[str, Meta(max_length=2)], int] = {}
+
+
+class Outer(msgspec.Struct):
+    inner: list[Inner]
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [
+        ({"needed": 1, "rate": -1}, (".inner[0].rate", False, (">=", "0"), None, None)),
+        ({"needed": 1, "rate": 2.0}, (".inner[0].rate", False, ("<", "2"), None, None)),
+        ({}, (".inner[0]", False, None, "needed", None)),
+        ({"needed": 1, "speed": 1}, (".inner[0]", False, None, None, "speed")),
+        ({"needed": "1"}, (".inner[0].needed", False, None, None, None)),
+        ({"needed": 1, "gears": {"a": "1"}}, (".inner[0].gears[...]", False, None, None, None)),
+        ({"needed": 1, "gears": {"abc": 1}}, (".inner[0].gears", True, None, None, None)),
+    ],
+)
+def test_msgspec_tells_a_fault_by_its_text_alone(value: Any, wanted: tuple[Any, ...]) -> None:
+    """For rcp_protocol/validation.py: decoding and converting say the same."""
+    whole = {"inner": [value]}
+    with pytest.raises(msgspec.ValidationError) as converting:
+        msgspec.convert(whole, Outer)
+    with pytest.raises(msgspec.ValidationError) as decoding:
+        msgspec.json.decode(msgspec.json.encode(whole), type=Outer)
+    assert fault_of(converting.value)[1:] == fault_of(decoding.value)[1:] == wanted
+    assert " - at " not in fault_of(converting.value).what
 
 
 def test_an_mcp_session_has_a_connection_that_can_be_hung_upon() -> None:

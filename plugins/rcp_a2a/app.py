@@ -24,6 +24,7 @@ from rcp_a2a.messages import VALUES, count_values
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
 from rcp_a2a.stops import SHORT, as_request
+from rcp_kernel.api import Session, to_internal_error
 from rcp_kernel.asgi import (
     Receive,
     Scope,
@@ -35,9 +36,7 @@ from rcp_kernel.asgi import (
     session_of,
 )
 from rcp_kernel.client_api import Asgi, ClientApi
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import BadRequest, Forbidden, PayloadTooLarge, RateLimited, RcpError
-from rcp_kernel.sessions.session import Session
 
 __all__ = ["App"]
 

@@ -16,8 +16,7 @@ from a2a.types.a2a_pb2 import SendMessageRequest, Task
 from a2a.utils.constants import VERSION_HEADER
 from starlette.requests import Request
 
-from rcp_kernel.contract.identity import Principal
-from rcp_kernel.sessions.session import Session
+from rcp_kernel.api import Principal, Session
 
 __all__ = ["CALLER", "Caller", "Callers", "Contexts", "caller_of", "owner_of", "owner_text"]
 

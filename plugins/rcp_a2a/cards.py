@@ -29,11 +29,10 @@ from rcp_a2a.places import JWKS, PREFIX, Place
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, refuse
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
-from rcp_kernel.app.status import gateway_version
+from rcp_kernel.api import Session, gateway_version
 from rcp_kernel.asgi import JSON, Headers, Scope, Send, header, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, Unauthenticated
-from rcp_kernel.sessions.session import Session
 
 __all__ = ["INPUT_MODES", "OUTPUT_MODES", "Cards"]
 

@@ -16,10 +16,8 @@ from a2a.types.a2a_pb2 import (
 )
 from google.protobuf.json_format import MessageToDict
 
-from rcp_kernel.access.visibility import names_in
+from rcp_kernel.api import TOUCHES_EVERYTHING, Session, names_in
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.touches import EVERYTHING
 
 __all__ = ["Mask"]
 
@@ -74,7 +72,7 @@ class Mask:
     def _hides_artifact(self, artifact: Artifact) -> bool:
         names = _names(artifact)
         # What is too long to be looked through is judged by the path that it is of.
-        return self._hides(names_in(artifact.name) if EVERYTHING in names else names)
+        return self._hides(names_in(artifact.name) if TOUCHES_EVERYTHING in names else names)
 
     def _hides_message(self, message: Message) -> bool:
         if message.role == Role.ROLE_USER:

@@ -13,9 +13,9 @@ from a2a.utils.proto_utils import validate_proto_required_fields
 from google.protobuf.json_format import ParseDict
 from google.protobuf.struct_pb2 import Struct, Value
 
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = [
     "VALUES",

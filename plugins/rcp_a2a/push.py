@@ -24,8 +24,8 @@ from google.protobuf.message import DecodeError
 from rcp_a2a.addresses import Addresses, Unfit, Unknown
 from rcp_a2a.callers import owner_of
 from rcp_a2a.config import PushConfig
+from rcp_kernel.api import PluginStore
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.plugin_store import PluginStore
 
 __all__ = ["Notifier", "Subscribers"]
 

@@ -36,13 +36,10 @@ from rcp_a2a.questions import (
     with_schemas,
 )
 from rcp_a2a.stops import PLANS
+from rcp_kernel.api import HeldRequest, Query, Session, at_once
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.held import HeldRequest
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Run"]
@@ -167,7 +164,7 @@ class Run:
         await self._known.wait()
         if self.command is not None and not self.ended.is_set():
             request = Request(type="cancel", path=PLANS, command=self.command)
-            await self._client_api.ask(caller.session, request)
+            await self._client_api.request(caller.session, request)
         await self.ended.wait()
 
     # -- the client's side ---------------------------------------------------------------------

@@ -7,10 +7,8 @@ from typing import Any
 import msgspec
 from a2a.types.a2a_pb2 import AgentSkill
 
+from rcp_kernel.api import Query, Session, at_once
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.turns import at_once
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.sessions.session import Session
 
 __all__ = ["PLAN", "STOP", "skills_of"]
 

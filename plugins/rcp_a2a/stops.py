@@ -9,8 +9,8 @@ from msgspec import Raw
 
 from rcp_a2a.messages import written
 from rcp_a2a.places import Place
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.wire import Request
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["PLANS", "SHORT", "as_request"]
 

@@ -22,8 +22,8 @@ from google.protobuf.message import DecodeError
 from rcp_a2a.callers import owner_of
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.messages import stamp
+from rcp_kernel.api import PluginStore
 from rcp_kernel.clock import now
-from rcp_kernel.store.plugin_store import PluginStore
 
 __all__ = ["ENDED", "Tasks"]
 

@@ -6,11 +6,8 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_dashboard.api import PREFIX, Api
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
-from rcp_dashboard.openapi import described
-from rcp_dashboard.pages import STATIC, Pages
 from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.client_kinds import AdapterKind
 from rcp_kernel.hookspecs import hookimpl
@@ -23,11 +20,14 @@ async def open_dashboard(
     config: DashboardConfig, client_api: ClientApi
 ) -> AsyncGenerator[dict[str, Any]]:
     """Offer the pages and the API to the listener while entered."""
+    from rcp_dashboard.api import PREFIX, Api
+    from rcp_dashboard.pages import STATIC, Pages
+
     pages = Pages(STATIC)
     api = Api(client_api, config, Layouts(client_api.shelf("layouts"), config))
     mounts = (
         Mount(name="dashboard", prefix="/", app=pages.app),
-        Mount(name="dashboard api", prefix=PREFIX, app=api, openapi=described),
+        Mount(name="dashboard api", prefix=PREFIX, app=api.app, openapi=api.openapi),
     )
     for mount in mounts:
         client_api.mount(mount)

@@ -1,105 +1,202 @@
-"""/dashboard/api: from a URL to its handler; whatever goes wrong is an envelope."""
+"""/dashboard/api: telemetry, cameras and layouts, each call with what it takes and answers."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from typing import Any
+
+from litestar import Controller, Router, delete, get, put
+from litestar.di import NamedDependency, Provide
+from litestar.types import ASGIApp
 
 from rcp_dashboard.camera import Cameras
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
 from rcp_dashboard.request import DashboardRequest
+from rcp_dashboard.schemas import CAMERA, LATEST, LAYOUT, NONE, SERIES, STREAM, answer
 from rcp_dashboard.telemetry import Telemetry
-from rcp_kernel.asgi import Headers, Receive, Scope, Send, refuse, respond
+from rcp_kernel.api import Session
+from rcp_kernel.asgi import Headers, Scope, read_body
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.errors import UnknownPath, UnsupportedOperation
+from rcp_kernel.errors import RcpError
+from rcp_web.application import Application, Asked, response, scope_of
+from rcp_web.calls import call, parameters_of, query
+from rcp_web.refusals import Refusal, envelope
 
 __all__ = ["PREFIX", "Api"]
 
 PREFIX = "/dashboard/api"
 _NO_STORE: Headers = [(b"cache-control", b"no-store")]
-Handler = Callable[[DashboardRequest, Receive, Send], Awaitable[None]]
+_INTEGER = {"type": "integer"}
+_NUMBER = {"type": "number"}
+_TEXT = {"type": "string"}
+_PATH = query("path", _TEXT, "A resource.", required=True)
+_QUALITY = query("quality", _INTEGER, "Quality of JPEGs converted from raw pixels, 1 to 100.")
+
+
+class Services:
+    """What the handlers use."""
+
+    def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
+        self.client_api = client_api
+        self.layout_size = config.layout_size
+        self.telemetry = Telemetry(client_api, config)
+        self.cameras = Cameras(client_api, config)
+        self.layouts = layouts
+
+
+class Values(Controller):
+    """What is drawn."""
+
+    tags = ("dashboard",)
+
+    @get(
+        "/series",
+        **call(
+            "Fields over time, down-sampled.",
+            _PATH,
+            query("field", {"type": "array", "items": _TEXT}, "A numeric field; repeatable."),
+            query("window", _NUMBER, "Length of the window before `until`, in s."),
+            query(
+                "until",
+                _TEXT,
+                "End of the window, ISO 8601 or s since the epoch. Default: the newest sample.",
+            ),
+            query("points", _INTEGER, "Maximum number of points, 4 to 5000. Default: 600."),
+            query("method", _TEXT, "`minmax` (no extreme is lost) or `lttb`."),
+            responses=answer("Fields over time, down-sampled.", SERIES),
+        ),
+    )
+    async def series(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Answer with fields of a resource over time."""
+        return response(200, await services.telemetry.series(asked), headers=_NO_STORE)
+
+    @get(
+        "/latest",
+        **call(
+            "Current values.",
+            query("path", _TEXT, "A path or pattern.", required=True),
+            query(
+                "max_bytes",
+                _INTEGER,
+                "Maximum bytes per value; longer ones are omitted. Default: 4096.",
+            ),
+            query("cursor", _TEXT, "`cursor` from the previous reply, if it was `truncated`."),
+            responses=answer("Current values.", LATEST),
+        ),
+    )
+    async def latest(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Answer with what the resources have now."""
+        return response(200, await services.telemetry.latest(asked), headers=_NO_STORE)
+
+    @get(
+        "/camera",
+        **call("The latest image.", _PATH, _QUALITY, responses=answer("The latest image.", CAMERA)),
+    )
+    async def camera(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Answer with a picture."""
+        return await services.cameras.snapshot(asked)
+
+    @get(
+        "/camera/stream",
+        **call(
+            "Images, until one side closes the connection.",
+            _PATH,
+            _QUALITY,
+            query("rate", _NUMBER, "Maximum images per second."),
+            responses=answer("Images, until one side closes the connection.", STREAM),
+        ),
+    )
+    async def stream(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Send pictures; they go past Litestar, straight to the listener."""
+
+        async def send_them(_scope: Any, receive: Any, send: Any) -> None:
+            await services.cameras.stream(asked, receive, send)
+
+        return send_them
+
+
+class Layout(Controller):
+    """How a user has laid the pages out."""
+
+    path = "/layout"
+    tags = ("dashboard",)
+
+    @get(**call("The caller's layout.", responses=answer("The caller's layout.", LAYOUT)))
+    async def read(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Answer with the layout."""
+        return response(200, services.layouts.get(asked.principal), headers=_NO_STORE)
+
+    @put(**call("Save the caller's layout.", responses=NONE, body={"content": LAYOUT}))
+    async def save(
+        self,
+        request: Asked,
+        asked: NamedDependency[DashboardRequest],
+        services: NamedDependency[Services],
+    ) -> ASGIApp:
+        """Keep the layout."""
+        # The listener sees to it that the body comes to an end.
+        data = await read_body(request.receive, services.layout_size, None)
+        services.layouts.put(asked.principal, data)
+        return response(204, headers=_NO_STORE)
+
+    @delete(**call("Delete the caller's layout.", responses=NONE), status_code=200)
+    async def forget(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Forget the layout."""
+        services.layouts.delete(asked.principal)
+        return response(204, headers=_NO_STORE)
 
 
 class Api:
-    """Serves it."""
+    """Serves the calls, and describes them."""
 
     def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
         self._client_api = client_api
-        self._limit = config.layout_size
-        self._telemetry = Telemetry(client_api, config)
-        self._cameras = Cameras(client_api, config)
-        self._layouts = layouts
-        self._handlers: dict[str, dict[str, Handler]] = {
-            "/series": {"GET": self._series},
-            "/latest": {"GET": self._latest},
-            "/camera": {"GET": lambda query, _, send: self._cameras.snapshot(query, send)},
-            "/camera/stream": {"GET": self._cameras.stream},
-            "/layout": {"GET": self._layout, "PUT": self._save, "DELETE": self._forget},
-        }
+        self._services = Services(client_api, config, layouts)
+        self.app = Application(
+            [Router(PREFIX, route_handlers=[Values, Layout])],
+            dependencies={
+                "services": Provide(self._get_services, sync_to_thread=False),
+                "asked": Provide(_identify),
+            },
+            refuse=self._refuse,
+            remedy=f"Available: {', '.join(PREFIX + rest for rest in _PLACES)}.",
+            described=True,
+        )
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request."""
-        path: str = scope["path"]
-        headers: Headers = [*_NO_STORE]
-        begun = False
+    def _get_services(self) -> Services:
+        return self._services
 
-        async def sending(message: dict[str, object]) -> None:
-            nonlocal begun
-            begun = True
-            await send(message)
+    async def openapi(self, _: Session) -> dict[str, Any]:
+        """Describe the calls; they are the same for everybody."""
+        return {"paths": self.app.paths()}
 
-        try:
-            handlers = self._handlers.get(path.removeprefix(PREFIX))
-            if handlers is None:
-                known = ", ".join(PREFIX + rest for rest in self._handlers)
-                raise UnknownPath(f"nothing found at {path}", remedy=f"Available: {known}.")
-            allowed = _allowed(handlers)
-            query = DashboardRequest(scope)
-            if query.method == "OPTIONS":
-                await respond(send, 204, b"", headers=[(b"allow", allowed)])
-                return
-            handler = handlers.get(query.method)
-            if handler is None:
-                headers.append((b"allow", allowed))
-                raise UnsupportedOperation(
-                    f"{path} does not support {query.method}",
-                    remedy=f"Use {' or '.join(handlers)}.",
-                )
-            await query.identify(self._client_api)
-            await handler(query, receive, sending)
-        except Exception as error:
-            if begun:
-                raise
-            failure = to_internal_error(error, path=path)
-            self._client_api.refused("dashboard", failure.code)
-            await refuse(send, failure, headers=headers)
-
-    async def _series(self, query: DashboardRequest, _: Receive, send: Send) -> None:
-        await respond(send, 200, await self._telemetry.series(query), headers=_NO_STORE)
-
-    async def _latest(self, query: DashboardRequest, _: Receive, send: Send) -> None:
-        await respond(send, 200, await self._telemetry.latest(query), headers=_NO_STORE)
-
-    async def _layout(self, query: DashboardRequest, _: Receive, send: Send) -> None:
-        query.allow()
-        await respond(send, 200, self._layouts.get(query.principal), headers=_NO_STORE)
-
-    async def _save(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
-        query.allow()
-        self._layouts.put(query.principal, await query.body(receive, self._limit))
-        await respond(send, 204, b"", headers=_NO_STORE)
-
-    async def _forget(self, query: DashboardRequest, _: Receive, send: Send) -> None:
-        query.allow()
-        self._layouts.delete(query.principal)
-        await respond(send, 204, b"", headers=_NO_STORE)
+    def _refuse(self, scope: Scope, error: RcpError) -> Refusal:
+        self._client_api.refused("dashboard", error.code)
+        return envelope(scope, error)._replace(headers=tuple(_NO_STORE))
 
     def close(self) -> None:
         """Let go of everything."""
-        self._telemetry.close()
-        self._cameras.close()
+        self._services.telemetry.close()
+        self._services.cameras.close()
 
 
-def _allowed(handlers: dict[str, Handler]) -> bytes:
-    return ", ".join((*handlers, "HEAD", "OPTIONS")).encode()
+_PLACES = ("/series", "/latest", "/camera", "/camera/stream", "/layout")
+
+
+async def _identify(request: Asked, services: NamedDependency[Services]) -> DashboardRequest:
+    asked = DashboardRequest(scope_of(request))
+    await asked.identify(services.client_api)
+    asked.allow(*parameters_of(request))
+    return asked

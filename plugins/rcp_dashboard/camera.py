@@ -8,19 +8,21 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import msgspec
+from litestar.types import ASGIApp
 from msgspec import Raw
 
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.picture import Picture, picture
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.watchers import checked
-from rcp_kernel.asgi import Headers, Receive, Send, respond
+from rcp_kernel.api import Connection
+from rcp_kernel.asgi import Headers, Receive, Send
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import QueueFull, RcpError
-from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
+from rcp_web.application import response
 
 __all__ = ["STALLED", "Cameras"]
 
@@ -70,15 +72,14 @@ class Cameras:
     async def _picture(self, value: Any, quality: int) -> Picture:
         return await self._client_api.loop.run_in_executor(self._pool, picture, value, quality)
 
-    async def snapshot(self, query: DashboardRequest, send: Send) -> None:
-        """Answer with the newest picture; `x-rcp-age` says how old it is, in s.
+    async def snapshot(self, query: DashboardRequest) -> ASGIApp:
+        """Return the answer with the newest picture; `x-rcp-age` says how old it is, in s.
 
         :raises RcpError: the caller may not have it, or it is none.
         """
-        query.allow("path", "quality")
         quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
         request = Request(type="read", path=query.path())
-        reply = checked(await self._client_api.ask(query.session, request))
+        reply = checked(await self._client_api.request(query.session, request))
         seen = _decode(encode_reply(reply, Encoding.MSGPACK))
         made = await self._picture(seen.body, quality)
         age = (now() - parse_time(seen.source_timestamp)) / 1e9
@@ -88,14 +89,13 @@ class Cameras:
             (b"x-rcp-age", b"%.3f" % age),
             (b"x-rcp-state", seen.state.encode()),
         ]
-        await respond(send, 200, made.data, made.media, headers)
+        return response(200, made.data, made.media, headers)
 
     async def stream(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
         """Send pictures until the client leaves or may not have them any more.
 
         :raises RcpError: nothing was sent yet, and nothing will be.
         """
-        query.allow("path", "quality", "rate")
         quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
         rate = query.number("rate", 0.01, 120)
         path = query.path()
@@ -108,16 +108,20 @@ class Cameras:
         stream = Stream(query, receive, send)
         try:
             connection = self._client_api.connect(
-                query.principal, Encoding.MSGPACK, stream.wake, query.tenant, query.peer
+                query.principal,
+                Encoding.MSGPACK,
+                stream.wake,
+                query.tenant,
+                query.peer,
+                one_way=True,
             )
             try:
-                connection.session.listening = True
                 body: dict[str, Any] = {"qos": {"depth": 1}}
                 if rate is not None:
                     body["rate"] = rate
                 raw = Raw(msgspec.json.encode(body))
                 request = Request(type="subscribe", path=path, id="camera", body=raw)
-                checked(await self._client_api.ask(connection.session, request))
+                checked(await self._client_api.request(connection.session, request))
                 await stream.run(connection, lambda value: self._picture(value, quality))
             finally:
                 connection.close()

@@ -5,9 +5,8 @@ from __future__ import annotations
 import msgspec
 
 from rcp_dashboard.config import DashboardConfig
-from rcp_kernel.contract.identity import Principal
+from rcp_kernel.api import PluginStore, Principal
 from rcp_kernel.errors import BadRequest, Forbidden, QueueFull, UnknownPath
-from rcp_kernel.store.plugin_store import PluginStore
 
 __all__ = ["Layouts"]
 

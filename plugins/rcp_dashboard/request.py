@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from typing import TypeVar
-from urllib.parse import parse_qsl
 
-from rcp_kernel.asgi import Receive, Scope, bearer, header, peer_of
+from rcp_kernel.api import Peer, Principal, Session
+from rcp_kernel.asgi import Scope, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import parse_time
-from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.peer import Peer
-from rcp_kernel.errors import BadRequest, PayloadTooLarge
-from rcp_kernel.sessions.session import Session
+from rcp_kernel.errors import BadRequest
+from rcp_web.query import read_query, single
 
 __all__ = ["DashboardRequest"]
 
@@ -28,19 +26,8 @@ class DashboardRequest:
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
-        self.method: str = "GET" if scope["method"] == "HEAD" else scope["method"]
         self.peer: Peer = peer_of(scope)
-        self._query: dict[str, list[str]] = {}
-        try:
-            pairs = parse_qsl(
-                scope["query_string"].decode("ascii"),
-                keep_blank_values=True,
-                max_num_fields=_MAX_PARAMETERS,
-            )
-        except ValueError:
-            raise BadRequest("the query is malformed or has too many parameters") from None
-        for key, value in pairs:
-            self._query.setdefault(key, []).append(value)
+        self._query = read_query(scope["query_string"], _MAX_PARAMETERS)
         self.tenant = self.text("tenant")
         if self.tenant is None and (named := header(scope, b"x-rcp-tenant")) is not None:
             self.tenant = named.decode("latin-1")
@@ -79,11 +66,7 @@ class DashboardRequest:
         :raises BadRequest: it is given twice.
         """
         values = self._query.get(name)
-        if values is None:
-            return None
-        if len(values) > 1:
-            raise BadRequest(f"the parameter `{name}` is given {len(values)} times")
-        return values[0]
+        return None if values is None else single(name, values)
 
     def path(self, *, pattern: bool = False) -> str:
         """Return the resource that is meant.
@@ -149,19 +132,3 @@ class DashboardRequest:
             if word == text:
                 return word
         raise BadRequest(f"`{name}` must be {' or '.join(known)}, not {text[:40]!r}")
-
-    async def body(self, receive: Receive, limit: int) -> bytes:
-        """Read the body; the listener sees to it that it comes to an end.
-
-        :raises PayloadTooLarge: it is longer than `limit`.
-        """
-        data, more = b"", True
-        while more:
-            message = await receive()
-            if message["type"] != "http.request":
-                raise BadRequest("the request ended early")
-            data += message.get("body", b"")
-            if len(data) > limit:
-                raise PayloadTooLarge(f"the body is longer than {limit} bytes")
-            more = message.get("more_body", False)
-        return data

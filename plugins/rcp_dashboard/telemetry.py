@@ -35,7 +35,6 @@ class Telemetry:
 
         :raises RcpError: the caller may not have it, or a field is no number.
         """
-        query.allow("path", "field", "window", "until", "points", "method")
         path = query.path()
         fields = query.several("field") or [""]
         if len(fields) > _FIELDS:
@@ -74,12 +73,11 @@ class Telemetry:
 
         :raises RcpError: the caller may not have it.
         """
-        query.allow("path", "max_bytes", "cursor")
         longest = query.whole("max_bytes", 1, 1 << 24, 4096)
         request = Request(type="read", path=query.path(pattern=True))
         if (cursor := query.text("cursor")) is not None:
             request.body = msgspec.Raw(msgspec.json.encode({"cursor": cursor}))
-        reply = checked(await self._client_api.ask(query.session, request))
+        reply = checked(await self._client_api.request(query.session, request))
         present = now()
         read = msgspec.json.decode(encode_reply(reply, Encoding.JSON))
         several = read["body"] if "*" in (request.path or "") else [read]

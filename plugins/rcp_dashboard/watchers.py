@@ -15,11 +15,9 @@ from msgspec import Raw
 
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.ring import Ring
+from rcp_kernel.api import Field, Peer, Principal
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import parse_time
-from rcp_kernel.contract.fields import Field
-from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import BY_CODE, QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
@@ -128,7 +126,7 @@ class Watcher:
             type="subscribe", path=path, id=made.id, body=Raw(msgspec.json.encode(body))
         )
         try:
-            checked(await self._client_api.ask(self._connection.session, request))
+            checked(await self._client_api.request(self._connection.session, request))
         except RcpError:
             self._forget((path, field))
             raise

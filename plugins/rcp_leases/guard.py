@@ -23,8 +23,10 @@ class LeaseGuard:
 
         :raises LeaseHeld, LeaseLost, LeaseRequired: as `Leases.check` does.
         """
-        self._leases.check(call.session, call.entry)
+        if self._leases.in_use:
+            self._leases.check(call.session, call.entry)
 
     def confirm(self, call: Call) -> None:
         """Refuse it as `admit` does: a lease may have come or gone meanwhile."""
-        self._leases.check(call.session, call.entry)
+        if self._leases.in_use:
+            self._leases.check(call.session, call.entry)

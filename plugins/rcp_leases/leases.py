@@ -52,7 +52,8 @@ class Leases:
         """The lease over each path that somebody asked about; forgotten with every change."""
         self._needed: dict[str, bool] = {}
         self._required: tuple[Pattern, ...] = ()
-        self._active = False
+        self.in_use = False
+        """Whether there is anything to check."""
         self.configure(config)
 
     def configure(self, config: LeasesConfig) -> None:
@@ -77,7 +78,7 @@ class Leases:
 
     def _refresh(self) -> None:
         self._over.clear()
-        self._active = bool(self.held or self._lost or self._required)
+        self.in_use = bool(self.held or self._lost or self._required)
 
     def _restore(self) -> None:
         for id_, kept in self._store.load().items():
@@ -102,7 +103,7 @@ class Leases:
 
         :raises LeaseHeld, LeaseLost, LeaseRequired: as they say.
         """
-        if not self._active or entry.tenant is None:
+        if not self.in_use or entry.tenant is None:
             return
         path, holders = entry.path, session.holders
         lease = self.over(path)

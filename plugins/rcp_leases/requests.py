@@ -152,7 +152,7 @@ class LeaseRequests:
             and to in (s.id[:8], s.principal.name)
             and may(s.rights, scope, COMMANDING)
         ]
-        present = [s for s in able if not (s.stateless or s.listening)]
+        present = [s for s in able if not (s.stateless or s.one_way)]
         present = present or [sessions.commanding(s) for s in able]
         if not present:
             raise UnknownPath(

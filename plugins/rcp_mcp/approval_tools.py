@@ -12,11 +12,11 @@ from typing import Any
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import ApprovalRequired, Forbidden
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.model import tenant_of
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Reply, Request
 from rcp_mcp.caller import asks_people, modern
 from rcp_mcp.offers import Context

@@ -8,13 +8,9 @@ from weakref import WeakKeyDictionary
 
 from mcp import types
 
-from rcp_kernel.access.acl import Rights
+from rcp_kernel.api import Query, Rights, Session, SharedWork, at_once
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.shared_work import SharedWork
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.model import Pattern, tenant_of
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.sessions.session import Session
 from rcp_mcp.config import McpConfig
 from rcp_mcp.schemas import Arguments
 from rcp_mcp.typed import typed_tool

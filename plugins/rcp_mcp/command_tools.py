@@ -9,10 +9,10 @@ import msgspec
 from mcp import types
 from msgspec import Meta, Raw
 
+from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.model import parse_path
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import NO_BODY, Reply, Request
 from rcp_mcp.answers import answered, body_of, failed, replied
@@ -115,7 +115,7 @@ class CommandTools:
     ) -> Reply | Outcome:
         """Send a request once; return its final reply, or what is told before that comes."""
         if request.type == "write":
-            return await self.client_api.ask(session, request)
+            return await self.client_api.request(session, request)
         following = Following(self.client_api, session)
 
         async def report(progress: float, message: str | None, reply: Reply) -> None:
@@ -153,7 +153,7 @@ class CommandTools:
                 remedy="Send the command id from the call's result, or the path of the action.",
             )
         request = Request(type="cancel", command=asked.command, path=asked.path)
-        reply = await self.client_api.ask(session, request)
+        reply = await self.client_api.request(session, request)
         if reply.error is not None:
             return failed(reply.error, reply.status)
         return answered({**body_of(reply), "path": reply.path, "message": reply.message})

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from mcp import types
 
+from rcp_kernel.api import Session
 from rcp_kernel.model import tenant_of
-from rcp_kernel.sessions.session import Session
 from rcp_mcp.catalogue import Catalogue
 
 __all__ = ["Completion"]

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import msgspec
 from mcp import types
 
-from rcp_kernel._plain import is_list, is_map
 from rcp_mcp.naming import uri_of
 from rcp_mcp.pictures import taken_out
 from rcp_mcp.summary import PER_TOKEN, cut, size
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["UNTRUSTED", "Block", "Shown", "marked", "show", "speaks", "text"]
 

@@ -17,6 +17,7 @@ from mcp.server.auth.provider import AccessToken
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.server.transport_security import RequestBodyLimitMiddleware
 
+from rcp_kernel.api import LONG_MESSAGE, Session, check_structure, to_internal_error
 from rcp_kernel.asgi import (
     Receive,
     Scope,
@@ -28,10 +29,7 @@ from rcp_kernel.asgi import (
     too_large,
 )
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.structure import LONG, check_structure
 from rcp_kernel.errors import PayloadTooLarge, RcpError
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
@@ -131,7 +129,7 @@ class Endpoint:
         first: Any = await receive()  # it has the whole body
         body: bytes = first.get("body", b"")
         stops = self._urgent.stops(session, body)
-        if len(body) > LONG:
+        if len(body) > LONG_MESSAGE:
             try:
                 await turns.finish(owner, check_structure(body, Encoding.JSON, _VALUES))
             except PayloadTooLarge as error:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
-    from rcp_kernel.tree.samples import Sample
+    from rcp_kernel.api import Sample
 
 __all__ = ["ResourceFeed"]
 
@@ -32,10 +32,13 @@ class ResourceFeed:
         self.ended = False
         """Nothing comes any more: the session's proof is over, or nothing is subscribed."""
         self._connection = client_api.connect(
-            session.principal, Encoding.JSON, self._flush, session.tenant
+            session.principal,
+            Encoding.JSON,
+            self._flush,
+            session.tenant,
+            one_way=True,
+            wraps=True,
         )
-        self._connection.outbox.alone = True
-        self._connection.session.listening = True
 
     def _flush(self) -> None:
         connection = self._connection
@@ -55,7 +58,7 @@ class ResourceFeed:
         body = {"paths": list(paths[1:]), **options}
         raw = msgspec.Raw(msgspec.json.encode(body))
         request = Request(type="subscribe", path=paths[0], body=raw)
-        return await self._client_api.ask(self._connection.session, request)
+        return await self._client_api.request(self._connection.session, request)
 
     async def next(self) -> list[tuple[str, bytes]]:
         """Wait for updates; return the path of each and its envelope. None at all: it has ended."""
@@ -68,5 +71,4 @@ class ResourceFeed:
 
     def close(self) -> None:
         """Let go."""
-        self._connection.session.greeted = False
-        self._connection.close()
+        self._connection.close(resumable=False)

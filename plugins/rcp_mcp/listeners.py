@@ -21,9 +21,9 @@ from mcp.shared.subscriptions import (
     ToolsListChanged,
 )
 
+from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError
-from rcp_kernel.sessions.session import Session
 from rcp_mcp.caller import session_of
 from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.feed import ResourceFeed

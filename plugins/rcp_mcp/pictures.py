@@ -8,7 +8,7 @@ import zlib
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-from rcp_kernel._plain import is_list, is_map
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Picture", "taken_out"]
 

@@ -10,11 +10,10 @@ import msgspec
 from mcp import types
 from msgspec import Raw
 
+from rcp_kernel.api import Query, Session
+from rcp_kernel.api.pages import cursor_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Kind
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.requests.pages import cursor_of
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.catalogue import Catalogue, Facts
@@ -83,7 +82,7 @@ class ReadTools:
         """Read one value, or those of a pattern."""
         options = {"fields": asked.fields, "fresh": asked.fresh, "cursor": asked.cursor}
         body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
-        reply = await self._client_api.ask(
+        reply = await self._client_api.request(
             session, Request(type="read", path=asked.path, body=body)
         )
         if reply.error is not None:
@@ -115,7 +114,7 @@ class ReadTools:
             command["history"] = command["history"][-_STEPS:]
             plain = msgspec.json.decode(msgspec.json.encode(command))
             return _bounded({"command": plain}, self._config.budget)
-        reply = await self._client_api.ask(session, Request(type="status"))
+        reply = await self._client_api.request(session, Request(type="status"))
         if reply.error is not None:
             return failed(reply.error, reply.status)
         health = body_of(reply)

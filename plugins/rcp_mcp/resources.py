@@ -9,8 +9,8 @@ import msgspec
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import body_of
 from rcp_mcp.catalogue import Catalogue, Facts
@@ -76,7 +76,7 @@ class Resources:
         path = path_of(uri)
         if path is None:
             return None
-        reply = await self._client_api.ask(session, Request(type="read", path=path))
+        reply = await self._client_api.request(session, Request(type="read", path=path))
         if reply.error is not None:
             if reply.error["code"] in _HIDDEN:
                 return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rcp_kernel._plain import is_list, is_map
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Arguments", "arguments", "result", "worded"]
 

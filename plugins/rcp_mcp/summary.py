@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel._plain import is_list, is_map
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["PER_TOKEN", "cut", "size"]
 

@@ -13,10 +13,10 @@ from typing import Any
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from rcp_kernel.api import Command
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import RcpError, UnknownPath
-from rcp_kernel.sessions.command import Command
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import replied
 from rcp_mcp.caller import TASKS, modern, session_of, takes_tasks
@@ -85,7 +85,7 @@ class Tasks:
         command = self._found(ctx, params)
         if not command.final:
             request = Request(type="cancel", command=command.id)
-            reply = await self._client_api.ask(session_of(ctx), request)
+            reply = await self._client_api.request(session_of(ctx), request)
             if reply.error is not None:
                 raise MCPError(types.INVALID_REQUEST, reply.message or "", reply.error)
         return {"resultType": "complete"}

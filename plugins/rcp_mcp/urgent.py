@@ -6,9 +6,9 @@ import re
 
 import msgspec
 
+from rcp_kernel.api import Session
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import parse_path
-from rcp_kernel.sessions.session import Session
 from rcp_mcp.catalogue import Catalogue, Typed
 from rcp_mcp.stops import ESTOP, is_hold
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.sessions.session import Session
 from rcp_mcp.answers import failed
 from rcp_mcp.config import McpConfig
 from rcp_mcp.feed import ResourceFeed

@@ -16,11 +16,12 @@ from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.plugins import Missing, Plugins
-from rcp_kernel.app.status import StatusReport, gateway_version
+from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.client_kinds import AdapterKind, TransportKind
 from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
+from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.store.disk_store import DiskStore

@@ -6,8 +6,6 @@ import asyncio
 import platform
 import time
 from collections.abc import Generator, Iterable, Sequence
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import psutil
@@ -22,6 +20,7 @@ from rcp_kernel.app.log import Recent
 from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, histogram
+from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.safety.motion_limits import MotionLimits
@@ -36,19 +35,10 @@ from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import is_system
 from rcp_kernel.tree.registry import Registry
 
-__all__ = ["StatusReport", "gateway_version"]
+__all__ = ["StatusReport"]
 
 _LAG_PERIOD = 0.5  # s
 _PART = 50  # resources whose metrics are written in one step
-
-
-@cache
-def gateway_version() -> str:
-    """Return the installed version of the distribution."""
-    try:
-        return version("rcp-gateway")
-    except PackageNotFoundError:
-        return "0"
 
 
 class StatusReport:

@@ -34,6 +34,7 @@ from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
+from rcp_protocol.validation import fault_of
 
 __all__ = [
     "Anonymous",
@@ -278,10 +279,8 @@ def _with_secrets(node: Any, source: str, where: str) -> Any:
     return text if text == node else _Secret(text)
 
 
-_UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<at>[^`]*)`)?")
 _DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
 """Keys of tables, the kernel's or a plugin's, whose texts are secrets by their name."""
-_AT = re.compile(r"(?P<what>.*?) - at `\$\.?(?P<at>[^`]*)`", re.DOTALL)
 
 
 def decode_table(raw: Any, type_: type[Any], where: str) -> Any:
@@ -292,25 +291,24 @@ def decode_table(raw: Any, type_: type[Any], where: str) -> Any:
     try:
         return msgspec.convert(raw, type_, strict=True)
     except msgspec.ValidationError as error:
-        raise ConfigError(where + _explain(str(error), raw, type_)) from None
+        raise ConfigError(where + _explain(error, raw, type_)) from None
 
 
-def _explain(text: str, raw: Any, type_: type[Any]) -> str:
-    unknown = _UNKNOWN.search(text)
-    if unknown is None:
-        match = _AT.match(text)
-        if match is None:
-            return text
-        if "..." in match["at"]:  # below a key that msgspec does not name
-            return f"{match['at']}: {match['what']}"
-        value = _Secret() if _DEAR.search(match["at"]) else _follow(raw, match["at"])
-        return f"{match['at']} = {_shown(value)}: {match['what']}"
-    table = (unknown["at"] or "").lstrip(".")
-    allowed = _keys_at(type_, table)
-    near = difflib.get_close_matches(unknown["key"], allowed, n=1, cutoff=0.5)
-    place = f"[{table}] has" if table else "there is"
+def _explain(error: msgspec.ValidationError, raw: Any, type_: type[Any]) -> str:
+    fault = fault_of(error)
+    at = fault.place.removeprefix(".")
+    if fault.unknown is None:
+        if not at or fault.in_key:
+            return str(error)
+        if "..." in at:  # below a key that msgspec does not name
+            return f"{at}: {fault.what}"
+        value = _Secret() if _DEAR.search(at) else _follow(raw, at)
+        return f"{at} = {_shown(value)}: {fault.what}"
+    allowed = _keys_at(type_, at)
+    near = difflib.get_close_matches(fault.unknown, allowed, n=1, cutoff=0.5)
+    place = f"[{at}] has" if at else "there is"
     advice = f"; did you mean `{near[0]}`?" if near else ""
-    return f"{place} an unknown key `{unknown['key']}`{advice} Allowed: {', '.join(allowed)}."
+    return f"{place} an unknown key `{fault.unknown}`{advice} Allowed: {', '.join(allowed)}."
 
 
 def _follow(raw: Any, at: str) -> Any:

@@ -86,6 +86,7 @@ class Connection:
         "expelled",
         "greetings",
         "on_hello",
+        "one_way",
         "outbox",
         "peer",
         "released",
@@ -99,6 +100,8 @@ class Connection:
         encoding: Encoding,
         flush: Callable[[], None],
         peer: Peer = UNKNOWN,
+        *,
+        one_way: bool = False,
     ) -> None:
         self._parts = parts
         self._handle, self._read_at_once = parts.handle, parts.read_at_once
@@ -108,6 +111,8 @@ class Connection:
         self.outbox = Outbox(parts.scheduler, encoding, flush, parts.outbound.open())
         self.session = session
         self.closed = False
+        self.one_way = one_way
+        """The client sends no requests by it: it is told things, and commands nothing."""
         self.expelled = False
         """The session was ended by the gateway; the transport closes once it has said so."""
         self.greetings = 0
@@ -120,7 +125,24 @@ class Connection:
         self._identifying: asyncio.Task[None] | None = None
         self._splices = encoding is Encoding.JSON
         session.connection = self
+        session.one_way = one_way
         session.encoding = encoding
+
+    def set_callbacks(
+        self,
+        *,
+        hello: Callable[[Hello], dict[str, Any]],
+        released: Callable[[deque[bytes]], None],
+        cut: Callable[[], None],
+    ) -> None:
+        """Have a transport take part in what it would otherwise not hear of.
+
+        `hello` adopts what a client asks for, and returns facts for the answer. `released` gets
+        what came while an earlier message was being handled, to pass it to `receive` in its turns.
+        `cut` closes a client that does not take what waits for it.
+        """
+        self.on_hello, self.released = hello, released
+        self.outbox.backlog.cut = cut
 
     @property
     def limit(self) -> int:
@@ -311,10 +333,11 @@ class Connection:
         self._parts.counts.count(self.session.transport, type_, QueueFull.code)
         self.send(failure(QueueFull("an earlier message is not handled yet"), type_, id_))
 
-    def close(self) -> None:
-        """Tell the gateway that the client is gone."""
+    def close(self, *, resumable: bool = True) -> None:
+        """Tell the gateway that the client is gone, and whether it may come back to its session."""
         if not self.closed:
             self.closed = True
+            self.session.greeted &= resumable
             if self._identifying is not None:
                 self._identifying.cancel()
             self._parts.sessions.tally(self)

@@ -123,6 +123,7 @@ class Handshake:
         self._sessions.drop(old)
         connection.session = session
         session.connection = connection
+        session.one_way = connection.one_way
         session.encoding = connection.encoding
 
     def _returning(self, hello: Hello) -> Session | StoredSession | None:

@@ -67,6 +67,7 @@ class Link(Protocol):
     session: Session
     closed: bool
     expelled: bool
+    one_way: bool
     on_hello: Callable[[Hello], dict[str, Any]] | None
 
     @property
@@ -110,10 +111,10 @@ class Session:
         "id",
         "inflight",
         "lapse",
-        "listening",
         "missed",
         "missed_bytes",
         "news",
+        "one_way",
         "overflowed",
         "principal",
         "read_key",
@@ -159,7 +160,7 @@ class Session:
         self.expiry: asyncio.TimerHandle | None = None
         self.greeted = False
         """The client knows the session's id, so it may come back to it."""
-        self.listening = False
+        self.one_way = False
         """Its connection takes no requests (SSE): it is told things, and commands nothing."""
         self.token_bucket: TokenBucket[Session] | None = None
         """What its requests are counted by; None if no quota concerns it."""

@@ -201,7 +201,7 @@ class Sessions:
 
     def commanding(self, session: Session) -> Session:
         """Return the session that a client commands by: its principal's, if this one only listens."""
-        if not session.listening:
+        if not session.one_way:
             return session
         return self.stateless(session.principal, session.transport, session.tenant)
 

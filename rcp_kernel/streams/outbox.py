@@ -173,17 +173,13 @@ class Outbox:
         self.text = encoding is Encoding.JSON
         self.dirty = False
         self.framing: Framing | None = None
-        """Set by a transport that sends whole messages in frames: `collect` then returns bytes
-        ready for the socket, a long message in two parts, and like receivers share frames."""
+        """Frames for the transport, see `send_frames`."""
         self.direct: Callable[[list[bytes]], bool] | None = None
-        """Set by a transport that, with `framing`, sends frames at once while nothing else waits;
-        False says that its socket does not take them now."""
         self.alone = False
-        """Set by a transport that wraps each message in what is its client's own: there is nothing
-        to share."""
+        """Each message is wrapped in what is its client's own: there is nothing to share."""
         self.takes_long = False
-        """Set by a transport whose client takes messages of any length, as it agreed to get them
-        in parts: values that only a pattern asks for come whole too."""
+        """The client takes messages of any length, as it agreed to get them in parts: values that
+        only a pattern asks for come whole too."""
         self.control: list[bytes] = []
         """Replies and notices: in order, never dropped. Queue them by `put`, which counts them."""
         self.waiting = 0
@@ -214,6 +210,35 @@ class Outbox:
         self.control.insert(0, data)
         self.waiting += len(data)
         self.mark()
+
+    def send_frames(self, framing: Framing, direct: Callable[[list[bytes]], bool]) -> None:
+        """Collect frames, for a transport that sends whole messages in such.
+
+        `collect` then returns bytes ready for the socket, a long message in two parts, and like
+        receivers share frames. While nothing else waits, `direct` sends frames at once; False says
+        that the socket does not take them now.
+        """
+        self.framing, self.direct, self.takes_long = framing, direct, False
+
+    def send_messages(self, *, long: bool = False) -> None:
+        """Collect whole messages without frames, as at the beginning.
+
+        `long` tells that the client takes those of any length, as it gets them in parts.
+        """
+        self.framing = self.direct = None
+        self.takes_long = long
+
+    def gather(self) -> None:
+        """Mark nothing for the coming tick: the transport calls `settle` at the end of a read."""
+        self.dirty = True
+
+    def settle(self, *, alone: bool) -> bytes | None:
+        """End what `gather` began; take the one message that waits, if it may go `alone`."""
+        self.dirty = False
+        if alone and len(self.control) == 1 and not (self.pending or self.feedback):
+            self.waiting = 0
+            return self.control.pop()
+        return None
 
     def hand(self, buffered: int) -> None:
         """Take notice of how many bytes the transport has given away that were not taken."""

@@ -1,7 +1,7 @@
 """The public kit: an author subclasses a suite, and the suite, not the author, wrote the tests.
 
-`BackendSuite` and `StopSuite` prove a robot's plugin, `TransportSuite` a client's wire, `FeatureSuite`
-a feature with its guard; `loopback` and `serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
+`BackendSuite` and `StopSuite` prove a robot's plugin, `TransportSuite` a client's wire, `AdapterSuite` a
+translation, `FeatureSuite` a feature with its guard; `loopback` and `serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rcp_kernel.testing._serve import (
     serve_backend,
 )
 from rcp_kernel.testing._suite import Suite, eventually, proves
+from rcp_kernel.testing.adapter import AdapterGateway, AdapterSuite
 from rcp_kernel.testing.backend import BackendSuite, Goal, Robot
 from rcp_kernel.testing.feature import FeatureGateway, FeatureSuite
 from rcp_kernel.testing.stop import StopRig, StopSuite
@@ -30,6 +31,8 @@ __all__ = [
     "OPERATOR",
     "REQUIREMENTS",
     "VIEWER",
+    "AdapterGateway",
+    "AdapterSuite",
     "BackendSuite",
     "Client",
     "FeatureGateway",

@@ -15,6 +15,7 @@ from rcp_kernel.app.log import Recent
 from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.app.supervisor import BackendSupervisor
+from rcp_kernel.client_kinds import AdapterKind, TransportKind
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.features import FeatureKind
@@ -81,11 +82,13 @@ async def serve(
     *kinds: BackendKind,
     recent: Recent | None = None,
     features: Sequence[FeatureKind] = (),
+    transports: Sequence[TransportKind] = (),
+    adapters: Sequence[AdapterKind] = (),
 ) -> AsyncGenerator[Served]:
     """Run the gateway of a configuration while entered.
 
     What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point, and `features` are
-    active beside those of the configuration. Transports that the
+    active beside those of the configuration; `transports` and `adapters` serve its tables by name. Transports that the
     configuration names are opened; a text that names none opens none. Where `guard_after` has its default, the
     guard waits as long as it can: the test, and whatever it simulates, share the gateway's event loop.
 
@@ -100,25 +103,35 @@ async def serve(
     given = {kind.name: _noted(kind, lives) for kind in kinds}
     own = {kind.name: kind for kind in features}
     others = {name: table for name, table in config.features.items() if name not in own}
-    elsewhere = tuple(b for b in config.backends if b.use not in given)
-    plugins = Plugins(msgspec.structs.replace(config, backends=elsewhere, features=others))
+    wires = {kind.name: kind for kind in transports}
+    guests = {kind.name: kind for kind in adapters}
+    installed = msgspec.structs.replace(
+        config,
+        backends=tuple(b for b in config.backends if b.use not in given),
+        features=others,
+        transports={n: table for n, table in config.transports.items() if n not in wires},
+        plugins={n: table for n, table in config.plugins.items() if n not in guests},
+    )
+    plugins = Plugins(installed)
     plugins.backends.update(given)
     plugins.features.update(own)
+    plugins.transports.update(wires)
+    plugins.adapters.update(guests)
     config = msgspec.structs.replace(config, features=dict.fromkeys(own, True) | config.features)
     tables = [
         decode_table(b.options, plugins.backends[b.use].config, f"test: backend '{b.name}': ")
         for b in config.backends
     ]
-    transports = {
+    open_transports = {
         name: decode_table(table, plugins.transports[name].config, f"test: [transports.{name}]: ")
         for name, table in config.transports.items()
     }
-    adapters = {
+    open_adapters = {
         name: decode_table(table, plugins.adapters[name].config, f"test: [plugins.{name}]: ")
         for name, table in config.plugins.items()
     }
     made = active(config, plugins.features, "test")
-    prepared = Prepared(config, plugins, tuple(tables), transports, adapters, made)
+    prepared = Prepared(config, plugins, tuple(tables), open_transports, open_adapters, made)
     async with running(prepared, recent) as server:
         yield Served(server, lives)
 

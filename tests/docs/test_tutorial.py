@@ -55,7 +55,7 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
         async def turn_to(angle: float) -> Reply:
             body = {"angle": angle}
             request = {"type": "execute", "path": "/action/turn_to", "body": body}
-            return await client_api.ask(
+            return await client_api.request(
                 session, decode_request(dump(request, Encoding.JSON), Encoding.JSON)
             )
 

@@ -1,9 +1,10 @@
-"""What `rcpd new backend` writes is a distribution that installs, serves and passes the suite."""
+"""What `rcpd new` writes is a distribution that installs, serves and passes the suite."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from click.testing import CliRunner
 
 from rcp_kernel.errors import ConfigError
 from rcpd.cli import main
-from rcpd.scaffold import write_backend
+from rcpd.scaffold import KINDS, write_plugin
 
 BOUND = 120  # s
 RCPD = "from rcpd.cli import main; main()"
@@ -55,7 +56,7 @@ def test_it_installs_serves_and_passes_the_suite(tmp_path: Path) -> None:
 
 
 def test_it_is_clean_and_short(tmp_path: Path) -> None:
-    made = write_backend("second_axis", tmp_path)
+    made = write_plugin("backend", "second_axis", tmp_path)
     module = made / "rcp_second_axis" / "__init__.py"
     assert len(module.read_text(encoding="utf-8").splitlines()) < 100
     assert "@" not in module.read_text(encoding="utf-8").replace("@hookimpl", "").replace(
@@ -69,19 +70,40 @@ def test_it_is_clean_and_short(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["", "Axis", "9lives", "a b", "a--b", "-a", "a/b", "ä", "a" * 41])
 def test_a_name_that_no_package_can_have_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match="is not a valid backend name"):
-        write_backend(name, tmp_path)
+        write_plugin("backend", name, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_there_already_is_left_alone(tmp_path: Path) -> None:
-    made = write_backend("axis", tmp_path)
+    made = write_plugin("backend", "axis", tmp_path)
     (made / "README.md").write_text("mine")
     with pytest.raises(ConfigError, match="already exists"):
-        write_backend("axis", tmp_path)
+        write_plugin("backend", "axis", tmp_path)
     assert (made / "README.md").read_text() == "mine"
 
 
 def test_where_nothing_can_be_written_it_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot be written"):
-        write_backend("axis", tmp_path / "file")
+        write_plugin("backend", "axis", tmp_path / "file")
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "backend"])
+def test_every_kind_passes_its_suite_without_being_installed(kind: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["new", kind, "lab-thing", "--into", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    made = tmp_path / f"rcp-{kind}-lab-thing"
+    # Of a transport's suite, a part: all of it runs in the tests of the documentation.
+    few = ["-k", "ping or updates_come"] if kind == "transport" else []
+    told = run("-m", "pytest", "-q", "-p", "no:cacheprovider", *few, cwd=made, path=made)
+    assert " passed" in told
+    assert " failed" not in told
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_every_kind_is_clean_and_leaves_no_mark(kind: str, tmp_path: Path) -> None:
+    made = write_plugin(kind, "lab-thing", tmp_path)
+    for file in made.rglob("*.*"):
+        assert not re.search(r"@[a-zA-Z]+@", file.read_text(encoding="utf-8")), file
+    run("-m", "ruff", "check", "--no-cache", ".", cwd=made)
+    run("-m", "pyright", "--pythonpath", sys.executable, cwd=made)

@@ -10,11 +10,10 @@ from litestar.di import NamedDependency, Provide
 
 from rcp_asgi.index import index_page
 from rcp_asgi.openapi import Documents
+from rcp_kernel.api import Session, SharedWork
 from rcp_kernel.asgi import session_of
 from rcp_kernel.client_api import Asgi, ClientApi
-from rcp_kernel.contract.shared_work import SharedWork
 from rcp_kernel.errors import Forbidden, RcpError
-from rcp_kernel.sessions.session import Session
 from rcp_web.application import Application, Asked, scope_of
 
 __all__ = ["OWN", "builtin_app"]

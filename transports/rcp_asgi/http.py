@@ -37,11 +37,9 @@ from rcp_asgi.request_head import (
 )
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
-from rcp_kernel.access.certificates import read_certificate
+from rcp_kernel.api import UNKNOWN_PEER, Backlog, Peer, read_certificate
 from rcp_kernel.client_api import Asgi
-from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streams.outbound import Backlog
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
@@ -86,7 +84,7 @@ class HttpProtocol(HttpToolsProtocol):
         self._farewell: asyncio.TimerHandle | None = None
         self._parting: RcpError | None = None
         """What is to be said when the requests before it are answered."""
-        self._peer = UNKNOWN
+        self._peer = UNKNOWN_PEER
         self._proxied = False
         self._slow: asyncio.TimerHandle | None = None
         self._extensions: dict[str, Any] = {}

@@ -6,10 +6,8 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.app.status import gateway_version
+from rcp_kernel.api import Session, SharedWork, gateway_version
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.shared_work import SharedWork
-from rcp_kernel.sessions.session import Session
 
 __all__ = ["Documents"]
 

@@ -13,11 +13,9 @@ from pathlib import Path
 import structlog
 
 from rcp_asgi.config import TlsConfig
-from rcp_kernel.access.certificates import read_pem, revoked_by
+from rcp_kernel.api import Serial, others_may, read_pem, revoked_by
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.peer import Serial
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.modes import others_may
 
 __all__ = ["Tls"]
 

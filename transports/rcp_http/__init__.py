@@ -6,9 +6,7 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_http.app import PREFIX, HttpApp
 from rcp_http.config import HttpConfig
-from rcp_http.openapi import Described
 from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.client_kinds import TransportKind
 from rcp_kernel.hookspecs import hookimpl
@@ -19,7 +17,11 @@ __all__ = ["HttpConfig", "open_http", "rcp_transports"]
 @asynccontextmanager
 async def open_http(config: HttpConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Offer the calls to the listener while entered."""
-    app, described = HttpApp(config, client_api), Described(client_api)
+    from rcp_http.app import PREFIX, HttpApp
+    from rcp_http.openapi import Described
+
+    app = HttpApp(config, client_api)
+    described = Described(client_api, app.calls)
     mount = Mount(name="http", prefix=PREFIX, app=app, openapi=described.part)
     client_api.mount(mount)
     try:

@@ -10,10 +10,8 @@ from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_http.request import HttpRequest
+from rcp_kernel.api import BACKLOG_SHARE, Outbound, left_out, to_internal_error
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
-from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.sessions.unsent import left_out
-from rcp_kernel.streams.outbound import SHARE, Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 
@@ -84,7 +82,7 @@ class Answers:
                 data = await compress(data, chosen)
                 headers.append(_CODED[chosen])
         headers.append((b"content-length", b"%d" % len(data)))
-        if len(data) <= SHARE:
+        if len(data) <= BACKLOG_SHARE:
             await _send(send, status, headers, data)
             return
         backlog = self._outbound.open()

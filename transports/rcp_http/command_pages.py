@@ -6,10 +6,9 @@ from collections.abc import Generator, Iterable
 from typing import NamedTuple, get_args
 
 from rcp_http.request import HttpRequest, count
+from rcp_kernel.api import Command
+from rcp_kernel.api.pages import LONGEST, Parts, cursor_of, place_of
 from rcp_kernel.errors import BadRequest
-from rcp_kernel.requests.pages import LONGEST, cursor_of, place_of
-from rcp_kernel.requests.parts import Parts
-from rcp_kernel.sessions.command import Command
 from rcp_kernel.wire import Status
 
 __all__ = ["Wanted", "fill"]

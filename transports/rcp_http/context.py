@@ -11,11 +11,10 @@ from rcp_http.answers import Answers, methods_of
 from rcp_http.config import HttpConfig
 from rcp_http.octets import bytes_of, send_octets
 from rcp_http.request import HttpRequest, count, flag
+from rcp_kernel.api import Query, Session
 from rcp_kernel.asgi import Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Context", "Follower"]

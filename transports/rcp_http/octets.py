@@ -8,9 +8,9 @@ from typing import Any
 from rcp_http.answers import BOOT, matches
 from rcp_http.negotiate import OCTETS
 from rcp_http.request import HttpRequest
+from rcp_kernel.api import Sample
 from rcp_kernel.asgi import Headers, Send, respond
 from rcp_kernel.errors import BadRequest, RcpError
-from rcp_kernel.tree.samples import Sample
 from rcp_kernel.wire import Reply
 
 __all__ = ["bytes_of", "range_headers", "send_octets"]

@@ -7,12 +7,12 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
-from rcp_http.openapi_calls import ERROR, REPLY, calls
+from rcp_http.openapi_calls import ERROR, REPLY, direct
 from rcp_http.openapi_responses import COMMAND, READ, refusals, responses
+from rcp_kernel.api import Query, Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.sessions.session import Session
+from rcp_web.application import Application
 
 __all__ = ["Described"]
 
@@ -34,14 +34,15 @@ def _content(schema: Node) -> Node:
 class Described:
     """Describes what a session sees."""
 
-    def __init__(self, client_api: ClientApi) -> None:
+    def __init__(self, client_api: ClientApi, calls: Application) -> None:
         self._client_api = client_api
+        self._calls = calls
 
     async def part(self, session: Session) -> Node:
         """Return `paths` and `components` of the OpenAPI document."""
         turns, owner = self._client_api.turns, session.principal.identity
         schemas: Node = {"Reply": REPLY, "Error": ERROR}
-        paths: Node = calls()
+        paths: Node = direct() | self._calls.paths()
         free = self._client_api.rights_of_anyone()
         proved = self._proofs()
         query: Query | None = Query(limit=_PAGE)

@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from typing import Any
-from urllib.parse import parse_qsl
 
 import msgspec
 from msgspec import Raw
 
 from rcp_http.negotiate import accepted, body_encoding
+from rcp_kernel.api import Principal, Session
+from rcp_kernel.api.pages import MOST
 from rcp_kernel.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import BadRequest, NotImplementedByRobot
-from rcp_kernel.requests.pages import MOST
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
+from rcp_web.query import read_query, single
 
 __all__ = ["HttpRequest", "count", "flag", "number"]
 
@@ -99,17 +98,7 @@ class HttpRequest:
         self.encoding = Encoding.JSON
         self.octets = False
         if scope["query_string"]:
-            self._parse(scope["query_string"])
-
-    def _parse(self, text: bytes) -> None:
-        try:
-            pairs = parse_qsl(
-                text.decode("ascii"), keep_blank_values=True, max_num_fields=_MAX_PARAMETERS
-            )
-        except ValueError:
-            raise BadRequest("the query is malformed or has too many parameters") from None
-        for key, value in pairs:
-            self.query.setdefault(key, []).append(value)
+            self.query = read_query(scope["query_string"], _MAX_PARAMETERS)
 
     def negotiate(self) -> None:
         """Find out which encoding the answer is to have.
@@ -149,11 +138,7 @@ class HttpRequest:
         :raises BadRequest: it is given twice.
         """
         values = self.query.get(name)
-        if values is None:
-            return None
-        if len(values) > 1:
-            raise BadRequest(f"the parameter `{name}` is given {len(values)} times")
-        return values[0]
+        return None if values is None else single(name, values)
 
     def allow(self, *names: str) -> None:
         """Refuse parameters that are neither `names`, nor fields of the envelope, nor `x-…`.

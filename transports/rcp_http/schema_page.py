@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.requests.parts import Written
+from rcp_kernel.api.pages import Written
 from rcp_kernel.values import Encoding, dump
 
 __all__ = ["written"]

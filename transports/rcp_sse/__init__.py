@@ -6,10 +6,10 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
+from rcp_kernel.api import to_internal_error
 from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, retry_after, status_of
 from rcp_kernel.client_api import Asgi, ClientApi, Mount
 from rcp_kernel.client_kinds import TransportKind
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.values import Encoding

@@ -7,21 +7,18 @@ from collections.abc import Callable
 import msgspec
 from msgspec import Raw
 
+from rcp_kernel.api import Connection, Hello, Principal, Sample, Wrap
 from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Gap, RcpError
-from rcp_kernel.sessions.connections import Connection
-from rcp_kernel.sessions.hello import Hello
-from rcp_kernel.streams.outbox import Wrap
-from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
 from rcp_sse.config import SseConfig
 from rcp_sse.journal import Journal, Journals, parse_event_id
-from rcp_sse.options import Query, read_query, subscription
+from rcp_sse.options import MOST, Query, subscription
 from rcp_sse.stream import Stream
+from rcp_web.query import read_query
 
 __all__ = ["Events", "event"]
 
@@ -48,7 +45,7 @@ class Events:
 
         :raises RcpError: nothing was sent yet, and nothing will be.
         """
-        query = read_query(scope["query_string"])
+        query = read_query(scope["query_string"], MOST)
         stream = Stream(scope, receive, send, self._config.comment)
         token = bearer(header(scope, b"authorization"))
         principal = await self._client_api.identify(token, peer_of(scope))
@@ -76,8 +73,9 @@ class Events:
         if tenant is None and named is not None:
             tenant = named.decode("latin-1")
         peer = peer_of(scope)
-        connection = client_api.connect(principal, Encoding.JSON, stream.wake, tenant, peer)
-        connection.outbox.alone = True
+        connection = client_api.connect(
+            principal, Encoding.JSON, stream.wake, tenant, peer, one_way=True, wraps=True
+        )
         sent = header(scope, b"last-event-id")
         text = sent.decode("latin-1") if sent else query.get("last_event_id", [None])[0]
         last = parse_event_id(text)
@@ -90,7 +88,6 @@ class Events:
         except RcpError:
             connection.close()
             raise
-        connection.session.listening = True
         return connection, lost
 
     def _return(self, connection: Connection, session: str, number: int) -> bool:
@@ -107,7 +104,7 @@ class Events:
         first, body = subscription(query, path)
         id_ = query.get("id", [None])[0]
         request = Request(type="subscribe", path=first, id=id_, body=Raw(msgspec.json.encode(body)))
-        reply = await self._client_api.ask(connection.session, request)
+        reply = await self._client_api.request(connection.session, request)
         if reply.error is not None:
             raise Refusal(reply)
 
@@ -136,9 +133,7 @@ class Events:
 
     def _leave(self, connection: Connection) -> None:
         session = connection.session
-        if not session.subscriptions:
-            session.greeted = False  # it ended: nobody comes back to it
-        connection.close()
+        connection.close(resumable=bool(session.subscriptions))  # where all ended, nobody returns
         after = self._client_api.limits.session_ttl if session.greeted else 0.0
         self._journals.forget(session.id, after)
 

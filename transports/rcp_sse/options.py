@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from typing import Any
-from urllib.parse import parse_qsl
 
 import msgspec
 
 from rcp_kernel.errors import BadRequest
+from rcp_web.query import single
 
-__all__ = ["Wish", "read_query", "subscription"]
+__all__ = ["MOST", "Query", "Wish", "subscription"]
 
 _NUMBERS = ("rate", "duration")
 _INTEGERS = ("count",)
@@ -20,23 +20,9 @@ _QOS = {"reliability": str, "depth": int, "priority": int, "lifespan": float, "q
 """Parts of `qos` that may stand alone: `reliability=reliable`, or with `qos.` before them."""
 _OTHER = ("path", "paths", "history", "initial", "deadband", "id", "tenant", "last_event_id")
 Query = dict[str, list[str]]
+MOST = 2000  # parameters
 Wish = tuple[str, dict[str, Any]]
 """The first path, and the body."""
-
-
-def read_query(text: bytes) -> Query:
-    """Read the query string.
-
-    :raises BadRequest: it cannot be read.
-    """
-    found: Query = {}
-    try:
-        pairs = parse_qsl(text.decode("ascii"), keep_blank_values=True, max_num_fields=2000)
-    except ValueError:
-        raise BadRequest("the query is malformed or has too many parameters") from None
-    for key, value in pairs:
-        found.setdefault(key, []).append(value)
-    return found
 
 
 def subscription(query: Query, path: str | None) -> Wish:
@@ -58,7 +44,7 @@ def subscription(query: Query, path: str | None) -> Wish:
             continue
         part = name.removeprefix("qos.") if name != "qos.deadline" else name
         if part in _QOS:
-            qos[part.removeprefix("qos.")] = _cast(name, _one(name, values), _QOS[part])
+            qos[part.removeprefix("qos.")] = _cast(name, single(name, values), _QOS[part])
         else:
             body[name] = _value(name, values)
     if qos:
@@ -68,16 +54,10 @@ def subscription(query: Query, path: str | None) -> Wish:
     return paths[0], body
 
 
-def _one(name: str, values: list[str]) -> str:
-    if len(values) > 1:
-        raise BadRequest(f"the parameter `{name}` is given {len(values)} times")
-    return values[0]
-
-
 def _value(name: str, values: list[str]) -> Any:
     if name in _LISTS:
         return [part for part in ",".join(values).split(",") if part]
-    text = _one(name, values)
+    text = single(name, values)
     if name in _NUMBERS:
         return _cast(name, text, float)
     if name in _INTEGERS:

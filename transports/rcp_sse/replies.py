@@ -12,8 +12,9 @@ from rcp_kernel.wire import Reply, encode_reply, failure
 from rcp_sse.config import SseConfig
 from rcp_sse.events import event
 from rcp_sse.journal import parse_event_id
-from rcp_sse.options import read_query
+from rcp_sse.options import MOST
 from rcp_sse.stream import Stream
+from rcp_web.query import read_query
 
 __all__ = ["Replies"]
 
@@ -30,7 +31,7 @@ class Replies:
 
         :raises UnknownPath: there is no such command, or not for this caller.
         """
-        query = read_query(scope["query_string"])
+        query = read_query(scope["query_string"], MOST)
         session = await session_of(self._client_api, scope, query.get("tenant", [None])[0])
         command = self._client_api.command(session, id_)
         sent = header(scope, b"last-event-id")

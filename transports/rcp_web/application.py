@@ -8,12 +8,14 @@ from typing import Any, cast
 from litestar import Litestar, Request, Response
 from litestar.di import Provide
 from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFoundException
+from litestar.openapi.config import OpenAPIConfig
+from litestar.openapi.plugins import JsonRenderPlugin
 from litestar.types import ASGIApp, ControllerRouterHandler
 
+from rcp_kernel.api import to_internal_error
 from rcp_kernel.asgi import JSON, Receive, Scope, Send, respond
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
-from rcp_web.refusals import Refusal, envelope, headers_of, not_taken
+from rcp_web.refusals import NotTaken, Refusal, envelope, headers_of
 
 __all__ = ["Application", "Asked", "response", "scope_of"]
 
@@ -35,34 +37,43 @@ class Application:
         remedy: str,
         refuse: Callable[[Scope, RcpError], Refusal] = envelope,
         dependencies: Mapping[str, Provide] | None = None,
+        described: bool = False,
     ) -> None:
-        """Make it; `remedy` is for paths that are not served."""
+        """Make it; `remedy` is for paths that are not served, `described` for `paths`."""
         self._refuse = refuse
         self._remedy = remedy
+        # Litestar has no document without routes to it: no prefix of a mount leads there.
+        document = OpenAPIConfig("", "", path=_NOWHERE, render_plugins=[JsonRenderPlugin()])
         self._litestar = Litestar(
             handlers,
             dependencies=dependencies,
             exception_handlers={Exception: self._answer},
-            openapi_config=None,
+            openapi_config=document if described else None,
             logging_config=None,
         )
+
+    def paths(self) -> dict[str, Any]:
+        """Return the paths of the OpenAPI document that Litestar generates."""
+        return dict(self._litestar.openapi_schema.to_schema()["paths"])
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
         path, method = scope["path"], scope["method"]
         inner = {**scope, "root_path": ""}  # the listener has taken it off the path
         if path != "/" and (path[-1:] == "/" or "//" in path):
-            inner["path"] = _NOWHERE
+            inner["path"] = _NOT_SERVED
         if method == "HEAD":
             inner["method"] = "GET"
         elif method == "OPTIONS":
-            send = _with_head(send)
+            inner["method"] = _NO_METHOD  # the error names the methods of every handler of the path
         inner[_ASKED] = scope
         await self._litestar(cast("Any", inner), receive, cast("Any", send))
 
     def _answer(self, request: Asked, error: Exception) -> Response[bytes]:
         scope = scope_of(request)
         told = self._told(scope, error)
+        if scope["method"] == "OPTIONS" and isinstance(told, NotTaken):
+            return Response(b"", status_code=204, headers={"allow": ", ".join(told.methods)})
         body, media, headers = self._refuse(scope, told)
         fields = {k.decode(): v.decode("latin-1") for k, v in (*headers, *headers_of(told))}
         return Response(body, status_code=told.http, media_type=media.decode(), headers=fields)
@@ -73,7 +84,7 @@ class Application:
             return UnknownPath(f"nothing found at {path}", remedy=self._remedy)
         if isinstance(error, MethodNotAllowedException):
             named = (error.headers or {}).get("allow", "")
-            return not_taken(path, scope["method"], _methods(named.split(", ")))
+            return NotTaken(path, scope["method"], _methods(named.split(", ")))
         if isinstance(error, HTTPException) and error.status_code < 500:
             return BadRequest(error.detail or "the request is malformed")
         return to_internal_error(error, path=path)
@@ -81,7 +92,9 @@ class Application:
 
 _ASKED = "rcp.asked"
 """Where the scope is kept that came, of which Litestar gets another version."""
-_NOWHERE = "/-/-/-"
+_NOWHERE = "/-/openapi"
+_NOT_SERVED = "/-/-"
+_NO_METHOD = "-"
 
 
 def scope_of(request: Asked) -> Scope:
@@ -105,16 +118,3 @@ def _methods(named: Iterable[str]) -> list[str]:
     if "GET" in known:
         known.add("HEAD")
     return [name for name in _ORDER if name in known]
-
-
-def _with_head(send: Send) -> Send:
-    """Answer OPTIONS with `HEAD` among the methods, and without a body's headers."""
-
-    async def sending(message: Any) -> None:
-        if message["type"] == "http.response.start" and message["status"] == 204:
-            named = dict(message["headers"])[b"allow"].decode().split(",")
-            allow = ", ".join(_methods(named)).encode()
-            message = {**message, "headers": [(b"allow", allow)]}
-        await send(message)
-
-    return sending

@@ -9,7 +9,7 @@ from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
-__all__ = ["Refusal", "envelope", "headers_of", "not_taken"]
+__all__ = ["NotTaken", "Refusal", "envelope", "headers_of"]
 
 
 class Refusal(NamedTuple):
@@ -20,23 +20,26 @@ class Refusal(NamedTuple):
     headers: tuple[tuple[bytes, bytes], ...] = ()
 
 
+class NotTaken(UnsupportedOperation):
+    """A path does not support the method; `methods` are those that it does."""
+
+    def __init__(self, path: str, method: str, methods: list[str]) -> None:
+        super().__init__(
+            f"{path} does not support {method}",
+            remedy=f"Use {' or '.join(methods)}.",
+            details={"allowed": methods},
+        )
+        self.methods = methods
+
+
 def envelope(_: Scope, error: RcpError) -> Refusal:
     """Refuse with an envelope in JSON."""
     return Refusal(encode_reply(failure(error, "error"), Encoding.JSON))
 
 
-def not_taken(path: str, method: str, methods: list[str]) -> UnsupportedOperation:
-    """Return the error for a method that a path does not support."""
-    return UnsupportedOperation(
-        f"{path} does not support {method}",
-        remedy=f"Use {' or '.join(methods)}.",
-        details={"allowed": methods},
-    )
-
-
 def headers_of(error: RcpError) -> Headers:
-    """Return the headers of an error's status, among them what `not_taken` allows."""
+    """Return the headers of an error's status."""
     headers = refusal_headers(error)
-    if error.http == 405 and error.details is not None:
-        headers.append((b"allow", ", ".join(error.details["allowed"]).encode()))
+    if isinstance(error, NotTaken):
+        headers.append((b"allow", ", ".join(error.methods).encode()))
     return headers

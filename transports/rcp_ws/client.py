@@ -9,12 +9,9 @@ from typing import Any
 
 import structlog
 
+from rcp_kernel.api import BACKLOG_SHARE, Hello, Peer, Principal
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract import peer
-from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
-from rcp_kernel.sessions.hello import Hello
-from rcp_kernel.streams.outbound import SHARE
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, peek_header
 from rcp_ws import segments
@@ -74,7 +71,7 @@ class WsClient:
         who: tuple[Principal | None, str | None],
         encoding: Encoding,
         socket: NativeSocket,
-        end: peer.Peer,
+        end: Peer,
     ) -> None:
         self._config = config
         self._socket = socket
@@ -85,8 +82,6 @@ class WsClient:
         self.connection = client_api.connect(
             principal or _NOBODY, encoding, self.flush, tenant, end
         )
-        self.connection.on_hello = self._hello
-        self.connection.outbox.backlog.cut = self._cut_off
         self._outbox = self.connection.outbox
         self._receive: Callable[[bytes], None] = self.connection.receive
         self._patience: asyncio.TimerHandle | None = None
@@ -102,7 +97,9 @@ class WsClient:
             full=self._full,
             failed=self._broken,
         )
-        self.connection.released = self._gate.put_back
+        self.connection.set_callbacks(
+            hello=self._hello, released=self._gate.put_back, cut=self._cut_off
+        )
         self._began = 0.0
         """When the first of the messages that came together was taken; 0 between such."""
         self._turn, self._used = 0, 0.0
@@ -123,8 +120,10 @@ class WsClient:
     def _agree(self) -> None:
         socket, outbox = self._socket, self._outbox
         self._plain = self._outgoing.size is None and not socket.compresses
-        outbox.framing = socket.head if self._plain else None
-        outbox.direct = socket.pass_on if self._plain else None
+        if self._plain:
+            outbox.send_frames(socket.head, socket.pass_on)
+        else:
+            outbox.send_messages(long=self._outgoing.size is not None)
 
     # -- in ------------------------------------------------------------------------------------
 
@@ -139,11 +138,9 @@ class WsClient:
         if size > self._limit:
             self.oversized(size)
             return
-        # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
         outbox = self._outbox
-        outbox.dirty = True
         if not self._began:
-            self._began = perf_counter()
+            self._begin()
         try:
             # Nobody's segments are put together.
             if _SEGMENT not in data or self._patience is not None or not self._segment(data):
@@ -151,7 +148,7 @@ class WsClient:
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
-        if len(outbox.control) >= self._look_at or outbox.waiting > SHARE:
+        if len(outbox.control) >= self._look_at or outbox.waiting > BACKLOG_SHARE:
             self.flush()
             gate.review()
         if size > _SHORT and self.connection.holds:
@@ -160,10 +157,15 @@ class WsClient:
         if spent > _LEAST and (spent > _TURN or self._turns.over):
             gate.end_turn()
 
+    def _begin(self) -> None:
+        """Begin with what was read at once: `settled` sends the answers to all of it."""
+        self._began = perf_counter()
+        self._outbox.gather()
+
     def other_frame(self) -> None:
         """Count the time of a frame that is no whole message."""
         if not self._began:
-            self._began = perf_counter()
+            self._begin()
         elif perf_counter() - self._began > _TURN:
             self._gate.end_turn()
 
@@ -198,13 +200,10 @@ class WsClient:
         """Send what there is to say to the messages that came together."""
         outbox, socket = self._outbox, self._socket
         began, self._began = self._began, 0.0
-        outbox.dirty = False
-        control = outbox.control
-        more = outbox.pending or outbox.feedback
-        if len(control) == 1 and self._plain and socket.writable and not more:
-            outbox.waiting = 0
-            socket.reply(control.pop())
-        elif control or more or not self._plain:
+        only = outbox.settle(alone=self._plain and socket.writable)
+        if only is not None:
+            socket.reply(only)
+        elif outbox.more or not self._plain:
             self.flush()
         # What ended the turn is counted, and so is what was kept until the next.
         if began and not self._gate.paused and (spent := perf_counter() - began) > _COUNTED:
@@ -309,7 +308,6 @@ class WsClient:
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed
-        self._outbox.takes_long = agreed is not None
         self._agree()
         return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
 

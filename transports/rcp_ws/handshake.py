@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from rcp_kernel.api import Principal
 from rcp_kernel.asgi import Scope, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import BadRequest, Unauthenticated
 from rcp_kernel.values import Encoding
 

@@ -21,6 +21,7 @@ from rcp_protocol.errors import BadRequest, InvalidValue, OutOfRange, PluginErro
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.published_schema import published
 from rcp_protocol.shape import Beyond, Shape, unescaped
+from rcp_protocol.validation import Fault, fault_of
 
 __all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
 
@@ -29,9 +30,6 @@ DEPTH = 64
 _WIDE_DIGITS = b"," + b"0" * 16  # of an integer, not behind a decimal point
 _HUGE_DIGITS = b"0" * 19  # may lie past 64 bits, which msgspec alone lets through
 _ZEROS = bytes.maketrans(b"0123456789-:[", b"0" * 10 + b"," * 3)
-_AT = re.compile(r"(?s)(?P<what>.*?)(?: - at `(?:key in )?\$(?P<path>[^`]*)`)?\Z")
-_BOUND = re.compile(r"Expected `\w+` (?P<op>>=|<=|>|<) (?P<bound>\S+)\Z")
-_LACKING = re.compile(r"Object missing required field `(.+)`\Z", re.DOTALL)
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _BROKEN = {">=": "<", "<=": ">", ">": "<=", "<": ">="}
 
@@ -145,7 +143,7 @@ class ValueType:
             fixed = self._shape.inward(plain, "")
             return msgspec.convert(fixed, self.type)
         except msgspec.ValidationError as error:
-            raise self._explain(str(error), plain, label) from None
+            raise self._explain(fault_of(error), plain, label) from None
         except Beyond as error:
             pointer, _, bound = error.args
             raise self._beyond(label, pointer, _at(plain, pointer), bound) from None
@@ -211,21 +209,17 @@ class ValueType:
             details={"pointer": pointer, "value": found, "bound": bound, "unit": unit},
         )
 
-    def _explain(self, text: str, plain: Any, label: str) -> InvalidValue:
-        match = _AT.match(text)
-        what, path = (match["what"], match["path"] or "") if match else (text, "")
-        pointer = "".join("/" + (m[1] or m[2]) for m in _STEP.finditer(path))
+    def _explain(self, fault: Fault, plain: Any, label: str) -> InvalidValue:
+        pointer = "".join("/" + (m[1] or m[2]) for m in _STEP.finditer(fault.place))
         found = _at(plain, pointer)
+        if fault.bound and isinstance(found, (int, float)) and not isinstance(found, bool):
+            return self._beyond(label, pointer, found, " ".join(fault.bound))
         details: dict[str, Any] = {"pointer": pointer}
-        bound = _BOUND.match(what)
-        if bound and isinstance(found, (int, float)) and not isinstance(found, bool):
-            limit = bound["bound"].removesuffix(".0")
-            return self._beyond(label, pointer, found, f"{bound['op']} {limit}")
         if plain is None:
             details["missing"] = ""
-        elif lacking := _LACKING.match(what):
-            details["missing"] = f"{pointer}/{lacking[1]}"
-        return InvalidValue(f"{_named(label, pointer)}: {what}", details=details)
+        elif fault.missing is not None:
+            details["missing"] = f"{pointer}/{fault.missing}"
+        return InvalidValue(f"{_named(label, pointer)}: {fault.what}", details=details)
 
 
 def _named(label: str, pointer: str) -> str:

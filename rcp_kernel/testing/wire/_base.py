@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from rcp_kernel.app.server import Server
+from rcp_kernel.client_kinds import TransportKind
 from rcp_kernel.config.file import GatewayConfig, StoreConfig, parse
 from rcp_kernel.testing._client import Client
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
@@ -178,6 +179,8 @@ class Wire(Suite):
     """The encodings that it carries."""
     transports: ClassVar[dict[str, dict[str, Any]]] = {}
     """The tables of `[transports]` that have to be open."""
+    kinds: ClassVar[tuple[TransportKind, ...]] = ()
+    """Transports of these tables that are not installed."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -199,7 +202,7 @@ class Wire(Suite):
         with TemporaryDirectory() as folder:
             store = StoreConfig(path=f"{folder}/store.db")
             config = msgspec.structs.replace(configuration(self.transports), store=store)
-            async with serve(config, ROBOT, DEAD) as served:
+            async with serve(config, ROBOT, DEAD, transports=self.kinds) as served:
                 world = World(served, self)
                 try:
                     yield world

@@ -186,7 +186,7 @@ async def test_what_waited_at_the_end_of_a_subscription_is_framed_once(world: Wo
 async def test_hello_where_there_is_no_connection_is_refused_by_name(world: World) -> None:
     client_api = world.server.client_api
     session = client_api.session(client_api.authenticate("operator-operator"))
-    reply = await client_api.ask(session, Request(type="hello"))
+    reply = await client_api.request(session, Request(type="hello"))
     assert reply.error is not None
     assert reply.error["code"] == "unsupported_operation"
 

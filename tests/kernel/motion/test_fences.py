@@ -142,7 +142,7 @@ async def test_who_drives_by_single_requests_hears_of_the_fence_where_it_listens
         write = Request(type="write", path="/actuator/drive", encoding=Encoding.JSON)
         write.body = type(write.body)(b'{"linear":{"x":0.5}}')
         session = client_api.session(client_api.authenticate(AGENT))
-        assert (await client_api.ask(session, write)).status == "completed"
+        assert (await client_api.request(session, write)).status == "completed"
         world.robot.at(10.1)
         assert (await listener.notice("fence_left"))["envelope"] == "hall"
 

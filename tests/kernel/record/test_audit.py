@@ -204,7 +204,7 @@ async def test_an_acknowledged_lease_is_kept(tmp_path: Path) -> None:
             other.rollback()
         assert (await client.final(asked))["body"]["scope"] == "/tenant/alpha/param"
         with closing(sqlite3.connect(path)) as other:
-            [held] = other.execute("SELECT key FROM kept WHERE place = 'leases'").fetchall()
+            [held] = other.execute("SELECT key FROM kept WHERE place = 'leases.held'").fetchall()
         assert (await client.ask(**ask, body={**body, "do": "release"}))["body"]["lease"] == held[0]
 
 

@@ -265,7 +265,7 @@ async def test_requests_without_a_session_use_approvals_of_their_principal() -> 
         await decide(world.client(GUARD), id_)
         world.robot.release.set()
         session = client_api.session(client_api.authenticate(AGENT))
-        reply = await client_api.ask(session, _request(world, id_))
+        reply = await client_api.request(session, _request(world, id_))
         assert reply.status == "completed"
 
 

@@ -324,7 +324,7 @@ async def test_what_a_request_without_a_session_acquires_is_its_principals(world
     body = b'{"do":"acquire","scope":"/tenant/alpha"}'
     request = Request(type="execute", path="/system/leases", encoding=Encoding.JSON)
     request.body = type(request.body)(body)
-    held = await client_api.ask(http, request)
+    held = await client_api.request(http, request)
     assert held.status == "completed"
     assert held.body.session is None
     assert code(await drive(world.client(ADMIN))) == "lease_held"
@@ -333,10 +333,10 @@ async def test_what_a_request_without_a_session_acquires_is_its_principals(world
     again = client_api.renamed("other").session(client_api.authenticate("operator-operator"))
     write = Request(type="write", path=DRIVE, encoding=Encoding.JSON)
     write.body = type(write.body)(b'{"linear":{"x":1.0}}')
-    assert (await client_api.ask(again, write)).status == "completed"
+    assert (await client_api.request(again, write)).status == "completed"
     assert code(await lease(mine, "release")) == "completed"
     assert code(await lease(mine)) == "completed"
-    assert (await client_api.ask(again, write)).status == "rejected"
+    assert (await client_api.request(again, write)).status == "rejected"
 
 
 async def test_who_looks_sees_the_leases_of_robots_that_it_sees(world: World) -> None:
@@ -369,7 +369,7 @@ async def test_a_lease_outlives_the_gateway_that_gave_it(tmp_path: Path) -> None
         http = client_api.session(client_api.authenticate("operator-operator"))
         request = Request(type="execute", path="/system/leases", encoding=Encoding.JSON)
         request.body = type(request.body)(b'{"do":"acquire","scope":"/tenant/alpha","ttl":100}')
-        before = (await client_api.ask(http, request)).body
+        before = (await client_api.request(http, request)).body
         await settled(world.server.kernel.store)
     async with world_of(text) as world:
         client = world.client(ADMIN)

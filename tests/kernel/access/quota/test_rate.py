@@ -110,7 +110,7 @@ async def test_a_lease_is_let_go_of_at_any_time_and_taken_at_the_pace_of_the_quo
         asked = {"do": do, "scope": "/tenant/alpha", "ttl": 5, "reason": "to release"}
         body = msgspec.Raw(dump(asked, encoding))
         request = Request(type="execute", path="/system/leases", body=body, encoding=encoding)
-        return (await client_api.ask(session, request)).error
+        return (await client_api.request(session, request)).error
 
     assert [await lease("acquire") for _ in range(3)] == [None] * 3
     refused = await lease("acquire")

@@ -1,0 +1,88 @@
+"""What the calls of the API answer, for the OpenAPI document."""
+
+from __future__ import annotations
+
+from rcp_web.calls import Node
+
+__all__ = ["CAMERA", "LATEST", "LAYOUT", "NONE", "SERIES", "STREAM", "answer"]
+
+_REFUSED: Node = {"description": "Refused, with an envelope."}
+_NUMBERS: Node = {"type": "array", "items": {"type": "number"}}
+_SERIES_BODY: Node = {
+    "type": "object",
+    "required": ["path", "capacity", "now", "series"],
+    "properties": {
+        "path": {"type": "string"},
+        "capacity": {"type": "integer", "description": "Samples kept per field."},
+        "now": {"type": "number", "description": "The gateway's clock, s since the epoch."},
+        "series": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["field", "samples", "times", "values"],
+                "properties": {
+                    "field": {
+                        "type": "string",
+                        "description": "Field name; empty for the value itself.",
+                    },
+                    "samples": {
+                        "type": "integer",
+                        "description": "Number of samples in the window.",
+                    },
+                    "times": {**_NUMBERS, "description": "Source times, s since the epoch."},
+                    "values": _NUMBERS,
+                },
+            },
+        },
+    },
+}
+_LATEST_BODY: Node = {
+    "type": "object",
+    "required": ["timestamp", "values"],
+    "properties": {
+        "timestamp": {"type": "string"},
+        "values": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["path", "status"],
+                "properties": {
+                    "path": {"type": "string"},
+                    "status": {"type": "string"},
+                    "body": {},
+                    "omitted": {
+                        "type": "integer",
+                        "description": "Size in bytes of a value that is too long.",
+                    },
+                    "seq": {"type": "integer"},
+                    "timestamp": {"type": "string"},
+                    "state": {"enum": ["fresh", "stale"]},
+                    "age": {"type": "number", "description": "s"},
+                    "error": {"type": "object"},
+                },
+            },
+        },
+        "truncated": {"type": "boolean", "description": "There are more: continue with `cursor`."},
+        "cursor": {"type": "string"},
+    },
+}
+
+
+def _json(schema: Node) -> Node:
+    return {"application/json": {"schema": schema}}
+
+
+SERIES = _json(_SERIES_BODY)
+LATEST = _json(_LATEST_BODY)
+LAYOUT = _json({})
+CAMERA: Node = {
+    media: {"schema": {"type": "string", "format": "binary"}}
+    for media in ("image/jpeg", "image/png")
+}
+STREAM: Node = {"multipart/x-mixed-replace": {"schema": {"type": "string"}}}
+NONE: Node = {"204": {"description": "Done."}, "default": _REFUSED}
+
+
+def answer(text: str, content: Node) -> Node:
+    """Return the responses of a call that answers with some content."""
+    return {"200": {"description": text, "content": content}, "default": _REFUSED}

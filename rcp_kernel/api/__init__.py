@@ -1,0 +1,75 @@
+"""What transports and adapters are built with, beside `ClientApi` and `rcp_kernel.asgi`.
+
+A plugin that brings clients in imports the public modules and nothing deeper: `api`, `api.pages`,
+`asgi`, `client_api`, `client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`,
+`values` and `wire`. These names stay where the kernel behind them is rearranged.
+"""
+
+from __future__ import annotations
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.certificates import read_certificate, read_pem, revoked_by
+from rcp_kernel.access.visibility import names_in
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.roles import check_pattern
+from rcp_kernel.contract.fields import Field
+from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
+from rcp_kernel.contract.peer import Peer, Serial
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.shared_work import SharedWork
+from rcp_kernel.contract.structure import LONG as LONG_MESSAGE
+from rcp_kernel.contract.structure import check_structure
+from rcp_kernel.contract.turns import at_once
+from rcp_kernel.contract.version import gateway_version
+from rcp_kernel.requests.discovery import Query
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.connections import Connection
+from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.unsent import left_out
+from rcp_kernel.store.modes import others_may
+from rcp_kernel.store.plugin_store import PluginStore
+from rcp_kernel.store.touches import EVERYTHING as TOUCHES_EVERYTHING
+from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
+from rcp_kernel.streams.outbound import Backlog, Outbound
+from rcp_kernel.streams.outbox import Outbox, Wrap
+from rcp_kernel.tree.samples import Sample
+
+__all__ = [
+    "BACKLOG_SHARE",
+    "LONG_MESSAGE",
+    "TOUCHES_EVERYTHING",
+    "UNKNOWN_PEER",
+    "Backlog",
+    "Command",
+    "Connection",
+    "Field",
+    "GatewayConfig",
+    "HeldRequest",
+    "Hello",
+    "Outbound",
+    "Outbox",
+    "Peer",
+    "PluginStore",
+    "Principal",
+    "Query",
+    "Rights",
+    "Sample",
+    "Serial",
+    "Session",
+    "SharedWork",
+    "Wrap",
+    "at_once",
+    "check_pattern",
+    "check_structure",
+    "gateway_version",
+    "left_out",
+    "names_in",
+    "others_may",
+    "read_certificate",
+    "read_pem",
+    "revoked_by",
+    "to_internal_error",
+]

@@ -1,0 +1,75 @@
+"""A request that a controller serves: what it asks, who makes it, and how it is answered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from litestar.types import ASGIApp
+
+from rcp_http.answers import Answers
+from rcp_http.context import Follower
+from rcp_http.request import HttpRequest
+from rcp_kernel.api import Session
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clock import iso, now
+from rcp_kernel.wire import Reply, Request
+
+__all__ = ["Call"]
+
+
+class Call:
+    """It; one record, as Litestar begins a task for each of several dependencies."""
+
+    def __init__(
+        self, client_api: ClientApi, answers: Answers, asked: HttpRequest, session: Session
+    ) -> None:
+        self.client_api = client_api
+        self.asked = asked
+        self.session = session
+        self._answers = answers
+
+    async def submit(self, request: Request) -> Reply:
+        """Return the final reply to an envelope."""
+        follower = Follower(self.session)
+        self.client_api.submit(self.session, request, follower)
+        return await follower.final()
+
+    def reply(self, reply: Reply) -> ASGIApp:
+        """Answer with an envelope."""
+
+        async def answer(_scope: Any, _receive: Any, send: Any) -> None:
+            await self._answers.reply(send, self.asked, reply)
+
+        return answer
+
+    def plain(self, body: Any, path: str | None = None, cursor: str | None = None) -> ASGIApp:
+        """Answer with an envelope around a body."""
+        request = self.asked.request("read")
+        return self.reply(
+            Reply(
+                type="read",
+                id=request.id,
+                path=path,
+                body=body,
+                truncated=cursor is not None,
+                cursor=cursor,
+                timestamp=iso(now()),
+                custom=request.custom,
+            )
+        )
+
+    def encoded(self, data: bytes, etag: bytes) -> ASGIApp:
+        """Answer with an envelope that is written already, and its validator."""
+
+        async def answer(_scope: Any, _receive: Any, send: Any) -> None:
+            await self._answers.body(send, self.asked, 200, data, [], etag)
+
+        return answer
+
+    def unchanged(self, etag: bytes) -> ASGIApp:
+        """Tell that the client has it already."""
+
+        async def answer(_scope: Any, _receive: Any, send: Any) -> None:
+            await self._answers.unchanged(send, etag)
+
+        return answer
