@@ -32,6 +32,7 @@ _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is 
 _CONDITIONAL_SHIFT = 8  # bits by which operations are shifted that hang on a condition
 # Masks are plain integers: Python makes a new flag of each `&` of two flags, at thirty times the cost.
 _DISCOVER = int(Operation.DISCOVER)
+_EVERY = int(OPERATIONS)
 
 
 class _Reach(NamedTuple):
@@ -57,7 +58,7 @@ class _Terms(NamedTuple):
 
 def reach(mask: int) -> int:
     """Return the operations that a mask allows under some condition or none."""
-    return (mask | mask >> _CONDITIONAL_SHIFT) & OPERATIONS
+    return (mask | mask >> _CONDITIONAL_SHIFT) & _EVERY
 
 
 class Rights:

@@ -23,6 +23,7 @@ from rcp_kernel.app.guard import GuardLink
 from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
+from rcp_kernel.app.robots import GatewayRobots
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.app.system import System
@@ -31,6 +32,7 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
+from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
@@ -53,8 +55,6 @@ from rcp_kernel.requests.waiting import WaitingCommands
 from rcp_kernel.requests.write import WriteHandler
 from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
-from rcp_kernel.safety.fence_guard import FenceGuard
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
@@ -98,6 +98,7 @@ class _Base:
     counts: RequestCounts
     inflight: InFlight
     changes: ViewChanges
+    events: CommandEvents
     supervisors: list[BackendSupervisor]
 
 
@@ -116,7 +117,6 @@ class _Motion:
     """What moves robots, and what brings them to rest."""
 
     arming: GuardArming
-    limits: MotionLimits
     partners: Partners
     deadman: Deadman
     commands: Commands
@@ -197,7 +197,7 @@ def compose(
         retention=Retention(records.audit, store, loop, config.audit),
         history=records.history,
         disclosure=system.disclosure,
-        motion_limits=motion.limits,
+        events=base.events,
         deadman=motion.deadman,
         commands=motion.commands,
         stops=motion.stops,
@@ -239,6 +239,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         counts=counts,
         inflight=InFlight(settings, counts, turns, loop),
         changes=ViewChanges(),
+        events=CommandEvents(),
         supervisors=[],
     )
 
@@ -259,6 +260,11 @@ def _features(
     """Make the features, and have the parts that they extend know them."""
     host = partial(
         GatewayFeatureHost,
+        robots=partial(
+            GatewayRobots,
+            hub=base.hub,
+            conditions=base.conditions,
+        ),
         changes=base.changes,
         store=records.store,
         audit=records.audit,
@@ -272,6 +278,7 @@ def _features(
         loop=base.loop,
     )
     made = make(active, host)
+    base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
     clients.sessions.on_end.append(made.session_ended)
     clients.sessions.on_review.append(made.rights_changed)
@@ -281,13 +288,12 @@ def _features(
 def _motion(base: _Base, records: _Records) -> _Motion:
     config = base.settings.config
     arming = GuardArming(base.loop, config.safety)
-    limits = MotionLimits(base.registry, base.conditions, config.envelopes)
     partners = Partners(base.registry)
     deadman = Deadman(
         base.loop,
         began=arming.arm,
-        sending=limits.note_stop,
-        at_rest=limits.note_rest,
+        sending=base.events.stopping,
+        at_rest=base.events.rested,
         untaken=partners.halt,
         note=records.writer.dead_man,
     )
@@ -295,7 +301,6 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     commands.remember(records.history.load())
     return _Motion(
         arming,
-        limits,
         partners,
         deadman,
         commands,
@@ -328,7 +333,6 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     # What they see is found out in steps from now on, so that a stop need not wait for it.
     for heard in (sessions.on_begin, sessions.on_renewal):
         heard.append(lambda session: base.sights.look(session.rights))
-    FenceGuard(motion.limits, base.hub, motion.deadman, commands, sessions, records.audit)
     access = CommandAccess(commands, base.visibility, identities)
     return _Clients(identities, outbound, quotas, resume, sessions, access)
 
@@ -342,7 +346,7 @@ def _requests(
     resolver = Resolver(base.registry)
     admission = Admission(
         resolver,
-        motion.limits,
+        base.events,
         records.writer,
         base.shutdown,
         motion.arming.check_thaw,
@@ -403,7 +407,7 @@ def _system(
         quotas=clients.quotas,
         commands=motion.commands,
         counts=base.counts,
-        motion_limits=motion.limits,
+        features=features.status,
         store=records.store,
         loop=base.loop,
     )
@@ -467,7 +471,7 @@ def _handlers(
         requests.admission,
         inflight,
         motion.deadman,
-        motion_limits=motion.limits,
+        events=base.events,
         dry_run=features.dry_run,
         keys=requests.keys,
         audit_writer=records.writer,
@@ -482,7 +486,6 @@ def _handlers(
         services=system.branch.services,
         actions=_actions(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
-        motion_limits=motion.limits,
         quotas=clients.quotas,
         keys=requests.keys,
         inflight=inflight,
@@ -518,7 +521,7 @@ def _actions(
     host = GatewayActionHost(
         handle=requests.router.handle,
         resolver=requests.resolver,
-        motion_limits=motion.limits,
+        foresee=features.foresee,
         commands=motion.commands,
         conditions=base.conditions,
         registry=base.registry,
@@ -571,7 +574,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, motion.limits)
+    discovery = Discovery(base.registry, base.sights, features.describe)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     handshake = Handshake(
         clients.sessions,

@@ -13,6 +13,7 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.features.resource import ViewChanges
+from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
@@ -31,6 +32,7 @@ class GatewayFeatureHost:
         self,
         name: str,
         *,
+        robots: Callable[[str], Robots],
         changes: ViewChanges,
         store: Store,
         audit: Audit,
@@ -44,6 +46,7 @@ class GatewayFeatureHost:
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._name = name
+        self.robots = robots(name)
         self._changes = changes
         self._store = store
         self._audit = audit

@@ -9,20 +9,24 @@ from typing import Any, TypeVar
 import msgspec
 import structlog
 
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (
     Action,
     Call,
+    CommandObserver,
     Feature,
     FeatureHost,
     FeatureKind,
     Guard,
     ServiceKey,
+    StatusPart,
     SystemResource,
 )
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 
 __all__ = ["ActiveFeature", "Features", "active", "make"]
 
@@ -98,6 +102,15 @@ class Features:
         return [feature.guard for _, feature in self._made if feature.guard is not None]
 
     @property
+    def observers(self) -> list[CommandObserver]:
+        """What hears of commands under the configuration in force."""
+        return [
+            feature.observer
+            for _, feature in self._made
+            if feature.observer is not None and (feature.guard is None or feature.guard.active)
+        ]
+
+    @property
     def authenticators(self) -> list[Authenticator]:
         """What finds the principals of tokens."""
         found = (feature.authenticator for _, feature in self._made)
@@ -114,6 +127,35 @@ class Features:
             if feature.dry_run is not None:
                 told.update(feature.dry_run(call))
         return told
+
+    def foresee(self, session: Session, entry: Entry, value: Any) -> None:
+        """Refuse a value that could not be sent later either.
+
+        :raises RcpError: one of them refuses it.
+        """
+        for _, feature in self._made:
+            if feature.foresee is not None:
+                feature.foresee(session, entry, value)
+
+    def describe(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
+        """Return what they add to a resource in discovery, for somebody who may command it."""
+        told: dict[str, Any] = {}
+        for _, feature in self._made:
+            if feature.describe is not None:
+                told.update(feature.describe(rights, entry, schemas=schemas))
+        return told
+
+    def status(self, rights: Rights | None) -> list[StatusPart]:
+        """Return their parts of the report of health; one that fails is degraded."""
+        parts: list[StatusPart] = []
+        for name, feature in self._made:
+            if feature.status is not None:
+                try:
+                    parts.append(feature.status(rights))
+                except Exception:
+                    log.exception("status_failed", feature=name)
+                    parts.append(StatusPart({}, degraded=True))
+        return parts
 
     def session_ended(self, session: Session) -> None:
         """Tell them that a session has ended."""

@@ -18,12 +18,12 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.disclosure import Disclosure
 from rcp_kernel.requests.history import History
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
@@ -58,7 +58,7 @@ class Kernel:
     retention: Retention
     history: History
     disclosure: Disclosure
-    motion_limits: MotionLimits
+    events: CommandEvents
     deadman: Deadman
     commands: Commands
     stops: StopController
@@ -93,8 +93,8 @@ class Kernel:
         self.rules.configure(config.roles)
         self.identities.reconfigure(config)
         self.retention.config = config.audit
-        self.motion_limits.configure(config.envelopes)
         self.features.reconfigure(features)
+        self.events.configure(self.features.observers)
         self.admission.configure()
         self.sessions.review()
 

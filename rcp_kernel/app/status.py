@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import platform
 import time
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Any
 
 import psutil
@@ -21,9 +21,9 @@ from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.contract.version import gateway_version
+from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.session import Session
@@ -60,7 +60,7 @@ class StatusReport:
         quotas: QuotaTracker,
         commands: Commands,
         counts: RequestCounts,
-        motion_limits: MotionLimits,
+        features: Callable[[Rights | None], Iterable[StatusPart]],
         store: Store,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -77,7 +77,7 @@ class StatusReport:
         self._quotas = quotas
         self._commands = commands
         self._counts = counts
-        self._motion_limits = motion_limits
+        self._features = features
         self._store = store
         self._loop = loop
         self.transports: list[dict[str, Any]] = []
@@ -125,12 +125,8 @@ class StatusReport:
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or (self._store.trouble or self._store.damage) is not None
-        faults = {
-            path: why
-            for path, why in self._motion_limits.faults_in(tenants).items()
-            if rights is None or rights.mask(path)
-        }
-        broken = broken or bool(faults)
+        told = list(self._features(rights))
+        broken = broken or any(part.degraded for part in told)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
@@ -143,7 +139,6 @@ class StatusReport:
             "backends": robots,
             "transports": self.transports if every else [_part(one) for one in self.transports],
             "adapters": adapters if every else [_part(one) for one in self.adapters],
-            "envelopes": faults,
             "guard": self._guarded(supervisors, rights),
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
@@ -152,6 +147,8 @@ class StatusReport:
             "queues": self._queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
+        for part in told:
+            report |= part.facts
         if every:
             report["process"] = self._process_facts()
             report["host"] = {

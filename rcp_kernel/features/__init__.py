@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
+from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Service, SystemResource, View
+from rcp_kernel.features.robots import RobotConditions, Robots
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
+from rcp_kernel.features.status import StatusPart
 from rcp_kernel.tree.scope import Scope
 
 __all__ = [
@@ -16,16 +19,20 @@ __all__ = [
     "ActionHost",
     "ActionRun",
     "Call",
+    "CommandObserver",
     "Feature",
     "FeatureHost",
     "FeatureKind",
     "Filter",
     "Guard",
+    "RobotConditions",
+    "Robots",
     "Scope",
     "Service",
     "ServiceKey",
     "SessionDirectory",
     "Slot",
+    "StatusPart",
     "SystemResource",
     "View",
 ]

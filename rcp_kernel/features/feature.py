@@ -13,13 +13,18 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.features.commands import CommandObserver
+from rcp_kernel.features.description import Describe
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.features.status import StatusPart
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 
 __all__ = ["Feature", "FeatureKind"]
 
@@ -34,6 +39,15 @@ class Feature:
     """What it refuses."""
     dry_run: Callable[[Call], Mapping[str, Any]] | None = None
     """Returns what a dry run should tell of a call; items that are None are left out."""
+    observer: CommandObserver | None = None
+    """Hears what becomes of commands; of a feature whose guard is not active, nothing."""
+    foresee: Callable[[Session, Entry, Any], None] | None = None
+    """Refuses a value that could not pass at any later moment either; asked when a plan is checked,
+    long before the step of which it is."""
+    describe: Describe | None = None
+    """Returns what discovery adds to a resource for somebody who may command it."""
+    status: Callable[[Rights | None], StatusPart] | None = None
+    """Returns a part of `/system/status` for somebody, or for everybody (None)."""
     authenticator: Authenticator | None = None
     """Finds the principal of a bearer token."""
     services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])

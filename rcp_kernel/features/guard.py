@@ -1,7 +1,7 @@
 """Guards: what a feature may refuse, and when it is asked.
 
-The kernel asks in one order, whatever is configured: rights, age, e-stop, the guards in the slot
-`LEASE`, motion limits, quota, then the other guards by their slot. It never asks a guard about an
+The kernel asks in one order, whatever is configured: rights, age, e-stop, the guards in the slots
+`LEASE` and `MOTION_LIMIT`, quota, then the other guards by their slot. It never asks a guard about an
 e-stop or a hold; about the safe value of an actuator it asks those in the slot `LEASE` alone.
 """
 
@@ -23,12 +23,14 @@ __all__ = ["Call", "Guard", "Slot"]
 class Slot(IntEnum):
     """Where in the admission a guard is asked; within one slot by the feature's name."""
 
-    LEASE = 0
+    LEASE = 10
     """Who has control: asked also about the safe value of an actuator, for that is a command that
     takes over from another. Holds and e-stops pass."""
-    POLICY = 1
+    MOTION_LIMIT = 20
+    """What a value, or the state of the robot, must be like; before a quota is used."""
+    POLICY = 40
     """A rule of the site: maintenance, opening hours."""
-    APPROVAL = 2
+    APPROVAL = 50
     """Last, because it uses something up that others gave: nothing else refuses any more."""
 
 

@@ -10,6 +10,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.turns import Work
+from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
@@ -28,13 +29,18 @@ class FeatureHost(Protocol):
         ...
 
     @property
+    def robots(self) -> Robots:
+        """All robots: their resources, what these say, and conditions on it."""
+        ...
+
+    @property
     def sessions(self) -> SessionDirectory:
         """Who is there, and how to tell them something."""
         ...
 
     @property
     def control(self) -> Control:
-        """What they command: withdrawn, handed over, or brought to rest."""
+        """What robots are commanded: withdrawn, handed over, or brought to rest."""
         ...
 
     @property

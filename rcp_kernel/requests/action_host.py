@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Container
+from collections.abc import Callable, Container
 from typing import Any, TypeVar
 
 from rcp_kernel.access.conditions import Conditions
@@ -14,7 +14,6 @@ from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.read import READ_OPTIONS
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.resolver import Resolver
@@ -39,7 +38,7 @@ class GatewayActionHost:
         *,
         handle: Handler,
         resolver: Resolver,
-        motion_limits: MotionLimits,
+        foresee: Callable[[Session, Entry, Any], None],
         commands: Commands,
         conditions: Conditions,
         registry: Registry,
@@ -52,7 +51,7 @@ class GatewayActionHost:
         """`personal` has the paths that show each reader something else."""
         self._resolver = resolver
         self._commands = commands
-        self._motion_limits = motion_limits
+        self._foresee = foresee
         self._services = services
         self._control = services.service(CONTROL) or NoControl()
         self._personal = personal
@@ -90,7 +89,7 @@ class GatewayActionHost:
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if complete:
-            self._motion_limits.check_later(session, entry, value)
+            self._foresee(session, entry, value)
 
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""

@@ -12,9 +12,9 @@ from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Guard, Slot
+from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
@@ -29,14 +29,14 @@ class Admission:
     def __init__(
         self,
         resolver: Resolver,
-        motion_limits: MotionLimits,
+        events: CommandEvents,
         audit_writer: AuditWriter,
         shutdown: Shutdown,
         check_thaw: Callable[[Entry], None],
         guards: Sequence[Guard],
     ) -> None:
         self._resolver = resolver
-        self._motion_limits = motion_limits
+        self._events = events
         self._audit_writer = audit_writer
         self._shutdown = shutdown
         self._check_thaw = check_thaw
@@ -47,6 +47,9 @@ class Admission:
         self.control: tuple[Guard, ...] = ()
         """Those of them that decide who has control: they come first, and are asked about safe
         values too."""
+        self._early: tuple[Guard, ...] = ()
+        """Those of `active` that are asked before the quota."""
+        self._late: tuple[Guard, ...] = ()
         self.configure()
 
     def configure(self) -> None:
@@ -54,17 +57,18 @@ class Admission:
         active = [guard for guard in self._every if guard.active]
         self.control = tuple(guard for guard in active if guard.slot is Slot.LEASE)
         self.active = tuple(guard for guard in active if guard.slot is not Slot.LEASE)
+        self._early = tuple(g for g in self.active if g.slot is Slot.MOTION_LIMIT)
+        self._late = self.active[len(self._early) :]
 
     def admit(self, call: Call) -> None:
-        """Refuse what may not be done now, before the other guards are asked.
+        """Refuse what may not be done now, before quotas and the last guards are asked.
 
         :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises AlreadyRunning: the same, and its robot is being brought to rest.
-        :raises RcpError: a guard refuses that decides who has control.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
-        :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
+        :raises RcpError: a guard refuses that decides who has control, or how robots may move.
         """
         entry = call.entry
         check_age(entry, call.request.timestamp)
@@ -80,14 +84,18 @@ class Admission:
         self._audit_writer.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
-        self._motion_limits.check(call.session, entry, call.value)
+        self._ask(self._early, call)
 
     def ask(self, call: Call) -> None:
-        """Ask the guards of features, when nothing else is in the way.
+        """Ask the guards that come last, when nothing else is in the way.
 
         :raises RcpError: one refuses.
         """
-        _ask(self._asked(call), call)
+        self._ask(self._late, call)
+
+    def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
+        if guards and _concerns_guards(call):
+            _ask(guards, call)
 
     def check_control(self, call: Call) -> None:
         """Refuse what must not reach its robot any more, be it to bring something to rest.
@@ -102,16 +110,6 @@ class Admission:
         if self.control and call.entry.tenant is not None:
             _confirm(self.control, call)
 
-    def _asked(self, call: Call) -> tuple[Guard, ...]:
-        """Return the guards that a call has to pass.
-
-        None keeps anybody from bringing something to rest. An action of the gateway's own passes
-        none: the requests that it sends do.
-        """
-        if not self.active or call.entry.tenant is None or call.rests:
-            return ()
-        return self.active
-
     def confirm(self, call: Call) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.
 
@@ -121,7 +119,6 @@ class Admission:
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
         :raises EstopActive, AlreadyRunning: as above.
         :raises AdapterUnavailable: there is no robot any more.
-        :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         :raises RcpError: a guard refuses.
         """
         entry, session = call.entry, call.session
@@ -137,9 +134,19 @@ class Admission:
             raise entry.owner.unavailable()
         if entry.is_hold:
             return backend
-        _confirm(self._asked(call), call)
-        self._motion_limits.send(session, entry, call.value)  # last: it takes note of what is sent
+        if self.active and _concerns_guards(call):
+            _confirm(self.active, call)
+        self._events.sent(call)
         return backend
+
+
+def _concerns_guards(call: Call) -> bool:
+    """Tell whether guards other than those of control are asked.
+
+    None keeps anybody from bringing something to rest. An action of the gateway's own passes none:
+    the requests that it sends do.
+    """
+    return call.entry.tenant is not None and not call.rests
 
 
 def _ask(guards: Sequence[Guard], call: Call) -> None:

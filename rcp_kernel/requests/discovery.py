@@ -11,10 +11,10 @@ from msgspec import Meta
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.errors import BadRequest
+from rcp_kernel.features.description import Describe
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
 from rcp_kernel.requests.catalogue import CataloguePage, Description
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import ValueType, to_plain, value_type
@@ -47,10 +47,10 @@ _QUERY = value_type(Query | None)
 class Discovery:
     """Answers `discover` from the registry; descriptions are written once for each entry."""
 
-    def __init__(self, registry: Registry, sights: Sights, envelopes: MotionLimits) -> None:
+    def __init__(self, registry: Registry, sights: Sights, describe: Describe) -> None:
         self._registry = registry
         self._sights = sights
-        self._envelopes = envelopes
+        self._describe = describe
         self._known: dict[str, tuple[Entry, Description]] = {}
         registry.on_removed.append(self._forget)
 
@@ -138,7 +138,7 @@ class Discovery:
             "state": _state(entry),
         }
         if entry.operations & mask & _COMMANDED:
-            facts |= self._envelopes.told(rights, entry, schemas=schemas)
+            facts |= self._describe(rights, entry, schemas=schemas)
         return facts
 
     def _description(self, entry: Entry) -> Description:

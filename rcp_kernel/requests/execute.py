@@ -30,7 +30,6 @@ from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.waiting import WaitingCommand
 from rcp_kernel.requests.write import DryRun, dry_run_reply
 from rcp_kernel.safety.hold import Hold
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.command import Command
@@ -80,7 +79,6 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
-        motion_limits: MotionLimits,
         quotas: QuotaTracker,
         keys: Keys,
         inflight: InFlight,
@@ -99,7 +97,6 @@ class ExecuteHandler:
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
-        self._motion_limits = motion_limits
         self._quotas = quotas
         self._keys = keys
         self._inflight = inflight
@@ -186,9 +183,7 @@ class ExecuteHandler:
         if request.dry_run:
             if prepared is not None:
                 return dry_run_reply(request, entry, dict(prepared.run.dry_run()))
-            held = self._motion_limits.applied(session, entry)
-            facts = {"envelopes": held or None, **self._dry_run(call)}
-            return dry_run_reply(request, entry, {"execute": value, **facts})
+            return dry_run_reply(request, entry, {"execute": value, **self._dry_run(call)})
         if action is None or prepared is None:
             command = _command(call)
         else:
@@ -232,7 +227,7 @@ class ExecuteHandler:
         return prepared
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past envelopes, quotas and all guards."""
+        """Bring a robot to rest without an e-stop, past quotas and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = _command(call)
         units = [entry.unit, *self._partners.of(entry)]

@@ -15,12 +15,12 @@ from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.contract.structure import LONG
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
+from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -48,7 +48,7 @@ class WriteHandler:
         inflight: InFlight,
         deadman: Deadman,
         *,
-        motion_limits: MotionLimits,
+        events: CommandEvents,
         dry_run: DryRun,
         keys: Keys,
         audit_writer: AuditWriter,
@@ -58,7 +58,7 @@ class WriteHandler:
         self._admission = admission
         self._inflight = inflight
         self._deadman = deadman
-        self._motion_limits = motion_limits
+        self._events = events
         self._dry_run = dry_run
         self._keys = keys
         self._audit_writer = audit_writer
@@ -78,8 +78,7 @@ class WriteHandler:
         window = self._deadman.window(entry, request)
         self._admission.ask(call)
         if request.dry_run:
-            held = self._motion_limits.applied(session, entry)
-            facts = {"valid_for": window, "envelopes": held or None, **self._dry_run(call)}
+            facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
         noted = self._audit_writer.written(session, request, entry, answer)
         if request.idempotency_key is not None:
@@ -121,7 +120,7 @@ class WriteHandler:
                     await self._deadman.cleared(entry)
                 backend = self._admission.confirm(call)
                 if entry.unit.stops != stops and entry.barred:
-                    self._motion_limits.refused(entry, value)
+                    self._events.refused(entry, value)
                     text = "an e-stop was latched and reset since this was sent"
                     raise EstopActive(text, path=entry.path)
                 return await self._send(backend, entry, value, window)
@@ -133,7 +132,7 @@ class WriteHandler:
     async def _send(
         self, backend: Backend, entry: Entry, value: Any, window: float | None
     ) -> Sample:
-        deadman, envelopes = self._deadman, self._motion_limits
+        deadman, events = self._deadman, self._events
         started = perf_counter()
         superseded = deadman.begin(entry)
         # Nobody knows what a robot makes of a write that it does not answer.
@@ -142,7 +141,7 @@ class WriteHandler:
             actual = await backend.write(entry.name, value)
         except BaseException as error:
             if isinstance(error, _UNCHANGED):
-                envelopes.refused(entry, value)
+                events.refused(entry, value)
             if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
                 deadman.arm(entry, 0)
             else:
@@ -154,7 +153,7 @@ class WriteHandler:
             raise
         entry.owner.latency = perf_counter() - started
         actual = value if actual is None else actual
-        envelopes.took(entry, value, actual)
+        events.took(entry, value, actual)
         deadman.disarm(entry, guard)
         if window is not None and value != safe_value(entry):
             deadman.arm(entry, window)

@@ -1,12 +1,12 @@
-"""What a holder commands: taken from it, handed over, or brought to rest.
+"""What robots are commanded: taken from whoever holds it, handed over, cancelled, brought to rest.
 
-For features that decide who has control. A holder is a session, or a principal as a whole:
-`Session.holder`.
+For features that decide who has control, or where robots may be. A holder is a session, or a
+principal as a whole: `Session.holder`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 from rcp_kernel.errors import Refused
 from rcp_kernel.model import Kind, Operation
@@ -42,6 +42,24 @@ class Control:
             command.asker, command.session = heir, heir.id
             if not heir.stateless:
                 heir.commands[command.id] = command
+
+    def running(self, path: str | None = None) -> Iterator[Command]:
+        """Go through the commands that run, on one path or on all."""
+        for command in list(self._commands.running.values()):
+            if command.task is not None and (path is None or command.path == path):
+                yield command
+
+    def cancel(self, command: Command, reason: str) -> None:
+        """Cancel a command: the robot is told at once."""
+        self._commands.cancel(command, reason)
+
+    def stop(self, entry: Entry) -> None:
+        """Have an actuator take its safe value, whatever is in force; returns at once.
+
+        It is repeated until the robot confirms it. Does nothing for what has no safe value.
+        """
+        if entry.resource.safe is not None:
+            self._deadman.stop(entry)
 
     def bring_to_rest(self, entries: Iterable[Entry]) -> None:
         """Stop what stands in force or is on its way on some resources; returns at once.

@@ -15,7 +15,6 @@ from rcp_asgi.config import TlsConfig
 from rcp_dashboard import DashboardConfig
 from rcp_jwt.config import JwtConfig
 from rcp_kernel.app.plugins import Plugins
-from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
 from rcp_kernel.config.file import (
     Anonymous,
     AuditConfig,
@@ -32,6 +31,7 @@ from rcp_kernel.config.file import (
 )
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
+from rcp_motion_limits import Bound, EnvelopeConfig, Fence
 from rcp_plans.config import ActionTable, PlansConfig
 
 PAGE = DOCS / "configuration.md"

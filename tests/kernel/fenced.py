@@ -14,9 +14,9 @@ from kernel.world import Client, Robot, World, prepared, world_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.safety import commanded_values
 from rcp_kernel.spi import Progress
 from rcp_kernel.types import Int64, Pose, Real, Twist, quantity
+from rcp_motion_limits import commanded_values
 
 CONFIG = (
     PLAIN

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from kernel.world import CONFIG, Client, World, world_of
+from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ConfigError
@@ -281,6 +282,6 @@ def test_a_condition_that_costs_too_much_stops_the_start_with_its_place(table: s
     with pytest.raises(
         ConfigError, match=r"dear\] allow\[0\] when|\[\[envelopes\]\] 'e': when"
     ) as e:
-        parse(text, "gateway.toml")
+        prepare(parse(text, "gateway.toml"), "gateway.toml")
     assert "too costly" in str(e.value)
     assert "fewer comprehensions" in str(e.value)

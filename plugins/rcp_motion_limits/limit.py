@@ -5,25 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import msgspec
 
 from rcp_conditions import Condition, Ref, condition
-from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.config.envelopes import Bound, EnvelopeConfig
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import ModeForbids, OutOfRange, PreconditionFailed
+from rcp_kernel.features import Robots
 from rcp_kernel.model import Kind, Operation
-from rcp_kernel.safety import commanded_values
-from rcp_kernel.safety.commanded_values import CommandedValues
-from rcp_kernel.safety.place import Place
-
-if TYPE_CHECKING:
-    from rcp_kernel.access.acl import Rights
-    from rcp_kernel.sessions.session import Session
-    from rcp_kernel.tree.entry import Entry
-    from rcp_kernel.tree.registry import Registry
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
+from rcp_motion_limits import commanded_values
+from rcp_motion_limits.commanded_values import CommandedValues
+from rcp_motion_limits.config import Bound, EnvelopeConfig
+from rcp_motion_limits.place import Place
 
 __all__ = ["MotionLimit", "within"]
 
@@ -34,16 +31,14 @@ _LONGEST = 1.0  # s that a change may take for granted where the path has no `va
 class MotionLimit:
     """A table of the configuration, bound to the type of one path."""
 
-    def __init__(
-        self, table: EnvelopeConfig, entry: Entry, registry: Registry, conditions: Conditions
-    ) -> None:
+    def __init__(self, table: EnvelopeConfig, entry: Entry, robots: Robots) -> None:
         self.table = table
         self.entry = entry
         self.bounds = [(Field(name), bound) for name, bound in table.bounds.items()]
         self.rates = [(Field(name), most) for name, most in table.rate.items()]
-        self.place = None if table.fence is None else Place(table.fence, entry, registry)
+        self.place = None if table.fence is None else Place(table.fence, entry, robots.entries)
         self.when = None if table.when is None else condition(table.when)
-        self._conditions = conditions
+        self._conditions = robots.conditions
         called = entry.kind in (Kind.ACTION, Kind.SERVICE)
         self._type = entry.input_type if called else entry.value_type
         self._longest = entry.resource.valid_for or _LONGEST

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from kernel.fenced import AGENT, BLIND, OPERATOR, fenced, reconfigured
-from rcp_kernel.config.envelopes import Bound, EnvelopeConfig
 from rcp_kernel.errors import InvalidValue, OutOfRange
 from rcp_kernel.model import Resource
-from rcp_kernel.safety.commanded_values import CommandedValues
-from rcp_kernel.safety.motion_limit import MotionLimit
-from rcp_kernel.safety.narrowed import narrowed
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import Int64, Real, quantity
 from rcp_kernel.values import value_type
+from rcp_motion_limits.commanded_values import CommandedValues
+from rcp_motion_limits.config import Bound, EnvelopeConfig
+from rcp_motion_limits.limit import MotionLimit
+from rcp_motion_limits.narrowed import narrowed
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -82,7 +82,8 @@ def let_through(type_: Any, bounds: dict[str, Bound], plain: Any) -> bool:
     entry = Registry().declare(owner, resource, tenant="t")
     table = EnvelopeConfig(name="e", paths=("/**",), bounds=bounds)
     nobody: Any = None
-    envelope = MotionLimit(table, entry, nobody, nobody)
+    robots: Any = SimpleNamespace(conditions=None)
+    envelope = MotionLimit(table, entry, robots)
     assert envelope.fault is None
     try:
         envelope.check(nobody, value_type(type_).convert(plain), CommandedValues())

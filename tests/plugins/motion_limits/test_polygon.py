@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_kernel.config.polygon import Corner, Polygon
+from rcp_motion_limits.polygon import Corner, Polygon
 
 SQUARE = Polygon([(0, 0), (10, 0), (10, 10), (0, 10)])
 HOOK = Polygon([(0, 0), (6, 0), (6, 6), (4, 6), (4, 2), (2, 2), (2, 6), (0, 6)])

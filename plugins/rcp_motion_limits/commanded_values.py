@@ -31,10 +31,10 @@ class CommandedValues:
     def __init__(self) -> None:
         self.held: tuple[Force, ...] = ()
 
-    def attempt(self, value: Any) -> None:
-        """Note that a value is on its way to the robot."""
+    def attempt(self, value: Any, since: float | None = None) -> None:
+        """Note that a value is on its way to the robot, by default since now."""
         if not self.held or self.held[-1].value is not value:  # a stop is sent again and again
-            self.held = (*self.held, Force(value, clock()))[-_MOST:]
+            self.held = (*self.held, Force(value, clock() if since is None else since))[-_MOST:]
 
     def settle(self, value: Any, actual: Any) -> None:
         """Note that the robot took a value, as `actual`: what was sent before it is past."""

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
-from rcp_kernel.config.envelopes import Fence
-from rcp_kernel.config.polygon import Polygon
 from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
-
-if TYPE_CHECKING:
-    from rcp_kernel.tree.entry import Entry
-    from rcp_kernel.tree.registry import Registry
-    from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.samples import Sample
+from rcp_motion_limits.config import Fence
+from rcp_motion_limits.polygon import Polygon
 
 __all__ = ["Place"]
 
@@ -22,7 +20,7 @@ __all__ = ["Place"]
 class Place:
     """A fence, and how to find the point that it is about."""
 
-    def __init__(self, fence: Fence, entry: Entry, registry: Registry) -> None:
+    def __init__(self, fence: Fence, entry: Entry, entries: Mapping[str, Entry]) -> None:
         self.point = (Field(fence.point[0]), Field(fence.point[1]))
         self.sensor = None
         """The path that says where the robot is; None: the command says where it leads."""
@@ -31,7 +29,7 @@ class Place:
         self._inside = {name: Polygon(corners) for name, corners in fence.inside.items()}
         self._outside = {name: Polygon(corners) for name, corners in fence.outside.items()}
         self._max_age = fence.max_age
-        self._registry = registry
+        self._entries = entries
 
     def trouble(self, x: float, y: float) -> tuple[list[str], str] | None:
         """Return the areas that a point offends, with a clause for a person; None if it is good."""
@@ -56,7 +54,7 @@ class Place:
 
     def present(self) -> tuple[float, float] | None:
         """Return where the robot is, or None while that cannot be known."""
-        entry = self._registry.entries.get(self.sensor or "")
+        entry = self._entries.get(self.sensor or "")
         if entry is None or entry.latest is None or entry.stale:
             return None
         age = entry.age

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.config.envelopes import Bound
 from rcp_kernel.contract.fields import Field
-from rcp_kernel.safety.motion_limit import within
+from rcp_motion_limits.config import Bound
+from rcp_motion_limits.limit import within
 
 __all__ = ["narrowed"]
 

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
 from rcp_conditions import ConditionTooCostly, condition
-from rcp_kernel.config.polygon import Corner, Polygon
 from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
+from rcp_motion_limits.polygon import Corner, Polygon
 
-__all__ = ["Bound", "EnvelopeConfig", "Fence", "check_envelopes", "patterns"]
+__all__ = [
+    "Bound",
+    "EnvelopeConfig",
+    "Fence",
+    "MotionLimitsConfig",
+    "check_envelopes",
+    "patterns",
+]
 
 _COMMANDED = [
     kind.value
@@ -76,6 +83,12 @@ class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Shown to clients."""
 
 
+class MotionLimitsConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """Every `[[envelopes]]`."""
+
+    envelopes: tuple[EnvelopeConfig, ...] = ()
+
+
 def patterns(paths: Iterable[str]) -> list[Pattern]:
     """Return the patterns of an envelope; one without a tenant counts in all.
 
@@ -99,7 +112,7 @@ def _pattern(text: str) -> Pattern:
 
 
 def check_envelopes(
-    tables: Sequence[EnvelopeConfig], source: str, roles: dict[str, Role], tenants: list[str]
+    tables: Sequence[EnvelopeConfig], roles: Mapping[str, Role], tenants: Sequence[str]
 ) -> None:
     """Find what decoding leaves open.
 
@@ -107,7 +120,7 @@ def check_envelopes(
     """
     names = [table.name for table in tables]
     for table in tables:
-        where = f"{source}: [[envelopes]] '{table.name}'"
+        where = f"[[envelopes]] '{table.name}'"
         if names.count(table.name) > 1:
             raise ConfigError(f"{where}: duplicate `name`")
         _check_reach(table, where, roles, tenants)
@@ -135,7 +148,7 @@ def _check_limits(table: EnvelopeConfig, where: str) -> None:
 
 
 def _check_reach(
-    table: EnvelopeConfig, where: str, roles: dict[str, Role], tenants: list[str]
+    table: EnvelopeConfig, where: str, roles: Mapping[str, Role], tenants: Sequence[str]
 ) -> None:
     for path in table.paths:
         try:
