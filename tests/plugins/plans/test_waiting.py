@@ -107,7 +107,7 @@ async def test_a_plan_that_an_adapter_held_back_while_its_robot_was_stopped_neve
         session = world.client().connection.session
         for moment, told in ((since, "estop_active"), (time.monotonic(), None)):
             request = HeldRequest(since=moment, type="execute", path="/system/plans", body=body)
-            reply = await client_api.ask(session, request)
+            reply = await client_api.request(session, request)
             assert (reply.error or {}).get("code") == told
 
 
