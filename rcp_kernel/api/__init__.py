@@ -21,7 +21,7 @@ from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shared_work import SharedWork
 from rcp_kernel.contract.structure import LONG as LONG_MESSAGE
 from rcp_kernel.contract.structure import check_structure
-from rcp_kernel.contract.turns import at_once
+from rcp_kernel.contract.turns import Turns, at_once
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.requests.discovery import Query
 from rcp_kernel.sessions.command import Command
@@ -60,6 +60,7 @@ __all__ = [
     "Serial",
     "Session",
     "SharedWork",
+    "Turns",
     "Wrap",
     "at_once",
     "check_pattern",

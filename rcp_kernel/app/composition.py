@@ -48,6 +48,7 @@ from rcp_kernel.requests.execute import ExecuteHandler
 from rcp_kernel.requests.history import History
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
@@ -141,6 +142,7 @@ class _Requests:
     """What a request passes before it is handled."""
 
     router: RequestRouter
+    long_bodies: LongBodies
     resolver: Resolver
     admission: Admission
     keys: Keys
@@ -297,7 +299,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.writer.dead_man,
     )
-    commands = Commands(Recorded(records.writer, records.history), arming.arm)
+    commands = Commands(Recorded(records.writer, records.history), arming.arm, base.turns)
     commands.remember(records.history.load())
     return _Motion(
         arming,
@@ -344,6 +346,7 @@ def _requests(
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
+    long_bodies = LongBodies(resolver, features.actions)
     admission = Admission(
         resolver,
         base.events,
@@ -355,7 +358,15 @@ def _requests(
     keys = Keys(records.store, base.loop)
     keys.load(motion.commands.find)
     return _Requests(
-        RequestRouter(base.settings, base.turns, base.counts, records.writer, features.actions),
+        RequestRouter(
+            base.settings,
+            base.turns,
+            base.counts,
+            records.writer,
+            long_bodies,
+            features.actions,
+        ),
+        long_bodies,
         resolver,
         admission,
         keys,
@@ -475,6 +486,7 @@ def _handlers(
         dry_run=features.dry_run,
         keys=requests.keys,
         audit_writer=records.writer,
+        turns=base.turns,
         loop=base.loop,
     )
     execute = ExecuteHandler(
@@ -590,6 +602,7 @@ def _client_api(
     )
     connections = ConnectionParts(
         handle=requests.router.handle,
+        prepare=requests.long_bodies.prepare,
         read_at_once=handlers.read.read_at_once,
         handshake=handshake,
         sessions=clients.sessions,

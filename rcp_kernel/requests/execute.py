@@ -16,6 +16,7 @@ from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
@@ -34,6 +35,7 @@ from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, OwnCommand, Session
@@ -429,7 +431,7 @@ def _command(call: Call) -> Command:
         request_id=request.id,
         custom=request.custom,
         timestamp=request.timestamp,
-        input=call.value,
+        input=LongValue(call.value) if isinstance(request, Prepared) else call.value,
         session=session.id,
         entry=entry,
     )

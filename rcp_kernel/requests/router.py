@@ -18,6 +18,7 @@ from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.requests.audit_writer import ACTS, DENIALS, AuditWriter
+from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request, failure
@@ -45,6 +46,7 @@ class RequestRouter:
         turns: Turns,
         counts: RequestCounts,
         audit_writer: AuditWriter,
+        long_bodies: LongBodies,
         actions: Container[str],
     ) -> None:
         """`actions` are the paths of the gateway's long-running actions."""
@@ -52,6 +54,7 @@ class RequestRouter:
         self._turns = turns
         self._counts = counts
         self._audit_writer = audit_writer
+        self._long_bodies = long_bodies
         self._actions = actions
         self._routes: dict[str, Route] = {"ping": _ping, "hello": _hello}
         self._stepped: dict[str, SteppedRoute] = {}
@@ -90,8 +93,9 @@ class RequestRouter:
                 and not self._stops(session, request)
             ):
                 raise meter.refusal(started)
-            if self._dear(session, request) and not self._stops(session, request):
-                stepped = self._stepped.get(request.type)
+            long = len(request.body) > LONG and self._long_bodies.takes(request)
+            if (long or self._dear(session, request)) and not self._stops(session, request):
+                stepped = None if long else self._stepped.get(request.type)
                 steps = None if stepped is None else stepped(session, request, answer)
                 work = self._slowly(session, request, answer, started, steps)
                 self._turns.run(session.principal.identity, work, len(bytes(request.body)))
@@ -121,6 +125,7 @@ class RequestRouter:
             if steps is not None:
                 reply = yield from steps
             else:
+                request = yield from self._long_bodies.prepare(session, request)
                 reply = self._routes[request.type](session, request, answer)
         except Exception as error:
             reply, answer = self._refuse(session, request, answer, error)
