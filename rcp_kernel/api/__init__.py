@@ -13,6 +13,7 @@ from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.roles import check_pattern
 from rcp_kernel.contract.fields import Field
+from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
@@ -46,6 +47,7 @@ __all__ = [
     "Connection",
     "Field",
     "GatewayConfig",
+    "HeldRequest",
     "Hello",
     "Outbound",
     "Outbox",

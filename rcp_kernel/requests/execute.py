@@ -14,6 +14,7 @@ import msgspec
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
@@ -113,7 +114,8 @@ class ExecuteHandler:
         action = self._actions.get(request.path or "")
         if action is None:
             return self._execute_soon(session, request, answer)
-        waiting = action.waiting.enter(session)
+        since = request.since if isinstance(request, HeldRequest) else None
+        waiting = action.waiting.enter(session, since)
         return self._execute_checked(session, request, answer, action, waiting)
 
     def _execute_soon(
