@@ -333,9 +333,9 @@ class ClientApi:
         return self._parts.identities.longest(principal)
 
     def check_pace(self, session: Session) -> None:
-        """Refuse a long request before its body is read, where a quota would not allow it.
+        """Refuse a long request before its body is read, where it would be one too many.
 
-        :raises RateLimited: a quota does not allow one now.
+        :raises RateLimited: it would be one too many now.
         """
         session.check_pace()
 
@@ -347,19 +347,19 @@ class ClientApi:
     def charge(self, session: Session) -> None:
         """Count a request that is answered without `submit`.
 
-        :raises RateLimited: a quota does not allow it now.
+        :raises RateLimited: it is one too many now.
         """
         session.charge()
 
     def is_stop(self, session: Session, request: Request) -> bool:
-        """Tell whether a request stops something, which no quota keeps anybody from."""
+        """Tell whether a request stops something, which no feature keeps anybody from."""
         return self._parts.is_stop(session, request)
 
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
 
         :raises UnknownPath: there is none.
-        :raises RateLimited: a quota does not allow the request.
+        :raises RateLimited: it is one too many now.
         """
         session.charge()
         return self._parts.access.find(session, id_)
@@ -367,7 +367,7 @@ class ClientApi:
     def commands(self, session: Session) -> Iterator[Command | None]:
         """Go through the commands, newest first; None stands for one that the session may not see.
 
-        :raises RateLimited: a quota does not allow the request.
+        :raises RateLimited: it is one too many now.
         """
         session.charge()
         return self._parts.access.visited(session)
@@ -405,7 +405,7 @@ class ClientApi:
     def schemas(self, session: Session) -> Generator[None, None, dict[str, dict[str, Any]]]:
         """Find in steps the schemas of all that a session may see, by id.
 
-        :raises RateLimited: a quota does not allow the request.
+        :raises RateLimited: it is one too many now.
         """
         session.charge()
         return self._parts.discovery.schemas(session.rights)

@@ -111,6 +111,7 @@ class App:
             session = await session_of(self._client_api, scope, _tenant(place, asked.call))
             stops = self._is_stop(session, place, asked, len(body))
             self._charge(session, stops=stops)
+            caller = Caller(session, self._cards.base(scope))
             # The SDK handles a request in a few ms, a long one in many: they take turns.
             for _ in range(1 + asked.values // _STEP):
                 await self._client_api.turns.place((session.principal.identity, stops))
@@ -118,7 +119,7 @@ class App:
                 **scope,
                 "path": place.rest,
                 "root_path": "",
-                CALLER: Caller(session, self._cards.base(scope)),
+                CALLER: caller,
             }
             await _Exchange(self._client_api, inner, receive, send, body).run(self._sdk)
         except Exception as error:

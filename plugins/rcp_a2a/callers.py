@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from urllib.parse import parse_qs
 
 import msgspec
@@ -29,6 +30,8 @@ class Caller(msgspec.Struct, frozen=True, eq=False):
     session: Session
     base: str
     """The URL of the gateway as this client sees it, without a slash at its end."""
+    since: float = msgspec.field(default_factory=time.monotonic)
+    """When its request came in."""
 
     @property
     def principal(self) -> Principal:

@@ -19,7 +19,7 @@ from rcp_plans.progress import LONGEST
 
 __all__ = ["StepRequests"]
 
-_PATIENCE = 60.0  # s that a quota of requests may hold a step up, where it has no deadline
+_PATIENCE = 60.0  # s that a limited rate of requests may hold a step up, where it has no deadline
 _END = 10.0  # s for a stopped command's final status; the gateway gives a robot less
 Told = Callable[[Any, float | None], None]
 

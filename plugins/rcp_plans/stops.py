@@ -1,4 +1,4 @@
-"""Plans that only bring robots to rest: no quota and no queue keeps anybody from one."""
+"""Plans that only bring robots to rest: no account and no queue keeps anybody from one."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Who asks, and what they may do: proofs of identity, rules and their conditions, quotas."""
+"""Who asks, and what they may do: proofs of identity, rules and their conditions."""

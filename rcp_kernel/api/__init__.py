@@ -13,6 +13,7 @@ from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.roles import check_pattern
 from rcp_kernel.contract.fields import Field
+from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
@@ -20,7 +21,7 @@ from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shared_work import SharedWork
 from rcp_kernel.contract.structure import LONG as LONG_MESSAGE
 from rcp_kernel.contract.structure import check_structure
-from rcp_kernel.contract.turns import at_once
+from rcp_kernel.contract.turns import Turns, at_once
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.requests.discovery import Query
 from rcp_kernel.sessions.command import Command
@@ -46,6 +47,7 @@ __all__ = [
     "Connection",
     "Field",
     "GatewayConfig",
+    "HeldRequest",
     "Hello",
     "Outbound",
     "Outbox",
@@ -58,6 +60,7 @@ __all__ = [
     "Serial",
     "Session",
     "SharedWork",
+    "Turns",
     "Wrap",
     "at_once",
     "check_pattern",

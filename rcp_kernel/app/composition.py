@@ -48,6 +48,7 @@ from rcp_kernel.requests.execute import ExecuteHandler
 from rcp_kernel.requests.history import History
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
@@ -58,11 +59,11 @@ from rcp_kernel.safety.estop import Estop
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
+from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.connections import ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
@@ -130,7 +131,7 @@ class _Clients:
 
     identities: Identities
     outbound: Outbound
-    quotas: QuotaTracker
+    accounting: SessionAccounting
     resume: SessionResume
     sessions: Sessions
     access: CommandAccess
@@ -141,6 +142,7 @@ class _Requests:
     """What a request passes before it is handled."""
 
     router: RequestRouter
+    long_bodies: LongBodies
     resolver: Resolver
     admission: Admission
     keys: Keys
@@ -203,7 +205,6 @@ def compose(
         stops=motion.stops,
         identities=clients.identities,
         outbound=clients.outbound,
-        quotas=clients.quotas,
         resume=clients.resume,
         sessions=clients.sessions,
         guard=system.guard,
@@ -280,6 +281,7 @@ def _features(
     made = make(active, host)
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
+    clients.accounting.ask(made.accounting)
     clients.sessions.on_end.append(made.session_ended)
     clients.sessions.on_review.append(made.rights_changed)
     return made
@@ -297,7 +299,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.writer.dead_man,
     )
-    commands = Commands(Recorded(records.writer, records.history), arming.arm)
+    commands = Commands(Recorded(records.writer, records.history), arming.arm, base.turns)
     commands.remember(records.history.load())
     return _Motion(
         arming,
@@ -314,7 +316,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     identities = Identities(settings, records.store, records.audit, loop)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
-    quotas = QuotaTracker(settings, base.rules, loop, known, commands.running)
+    accounting = SessionAccounting(known, commands.running)
     resume = SessionResume(records.store, settings, base.shutdown, loop)
     sessions = Sessions(
         known,
@@ -322,7 +324,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         shutdown=base.shutdown,
         rules=base.rules,
         identities=identities,
-        quotas=quotas,
+        accounting=accounting,
         commands=commands,
         resume=resume,
         audit=records.audit,
@@ -334,7 +336,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     for heard in (sessions.on_begin, sessions.on_renewal):
         heard.append(lambda session: base.sights.look(session.rights))
     access = CommandAccess(commands, base.visibility, identities)
-    return _Clients(identities, outbound, quotas, resume, sessions, access)
+    return _Clients(identities, outbound, accounting, resume, sessions, access)
 
 
 def _requests(
@@ -344,6 +346,7 @@ def _requests(
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
+    long_bodies = LongBodies(resolver, features.actions)
     admission = Admission(
         resolver,
         base.events,
@@ -355,7 +358,15 @@ def _requests(
     keys = Keys(records.store, base.loop)
     keys.load(motion.commands.find)
     return _Requests(
-        RequestRouter(base.settings, base.turns, base.counts, records.writer, features.actions),
+        RequestRouter(
+            base.settings,
+            base.turns,
+            base.counts,
+            records.writer,
+            long_bodies,
+            features.actions,
+        ),
+        long_bodies,
         resolver,
         admission,
         keys,
@@ -404,11 +415,11 @@ def _system(
         identities=clients.identities,
         sessions=clients.sessions,
         outbound=clients.outbound,
-        quotas=clients.quotas,
         commands=motion.commands,
         counts=base.counts,
         features=features.status,
         store=records.store,
+        metrics=features.metrics,
         loop=base.loop,
     )
     disclosure = Disclosure(base.visibility, base.rules)
@@ -417,7 +428,6 @@ def _system(
         estop,
         access=clients.access,
         sessions=clients.sessions,
-        quotas=clients.quotas,
         audit=records.audit,
         disclosure=disclosure,
         latches=motion.latches,
@@ -426,6 +436,7 @@ def _system(
         hub=base.hub,
         recent=recent,
         features=features.resources,
+        reader_status=features.reader_status,
         changes=base.changes,
         loop=base.loop,
     )
@@ -459,7 +470,6 @@ def _handlers(
         base.hub,
         base.links,
         ConditionalSubscriptions(base.hub),
-        clients.quotas,
         clients.resume,
         clients.sessions,
         views=system.branch.views,
@@ -475,6 +485,7 @@ def _handlers(
         dry_run=features.dry_run,
         keys=requests.keys,
         audit_writer=records.writer,
+        turns=base.turns,
         loop=base.loop,
     )
     execute = ExecuteHandler(
@@ -486,7 +497,6 @@ def _handlers(
         services=system.branch.services,
         actions=_actions(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
-        quotas=clients.quotas,
         keys=requests.keys,
         inflight=inflight,
         counts=base.counts,
@@ -581,7 +591,7 @@ def _client_api(
         settings=base.settings,
         rules=base.rules,
         identities=clients.identities,
-        quotas=clients.quotas,
+        accounting=clients.accounting,
         commands=motion.commands,
         resume=clients.resume,
         subscribe=handlers.subscribe.restore,
@@ -590,6 +600,7 @@ def _client_api(
     )
     connections = ConnectionParts(
         handle=requests.router.handle,
+        prepare=requests.long_bodies.prepare,
         read_at_once=handlers.read.read_at_once,
         handshake=handshake,
         sessions=clients.sessions,

@@ -16,6 +16,7 @@ from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
+from rcp_kernel.sessions.backpressure import shed, waiting_bytes
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.audit import Audit
 from rcp_kernel.store.plugin_store import PluginStore
@@ -103,6 +104,14 @@ class GatewayFeatureHost:
     def sees_all(self, rights: Rights, paths: Iterable[str]) -> bool:
         """Tell whether somebody may see each of some paths."""
         return self._visibility.sees_all(rights, paths)
+
+    def unread_bytes(self, session: Session) -> int:
+        """Return about how many bytes wait for a session's client."""
+        return waiting_bytes(session)
+
+    def shed(self, session: Session, reason: str) -> int:
+        """Let go of what waits for a client; return the bytes that still wait."""
+        return shed(session, reason)
 
     def check_place(self, session: Session, request: Request) -> None:
         """Refuse a request that its session has no place for."""

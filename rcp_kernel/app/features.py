@@ -8,12 +8,14 @@ from typing import Any, TypeVar
 
 import msgspec
 import structlog
+from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (
+    Accounting,
     Action,
     Call,
     CommandObserver,
@@ -115,6 +117,31 @@ class Features:
         """What finds the principals of tokens."""
         found = (feature.authenticator for _, feature in self._made)
         return [one for one in found if one is not None]
+
+    @property
+    def accounting(self) -> list[Accounting]:
+        """What counts sessions."""
+        return [one for _, feature in self._made if (one := feature.accounting) is not None]
+
+    def reader_status(self, session: Session) -> dict[str, Any]:
+        """Return what they tell a reader of `/system/status` about itself."""
+        told: dict[str, Any] = {}
+        for name, feature in self._made:
+            if feature.reader_status is not None:
+                try:
+                    told |= feature.reader_status(session)
+                except Exception:
+                    log.exception("status_failed", feature=name)
+        return told
+
+    def metrics(self) -> Iterable[Metric]:
+        """Go through their families for `/metrics`."""
+        for name, feature in self._made:
+            if feature.metrics is not None:
+                try:
+                    yield from list(feature.metrics())
+                except Exception:
+                    log.exception("metrics_failed", feature=name)
 
     def service(self, key: ServiceKey[T]) -> T | None:
         """Return a service that one of them offers."""

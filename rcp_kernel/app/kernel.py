@@ -27,7 +27,6 @@ from rcp_kernel.requests.history import History
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.store.audit import Audit
@@ -64,7 +63,6 @@ class Kernel:
     stops: StopController
     identities: Identities
     outbound: Outbound
-    quotas: QuotaTracker
     resume: SessionResume
     sessions: Sessions
     guard: GuardLink
@@ -102,7 +100,6 @@ class Kernel:
         """Cancel what runs and stop all streams; the backends are still there."""
         self.shutdown.begin()
         self.stops.close()
-        self.quotas.close()
         self.sessions.relief.close()
         self.outbound.close()
         self.deadman.close()

@@ -25,7 +25,6 @@ from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.store.store import Store
@@ -57,11 +56,11 @@ class StatusReport:
         identities: Identities,
         sessions: Sessions,
         outbound: Outbound,
-        quotas: QuotaTracker,
         commands: Commands,
         counts: RequestCounts,
         features: Callable[[Rights | None], Iterable[StatusPart]],
         store: Store,
+        metrics: Callable[[], Iterable[Metric]],
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._supervisors = supervisors
@@ -74,7 +73,7 @@ class StatusReport:
         self._identities = identities
         self._sessions = sessions
         self._outbound = outbound
-        self._quotas = quotas
+        self._feature_metrics = metrics
         self._commands = commands
         self._counts = counts
         self._features = features
@@ -322,12 +321,6 @@ class StatusReport:
             [(["refused"], outbound.refused), (["closed"], outbound.cut)],
         )
         yield counter(
-            "rcp_quota_refused",
-            "What a quota did not allow.",
-            ("quota", "tenant", "what"),
-            [(list(key), count) for key, count in self._quotas.refused().items()],
-        )
-        yield counter(
             "rcp_commands",
             "Commands by final status.",
             ("status",),
@@ -336,6 +329,7 @@ class StatusReport:
         yield histogram(
             "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
         )
+        yield from self._feature_metrics()
         entries = list(self._registry.entries.values())
         for begin in range(0, max(1, len(entries)), _PART):
             part = entries[begin : begin + _PART]

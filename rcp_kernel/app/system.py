@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterator, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -20,7 +20,6 @@ from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.disclosure import PATH, Disclosure
 from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.safety.stop import StopController
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import Backend, BaseBackend, Progress
@@ -68,7 +67,6 @@ class System(BaseBackend):
         *,
         access: CommandAccess,
         sessions: Sessions,
-        quotas: QuotaTracker,
         audit: Audit,
         disclosure: Disclosure,
         latches: Latches,
@@ -77,6 +75,7 @@ class System(BaseBackend):
         hub: Hub,
         recent: Recent,
         features: Sequence[SystemResource],
+        reader_status: Callable[[Session], dict[str, Any]],
         changes: ViewChanges,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -84,7 +83,7 @@ class System(BaseBackend):
         self._estop = estop
         self._access = access
         self._sessions = sessions
-        self._quotas = quotas
+        self._reader_status = reader_status
         self._audit = audit
         self._disclosure = disclosure
         self._registry = registry
@@ -224,10 +223,8 @@ class System(BaseBackend):
     def _health(self, session: Session) -> dict[str, Any]:
         audit = self._audit
         report = self._status.plain(session.rights)
-        return report | {
-            "record": audit.state(head=self._disclosure.concerns(session, {})),
-            "quotas": self._quotas.plain(session),
-        }
+        report["record"] = audit.state(head=self._disclosure.concerns(session, {}))
+        return report | self._reader_status(session)
 
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
         mine = session.principal

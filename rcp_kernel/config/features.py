@@ -6,7 +6,7 @@ from typing import Any
 
 __all__ = ["BUILTIN", "active_features"]
 
-BUILTIN: tuple[str, ...] = ("approvals", "jwt", "leases", "motion_limits", "plans")
+BUILTIN: tuple[str, ...] = ("approvals", "jwt", "leases", "motion_limits", "plans", "quotas")
 """Active unless `[features] <name> = false` takes one out."""
 
 

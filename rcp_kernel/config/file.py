@@ -27,7 +27,7 @@ from rcp_kernel.config.identity import (
     check_grants,
     check_identity,
 )
-from rcp_kernel.config.limits import Limits, Quota, Quotas
+from rcp_kernel.config.limits import Limits
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
@@ -45,8 +45,6 @@ __all__ = [
     "KeyConfig",
     "Limits",
     "LogConfig",
-    "Quota",
-    "Quotas",
     "StoreConfig",
     "TenantConfig",
     "decode_table",
@@ -66,8 +64,8 @@ class TenantConfig(Table, frozen=True):
     """A tenant; one that only stands in `[[backends]]` needs no table of its own."""
 
     description: str = ""
-    quota: Quota | None = None
-    """Quota of all its principals together."""
+    quota: dict[str, Any] | None = None
+    """Quota of all its principals together: a table that the feature's own type decodes."""
 
 
 class BackendConfig(Table, frozen=True):
@@ -126,7 +124,8 @@ class GatewayConfig(Table, frozen=True):
     """As `jwt`."""
     limits: Limits = Limits()
     safety: Safety = Safety()
-    quotas: Quotas = Quotas()
+    quotas: dict[str, Any] = {}
+    """The table that the feature's own type decodes."""
     plans: dict[str, Any] = {}
     """The table that the feature's own type decodes."""
     log: LogConfig = LogConfig()
@@ -152,6 +151,9 @@ class GatewayConfig(Table, frozen=True):
             used.add("leases")
         if self.envelopes:
             used.add("motion_limits")
+        owners = (*self.tenants.values(), *self.roles.values())
+        if self.quotas or any(owner.quota is not None for owner in owners):
+            used.add("quotas")
         return frozenset(used)
 
     @property

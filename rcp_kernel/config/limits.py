@@ -1,4 +1,4 @@
-"""`[limits]` per client, and quotas for tenants and principals."""
+"""`[limits]`: what the gateway takes of one client, and of all of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-__all__ = ["Limits", "Quota", "Quotas"]
+__all__ = ["Limits"]
 
 _Count = Annotated[int, Meta(ge=1)]
 
@@ -47,37 +47,3 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Of a request without one."""
     action_timeout: Annotated[float, Meta(gt=0)] = 3600.0
     """Of an action that declares none."""
-
-
-class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A quota; what it does not set is bounded by `Limits` alone."""
-
-    requests: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Per second, on average."""
-    burst: _Count | None = None
-    """Requests at once; default: those of one second."""
-    sessions: _Count | None = None
-    """Connected at once."""
-    subscriptions: _Count | None = None
-    commands: _Count | None = None
-    """Running or queued."""
-    plans: _Count | None = None
-    """Running."""
-    queue_bytes: Annotated[int, Meta(ge=1024)] | None = None
-    """Unread bytes of all its clients."""
-
-    @property
-    def pace(self) -> tuple[float, float]:
-        """Seconds that a request takes of its share, and how far ahead of it one may be."""
-        if self.requests is None:
-            return 0.0, float("inf")
-        interval = 1.0 / self.requests
-        burst = self.burst or max(1, round(self.requests))
-        return interval, (burst - 1) * interval + interval * 1e-6
-
-
-class Quotas(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What holds for those whose roles say nothing."""
-
-    principal: Quota = Quota()
-    """Of each principal."""

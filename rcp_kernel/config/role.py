@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.config.limits import Quota
 from rcp_kernel.model import Operation
 
 __all__ = ["ASK", "BUILTIN_ROLES", "DECIDE", "OPERATIONS", "Role", "Rule"]
@@ -48,8 +47,8 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stops those of the session's own tenant."""
     priority: Annotated[int, Meta(ge=0, le=100)] = 50
     """A higher priority takes over leases from a lower one: a person (50) from an agent (10)."""
-    quota: Quota | None = None
-    """Quota of each principal with this role."""
+    quota: dict[str, Any] | None = None
+    """Quota of each principal with this role: a table that the feature's own type decodes."""
     approve: tuple[str, ...] = ()
     """Paths on which commands of this role require approval."""
     may_approve: bool = False

@@ -12,9 +12,12 @@ from rcp_kernel.features.robots import RobotConditions, Robots
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.features.status import StatusPart
+from rcp_kernel.sessions.account import SessionAccount
+from rcp_kernel.sessions.accounting import Accounting
 from rcp_kernel.tree.scope import Scope
 
 __all__ = [
+    "Accounting",
     "Action",
     "ActionHost",
     "ActionRun",
@@ -30,6 +33,7 @@ __all__ = [
     "Scope",
     "Service",
     "ServiceKey",
+    "SessionAccount",
     "SessionDirectory",
     "Slot",
     "StatusPart",

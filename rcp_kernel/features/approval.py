@@ -59,7 +59,7 @@ class ApprovalService(Protocol):
         :raises UnknownPath: there is no such approval for this principal.
         :raises Forbidden: the roles do not let it decide (`may_approve`; `approve_own` for what it
             asked for itself), or there is nothing to decide any more.
-        :raises RateLimited: a quota does not allow the request.
+        :raises RateLimited: it is one request too many now.
         """
         ...
 

@@ -6,12 +6,13 @@ A backend adds a robot, a transport or an adapter adds clients; a feature adds r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
+from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
@@ -23,6 +24,7 @@ from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.status import StatusPart
+from rcp_kernel.sessions.accounting import Accounting
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -50,6 +52,12 @@ class Feature:
     """Returns a part of `/system/status` for somebody, or for everybody (None)."""
     authenticator: Authenticator | None = None
     """Finds the principal of a bearer token."""
+    accounting: Accounting | None = None
+    """Counts sessions with their requests, subscriptions and commands, and may refuse more of them."""
+    reader_status: Callable[[Session], Mapping[str, Any]] | None = None
+    """Returns what `/system/status` tells a reader about itself, by names of the feature's own."""
+    metrics: Callable[[], Iterable[Metric]] | None = None
+    """Returns families for `/metrics`, at each scrape."""
     services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])
     """What it offers to adapters and other parts of the gateway, by key."""
     reconfigure: Callable[[Any], None] | None = None

@@ -1,7 +1,7 @@
 """Guards: what a feature may refuse, and when it is asked.
 
 The kernel asks in one order, whatever is configured: rights, age, e-stop, the guards in the slots
-`LEASE` and `MOTION_LIMIT`, quota, then the other guards by their slot. It never asks a guard about an
+`LEASE` and `MOTION_LIMIT`, accounts, then the other guards by their slot. It never asks a guard about an
 e-stop or a hold; about the safe value of an actuator it asks those in the slot `LEASE` alone.
 """
 

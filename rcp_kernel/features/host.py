@@ -90,6 +90,18 @@ class FeatureHost(Protocol):
         """Tell whether somebody may see each of some paths."""
         ...
 
+    def unread_bytes(self, session: Session) -> int:
+        """Return about how many bytes wait for a session's client: a sum, made when it is asked."""
+        ...
+
+    def shed(self, session: Session, reason: str) -> int:
+        """Let go of what may be let go of that waits for a client; return the bytes that still wait.
+
+        Best effort conflates, a reliable subscription ends with `overrun` for the `reason`, replies
+        for a client that is away are lost and their loss is told; those for one that is there stay.
+        """
+        ...
+
     def check_place(self, session: Session, request: Request) -> None:
         """Refuse a request that its session has no place for, before something is used up for it.
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rcp_kernel.clock import now
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.metrics import Histogram
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
     Cancelled,
@@ -28,8 +29,10 @@ from rcp_kernel.model import Kind
 from rcp_kernel.requests.finished import Finished
 from rcp_kernel.safety.loss import tell_loss
 from rcp_kernel.sessions.command import Command, Record, outcome_of, status_of
+from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
+from rcp_kernel.values import is_long
 from rcp_kernel.wire import FINAL, NO_BODY, error_body
 
 if TYPE_CHECKING:
@@ -59,7 +62,9 @@ class CommandObserver(Protocol):
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, keeper: CommandObserver, began: Callable[[Entry], None]) -> None:
+    def __init__(
+        self, keeper: CommandObserver, began: Callable[[Entry], None], turns: Turns
+    ) -> None:
         """Note commands with `keeper`; `began` is told before one runs, and must cost nothing."""
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
@@ -68,6 +73,7 @@ class Commands:
         self.seconds = Histogram()
         self.keeper = keeper
         self._began = began
+        self._turns = turns
         self._active: dict[str, Command] = {}
         """The command that holds each path, where the policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -196,6 +202,9 @@ class Commands:
             with permitted(entry.unit, stops):
                 result = await backend.execute(entry.name, value, progress)
         try:
+            if work is None and is_long(result):
+                owner = asker.principal.identity
+                return await self._turns.finish(owner, checked(entry.output_type, result))
             return entry.output_type.check(result)[0] if result is not None else None
         except RcpError as error:
             entry.owner.fault(f"result of {entry.path}: {error.message}")

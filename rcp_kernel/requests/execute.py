@@ -12,9 +12,10 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
@@ -24,6 +25,7 @@ from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.exempt import is_exempt
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.waiting import WaitingCommand
@@ -31,9 +33,10 @@ from rcp_kernel.requests.write import DryRun, dry_run_reply
 from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, OwnCommand, Session
 from rcp_kernel.tree.entry import Entry
@@ -78,7 +81,6 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
-        quotas: QuotaTracker,
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
@@ -96,7 +98,6 @@ class ExecuteHandler:
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
-        self._quotas = quotas
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
@@ -113,7 +114,8 @@ class ExecuteHandler:
         action = self._actions.get(request.path or "")
         if action is None:
             return self._execute_soon(session, request, answer)
-        waiting = action.waiting.enter(session)
+        since = request.since if isinstance(request, HeldRequest) else None
+        waiting = action.waiting.enter(session, since)
         return self._execute_checked(session, request, answer, action, waiting)
 
     def _execute_soon(
@@ -133,7 +135,7 @@ class ExecuteHandler:
         try:
             if self._keys.find(session, request, action.path) is not None:
                 return self.execute(session, request, answer)
-            self._quotas.check_command(session, action.path)
+            _check_room(session, action.path)
             action.check_running(session)
             prepared = yield from action.prepare(session, request, waiting)
             return self.execute(session, request, answer, prepared)
@@ -169,7 +171,7 @@ class ExecuteHandler:
         self._commands.admit(entry)
         halts = entry.is_hold or (action is not None and self.stops(session, request))
         if not halts:
-            self._quotas.check_command(session, entry.path)
+            _check_room(session, entry.path)
             if action is not None:
                 action.check_running(session)
         if entry.is_hold and not request.dry_run:
@@ -195,7 +197,7 @@ class ExecuteHandler:
         self._audit_writer.started(session, request, command)
         self._keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
-        self._quotas.charge(session, command)
+        count_command(session, command)
         self._commands.start(
             command,
             session,
@@ -225,7 +227,7 @@ class ExecuteHandler:
         return prepared
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past quotas and all guards."""
+        """Bring a robot to rest without an e-stop, past accounts and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = _command(call)
         units = [entry.unit, *self._partners.of(entry)]
@@ -415,6 +417,12 @@ class ExecuteHandler:
         )
 
 
+def _check_room(session: Session, path: str) -> None:
+    """Refuse a command that is one too many for whatever counts the session."""
+    if (account := session.account) is not None:
+        account.check_command(path)
+
+
 def _command(call: Call) -> Command:
     """Return the command that a call to a robot becomes."""
     session, request, entry = call.session, call.request, call.entry
@@ -427,7 +435,7 @@ def _command(call: Call) -> Command:
         request_id=request.id,
         custom=request.custom,
         timestamp=request.timestamp,
-        input=call.value,
+        input=LongValue(call.value) if isinstance(request, Prepared) else call.value,
         session=session.id,
         entry=entry,
     )

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import NO_BODY
 
@@ -51,6 +52,9 @@ def _size(command: Command) -> int:
     bodies = [record.body for record in command.history if record.body is not NO_BODY]
     size = _EMPTY
     for value in [command.input, *bodies]:
+        if isinstance(value, LongValue):
+            size += value.size
+            continue
         try:
             size += len(dump(value, Encoding.MSGPACK))
         except Exception:  # what cannot be written is not told to anybody either

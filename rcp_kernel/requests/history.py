@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import structlog
+from msgspec import Raw
 
 from rcp_kernel.clock import now
-from rcp_kernel.errors import InternalError
+from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Record
+from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resume import hashed
 from rcp_kernel.store.store import Store
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import is_system
-from rcp_kernel.values import to_plain
+from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 
 __all__ = ["History"]
@@ -67,7 +69,7 @@ def _as_row(command: Command) -> dict[str, Any]:
         "request_id": command.request_id,
         "session": None if command.session is None else hashed(command.session),
         "touches": command.touches,
-        "input": to_plain(command.input),
+        "input": _written(command.input),
         "created": command.created,
         "finished": command.finished,
         "history": [
@@ -77,11 +79,21 @@ def _as_row(command: Command) -> dict[str, Any]:
                 "progress": r.progress,
                 "message": r.message,
                 "error": r.error,
-                **({} if r.body is NO_BODY else {"body": to_plain(r.body)}),
+                **({} if r.body is NO_BODY else {"body": _written(r.body)}),
             }
             for r in command.history
         ],
     }
+
+
+def _written(value: Any) -> Any:
+    """Return a value as it is put into the row; a long one is written already."""
+    if isinstance(value, LongValue):
+        try:
+            return Raw(value.encoded(Encoding.MSGPACK))
+        except InvalidValue:  # an integer of more than 64 bits: the store finds a way
+            return to_plain(value.value)
+    return to_plain(value)
 
 
 def _read(row: dict[str, Any]) -> Command | None:

@@ -16,7 +16,7 @@ from rcp_kernel.access.sights import Sights
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.pending import attribute_error
-from rcp_kernel.contract.turns import Turns, at_once
+from rcp_kernel.contract.turns import Turns, Work, at_once
 from rcp_kernel.errors import (
     AdapterUnavailable,
     FilterUnsupported,
@@ -84,6 +84,7 @@ class ReadHandler:
         self._registry = registry
         self._resolver = resolver
         self._inflight = inflight
+        self._counts = counts
         self._seconds = counts.seconds
         self._outcomes = counts.outcomes
         self._turns = turns
@@ -104,6 +105,9 @@ class ReadHandler:
             and not request.body
             and entry.owner.backend is not None
         ):
+            if entry.value_type.grows and self._turns.over:
+                self._read_later(session, request, entry, answer, ReadOptions())
+                return None
             return Reply(
                 type="read",
                 id=request.id,
@@ -117,6 +121,30 @@ class ReadHandler:
                 custom=request.custom,
             )
         return self._read_any(session, request, answer)
+
+    def _read_later(
+        self,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        answer: Answer,
+        options: ReadOptions,
+    ) -> None:
+        """Answer from the latest sample when there is time for it: it may be long.
+
+        :raises QueueFull: too much of the same client waits already.
+        """
+        started = perf_counter()
+
+        def work() -> Work:
+            sample = entry.latest
+            assert sample is not None
+            reply = _reply(request, entry, sample, options)
+            self._counts.conclude(session, reply, started)
+            answer(reply)
+            yield
+
+        self._turns.run(session.principal.identity, work())
 
     def read_at_once(self, session: Session, request: Request) -> bytes | None:
         """Return the JSON reply to the read that nearly all reads are, or None for any other.
@@ -135,13 +163,14 @@ class ReadHandler:
             or request.body
             or request.custom is not None
             or entry.owner.backend is None
+            or (entry.value_type.grows and self._turns.over)
         ):
             return None
         try:
             piece = sample.tails.get(READ_PIECE) or sample.read_piece()
         except RcpError:
             return None
-        if (meter := session.token_bucket) is not None and not meter.take(started):
+        if (account := session.account) is not None and not account.take(started):
             return None
         head = _HEAD if request.id is None else b'{"type":"read","id":%b,' % _to_json(request.id)
         state = _STALE if entry.deadline is not None and entry.stale else _FRESH
@@ -167,6 +196,9 @@ class ReadHandler:
         if entry.path in self._views or entry.path in self._filters:
             return at_once(self._read_own(session, request, entry, options))
         if (sample := _at_hand(entry, options)) is not None:
+            if entry.value_type.grows and self._turns.over:
+                self._read_later(session, request, entry, answer, options)
+                return None
             return _reply(request, entry, sample, options)
         timeout = self._inflight.deadline(request, entry)
         self._inflight.later(

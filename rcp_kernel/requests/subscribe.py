@@ -30,7 +30,6 @@ from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.requests.pages import MOST, MOST_BYTES, cursor_of
 from rcp_kernel.requests.parts import is_listing, listed
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
-from rcp_kernel.sessions.quotas import QuotaTracker
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
@@ -67,7 +66,6 @@ class SubscribeHandler:
         hub: Hub,
         links: Links,
         conditional: ConditionalSubscriptions,
-        quotas: QuotaTracker,
         resume: SessionResume,
         sessions: Sessions,
         *,
@@ -80,7 +78,6 @@ class SubscribeHandler:
         self._links = links
         self._registry = hub.registry
         self._conditional = conditional
-        self._quotas = quotas
         self._resume = resume
         self._views = views
         self._filters = filters
@@ -141,7 +138,8 @@ class SubscribeHandler:
             raise QueueFull(
                 f"a session holds at most {self._settings.limits.subscriptions} subscriptions"
             )
-        self._quotas.check_subscription(session)
+        if (account := session.account) is not None:
+            account.check_subscription()
 
     def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
         """Start a subscription of an earlier run on what is there; the rest joins when it comes."""

@@ -12,7 +12,9 @@ from typing import Any
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.pending import attribute_error
+from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.structure import LONG
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
@@ -22,12 +24,14 @@ from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
+from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
-from rcp_kernel.wire import Reply, Request
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Body, Reply, Request
 
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
 
@@ -52,6 +56,7 @@ class WriteHandler:
         dry_run: DryRun,
         keys: Keys,
         audit_writer: AuditWriter,
+        turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._resolver = resolver
@@ -62,6 +67,7 @@ class WriteHandler:
         self._dry_run = dry_run
         self._keys = keys
         self._audit_writer = audit_writer
+        self._turns = turns
         self._loop = loop
 
     def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
@@ -123,11 +129,15 @@ class WriteHandler:
                     self._events.refused(entry, value)
                     text = "an e-stop was latched and reset since this was sent"
                     raise EstopActive(text, path=entry.path)
-                return await self._send(backend, entry, value, window)
+                sample = await self._send(backend, entry, value, window)
             except BaseException:
                 # An e-stop or a loss of control is why, whatever came of the write.
                 self._admission.check_control(call)
                 raise
+        if isinstance(request, Prepared):
+            owner = call.session.principal.identity
+            await self._turns.finish(owner, sample.encode_in_steps())
+        return sample
 
     async def _send(
         self, backend: Backend, entry: Entry, value: Any, window: float | None
@@ -193,11 +203,14 @@ async def _outcome(first: asyncio.Future[Reply]) -> Reply:
 
 
 def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
+    body: Body = sample
+    if isinstance(request, Prepared):  # a newer sample would make this one forget what is written
+        body = LongValue(sample.value, sample.encoded(Encoding.JSON))
     return Reply(
         type="write",
         id=request.id,
         path=entry.path,
-        body=sample,
+        body=body,
         message=f"{entry.path} written.",
         seq=sample.seq,
         timestamp=iso(now()),

@@ -1,1 +1,1 @@
-"""Sessions, connections and resume; the commands and quotas of a session."""
+"""Sessions, connections and resume; a session's commands, and what counts them."""

@@ -21,9 +21,10 @@ from rcp_kernel.errors import (
     RcpError,
     Refused,
 )
+from rcp_kernel.sessions.long_value import plain
 from rcp_kernel.spi import Progress
 from rcp_kernel.tree.entry import Entry, is_system
-from rcp_kernel.values import ANY, Encoding, to_plain
+from rcp_kernel.values import ANY, Encoding
 from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Status
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class Record:
         """Write the step as plain data."""
         out: dict[str, Any] = {"status": self.status, "timestamp": iso(self.time)}
         if self.body is not NO_BODY:
-            out["body"] = to_plain(self.body)
+            out["body"] = plain(self.body)
         for key in ("progress", "message", "error"):
             if (value := getattr(self, key)) is not None:
                 out[key] = value
@@ -224,9 +225,9 @@ class Command:
         facts |= {"progress": self.progress, "message": last.message, "error": last.error}
         out |= {key: value for key, value in facts.items() if value is not None}
         if last.body is not NO_BODY:
-            out["body"] = to_plain(last.body)
+            out["body"] = plain(last.body)
         if self.input is not None:
-            out["input"] = to_plain(self.input)
+            out["input"] = plain(self.input)
         if history:
             out["history"] = [record.plain() for record in self.history]
         return out | (self.custom or {})

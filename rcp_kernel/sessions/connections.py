@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -51,6 +51,8 @@ class ConnectionParts:
     """What connections use of the gateway, the same for all of them."""
 
     handle: Handler
+    prepare: Callable[[Session, Request], Generator[None, None, Request]]
+    """Decodes a long body in steps."""
     read_at_once: Callable[[Session, Request], bytes | None]
     """Answers the read that nearly all reads are."""
     handshake: Handshake
@@ -200,6 +202,8 @@ class Connection:
             yield from check_structure(data, self.encoding, self._settings.limits.values)
             request = decode_request(data, self.encoding)
             yield
+            if not self.closed:
+                request = yield from self._parts.prepare(self.session, request)
             if not self.closed:
                 self._held = None  # a `hello` may begin to hold messages by itself
                 self._carry_out(request)

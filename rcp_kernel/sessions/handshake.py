@@ -12,11 +12,12 @@ from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal, same
 from rcp_kernel.errors import Gap, Unauthenticated
+from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.resume import SessionResume, StoredSession, Subscribe, hashed
 from rcp_kernel.sessions.session import Answer, Link, Session
-from rcp_kernel.sessions.sessions import SessionQuotas, Sessions
+from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.wire import VERSION, failure
@@ -37,7 +38,7 @@ class Handshake:
         settings: Settings,
         rules: Rules,
         identities: Identities,
-        quotas: SessionQuotas,
+        accounting: SessionAccounting,
         commands: CommandTable,
         resume: SessionResume,
         subscribe: Subscribe,
@@ -48,7 +49,7 @@ class Handshake:
         self._settings = settings
         self._rules = rules
         self._identities = identities
-        self._quotas = quotas
+        self._accounting = accounting
         self._commands = commands
         self._stored = resume
         self._subscribe = subscribe
@@ -90,7 +91,7 @@ class Handshake:
         session = connection.session
         if hello.tenant is not None:
             tenant = self._identities.tenant_for(session.principal, hello.tenant)
-            self._quotas.change_tenant(session, tenant)
+            self._accounting.change_tenant(session, tenant)
         if hello.session is not None and returning is not connection.session:
             self._resume(connection, hello, returning)
         facts = connection.on_hello(hello) if connection.on_hello is not None else {}
@@ -186,7 +187,7 @@ class Handshake:
         self._sessions.known[session.id] = session
         self._sessions.watch(session)
         self._replace(connection, session)
-        self._quotas.move(session)
+        self._accounting.update(session)
         self._attach(session, connection, None)
         self._stored.restore(session, kept, self._subscribe)
 

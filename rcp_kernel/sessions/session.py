@@ -21,8 +21,8 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_reply
 
 if TYPE_CHECKING:
-    from rcp_kernel.access.token_bucket import TokenBucket
     from rcp_kernel.contract.pending import Pending
+    from rcp_kernel.sessions.account import SessionAccount
     from rcp_kernel.streams.outbound import Backlog
     from rcp_kernel.streams.outbox import Outbox
 
@@ -99,6 +99,7 @@ class Session:
     """One principal's subscriptions, commands and replies not yet delivered."""
 
     __slots__ = (
+        "account",
         "away",
         "commands",
         "connection",
@@ -124,7 +125,6 @@ class Session:
         "subscriptions",
         "successor",
         "tenant",
-        "token_bucket",
         "transport",
     )
 
@@ -162,8 +162,8 @@ class Session:
         """The client knows the session's id, so it may come back to it."""
         self.one_way = False
         """Its connection takes no requests (SSE): it is told things, and commands nothing."""
-        self.token_bucket: TokenBucket[Session] | None = None
-        """What its requests are counted by; None if no quota concerns it."""
+        self.account: SessionAccount | None = None
+        """What its requests, subscriptions and commands are counted by; None: by nothing."""
         self.missed: deque[tuple[Reply, int]] = deque()
         """Replies for a client that is away, and about how long each is."""
         self.missed_bytes = 0
@@ -196,22 +196,22 @@ class Session:
     def charge(self) -> None:
         """Count a request that comes in no envelope.
 
-        :raises RateLimited: a quota does not allow it now.
+        :raises RateLimited: it is one too many now.
         """
-        meter = self.token_bucket
-        if meter is not None and not meter.take(moment := perf_counter()):
-            raise meter.refusal(moment)
+        account = self.account
+        if account is not None and not account.take(moment := perf_counter()):
+            raise account.refusal(moment)
 
     def check_pace(self) -> None:
         """Refuse a request that is too long to be one that stops something, before it is read.
 
         It counts for nothing yet: that comes when it is handled.
 
-        :raises RateLimited: a quota does not allow one now.
+        :raises RateLimited: it would be one too many now.
         """
-        meter = self.token_bucket
-        if meter is not None and not meter.allows(moment := perf_counter()):
-            raise meter.refusal(moment)
+        account = self.account
+        if account is not None and not account.allows(moment := perf_counter()):
+            raise account.refusal(moment)
 
     @property
     def waiting_bytes(self) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.identities import Identities
@@ -19,6 +19,7 @@ from rcp_kernel.contract.identity import Principal, same
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import QueueFull, TokenExpired
+from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.backpressure import Relief
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.credential_expiry import CredentialExpiry
@@ -30,43 +31,9 @@ from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.wire import error_body, failure
 
-__all__ = ["SessionQuotas", "Sessions"]
+__all__ = ["Sessions"]
 
 _STATELESS = 10_000  # principals whose shared session is kept at hand
-
-
-class SessionQuotas(Protocol):
-    """How many sessions a tenant or principal may have, and what their requests are counted by."""
-
-    def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
-        """Count a new session; `drop` ends one that has to make room.
-
-        :raises QueueFull: as many as allowed are connected.
-        """
-        ...
-
-    def attach(self, session: Session) -> None:
-        """Give a session what its requests are counted by."""
-        ...
-
-    def leave(self, session: Session) -> None:
-        """Count a session no more."""
-        ...
-
-    def move(self, session: Session) -> None:
-        """Bring a session under the quotas that concern it now."""
-        ...
-
-    def change_tenant(self, session: Session, tenant: str | None) -> None:
-        """Have a session act for another tenant.
-
-        :raises QueueFull: that tenant has as many sessions as it may; nothing changed.
-        """
-        ...
-
-    def recount(self) -> None:
-        """Count what is held afresh: the quotas have changed."""
-        ...
 
 
 class Sessions:
@@ -80,7 +47,7 @@ class Sessions:
         shutdown: Shutdown,
         rules: Rules,
         identities: Identities,
-        quotas: SessionQuotas,
+        accounting: SessionAccounting,
         commands: CommandTable,
         resume: SessionResume,
         audit: Audit,
@@ -93,7 +60,7 @@ class Sessions:
         self._shutdown = shutdown
         self._rules = rules
         self._identities = identities
-        self._quotas = quotas
+        self._accounting = accounting
         self._commands = commands
         self._resume = resume
         self._audit = audit
@@ -133,7 +100,7 @@ class Sessions:
         if len(self.known) >= self._settings.limits.sessions:
             raise QueueFull("the gateway has reached its limit of sessions")
         session = Session(principal, self._rules.rights(principal), chosen, transport)
-        self._quotas.enter(session, self.drop)
+        self._accounting.enter(session, self.drop)
         self.known[session.id] = session
         self.relief.start()
         self.logged_in(session, peer)
@@ -192,7 +159,7 @@ class Sessions:
             chosen = self._identities.tenant_for(principal, tenant)
             rights = self._rules.rights(principal)
             session = Session(principal, rights, chosen, transport, shared=True)
-            self._quotas.attach(session)
+            self._accounting.update(session)
             if len(self._stateless) >= _STATELESS:
                 self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
             self._stateless[key] = session
@@ -215,7 +182,7 @@ class Sessions:
                 )
         shared = list(self._stateless.items())
         self._stateless.clear()
-        self._quotas.recount()
+        self._accounting.recount()
         for (_, tenant, transport), session in shared:
             if self._reviewed(session):
                 tenants = self._identities.tenants_of(session.principal)
@@ -249,7 +216,7 @@ class Sessions:
         tenants = self._identities.tenants_of(principal)
         if session.tenant not in tenants:
             session.tenant = tenants[0] if tenants else None
-        self._quotas.move(session)
+        self._accounting.update(session)
         for renewed in self.on_renewal:
             renewed(session)
         self._lapsing.watch(session)
@@ -315,7 +282,7 @@ class Sessions:
         for ended in self.on_end:
             ended(session)
         self._resume.forget(session)
-        self._quotas.leave(session)
+        self._accounting.leave(session)
         self._lapsing.forget(session)
         if session.expiry is not None:
             session.expiry.cancel()

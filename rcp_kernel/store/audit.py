@@ -17,13 +17,14 @@ import msgspec
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import AuditConfig
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.model import tenant_of
 from rcp_kernel.store.chain import GENESIS, Head, link, written
 from rcp_kernel.store.denial_throttle import DenialThrottle
 from rcp_kernel.store.store import Store
 from rcp_kernel.store.touches import EVERYTHING, bounded_touches
 from rcp_kernel.values import Encoding, dump, parse
-from rcp_kernel.wire import Request
+from rcp_kernel.wire import Request, encode_body
 
 __all__ = ["FULL", "Acting", "Audit", "bounded", "decoded", "hashed", "hashing", "value_of"]
 
@@ -193,7 +194,7 @@ def decoded(data: bytes) -> dict[str, Any] | None:
 def bounded(value: Any) -> Any:
     """Return a value as it is told in a record: as JSON, or if long by its length and hash."""
     try:
-        data = dump(value, Encoding.JSON)
+        data = encode_body(value, Encoding.JSON)
     except Exception:  # whatever cannot be written must not keep the rest out of the record
         return {"unwritable": type(value).__name__}
     return _told(data, data)
@@ -204,6 +205,8 @@ def value_of(request: Request) -> Any:
     body = bytes(request.body)
     if not body:
         return None
+    if isinstance(request, Prepared):
+        return request.told
     if len(body) > _VALUE:
         return hashed(body)
     try:

@@ -311,6 +311,7 @@ class Outbox:
         when the socket has room (`more`). With `big`, updates longer than that stay where they
         are, for a transport that is still busy with an earlier one.
         """
+        long = self.waiting > SHARE
         if self.waiting <= budget:
             out = self.control
             self.control = []
@@ -325,7 +326,11 @@ class Outbox:
             out = [wrap(data, None) for data in out]
         elif out and self.framing is not None:
             text = self.text
-            out = [self.framing(len(data), text) + data for data in out]
+            frame = self.framing
+            if long:  # a head goes before what is long, so that nothing copies that
+                out = [part for data in out for part in (frame(len(data), text), data)]
+            else:
+                out = [frame(len(data), text) + data for data in out]
         pending = self.pending
         if not pending or self.control or self.feedback:
             return out

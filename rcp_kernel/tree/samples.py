@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import suppress
 from typing import Any, Protocol
 
 import msgspec
@@ -11,7 +12,7 @@ from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
 from rcp_kernel.spi import Native
-from rcp_kernel.values import ANY, Encoding, ValueType, to_plain, value_type
+from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value_type
 from rcp_kernel.wire import Body, encode_frame
 
 __all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "masked", "project"]
@@ -128,6 +129,17 @@ class Sample(Body):
             bodies[encoding] = body
         return body
 
+    def encode_in_steps(self) -> Generator[None]:
+        """Have the value checked and written as JSON in steps, for a long one."""
+        if self._bodies is None and self.native is None:
+            try:
+                value, json = yield from self.entry.value_type.check_in_steps(self._value)
+            except Exception:  # whoever asks for the value is told
+                return
+            if self._bodies is None:
+                self._value = value
+                self._bodies = {} if json is None else {Encoding.JSON: json}
+
     def projected(self, encoding: Encoding, fields: tuple[str, ...]) -> bytes:
         """Return only some fields of the value as bytes of the encoding."""
         value = self.value
@@ -199,6 +211,9 @@ class Sample(Body):
         """Estimate the memory of the value in bytes."""
         if self.native is not None:
             return len(self.native.data)
+        if self._bodies is None and is_long(self._value):
+            with suppress(Exception):  # `encoded` says why; it checks the value, which takes longer
+                return len(msgspec.msgpack.encode(self._value))
         return len(self.encoded(Encoding.MSGPACK))
 
     def _check(self) -> dict[Any, bytes]:

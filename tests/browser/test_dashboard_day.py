@@ -15,7 +15,7 @@ import msgspec
 import pytest
 from playwright.async_api import Browser, expect
 
-import rcp_dashboard
+import rcp_dashboard.pages
 from browser.robots import until
 from browser.watched import Watched, log_in, require_pages, watched
 from browser.worlds import KEY, OTHER, SPARE, World, free_port, line, live, world
@@ -223,7 +223,7 @@ async def test_a_page_of_another_version_of_the_gateway_says_so_and_is_never_bla
         await expect(tab.page.get_by_role("searchbox", name="Search")).to_have_count(1)
     try:
         await expect(tab.page.get_by_test_id("gone")).to_be_visible()
-        monkeypatch.setattr(rcp_dashboard, "STATIC", other)
+        monkeypatch.setattr(rcp_dashboard.pages, "STATIC", other)
         async with world({"rover": ("alpha", ROVER)}, port):
             await tab.connected()
             await expect(tab.page.get_by_test_id("outdated")).to_be_visible()

@@ -24,7 +24,6 @@ from rcp_kernel.config.file import (
     KeyConfig,
     Limits,
     LogConfig,
-    Quota,
     StoreConfig,
     TenantConfig,
     parse,
@@ -33,6 +32,7 @@ from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
 from rcp_motion_limits import Bound, EnvelopeConfig, Fence
 from rcp_plans.config import ActionTable, PlansConfig
+from rcp_quotas import Quota
 
 PAGE = DOCS / "configuration.md"
 _NEEDED = object()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterable
+from time import perf_counter
 from typing import Any
 
 from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import BACKLOG_SHARE, Outbound, left_out, to_internal_error
+from rcp_kernel.api import BACKLOG_SHARE, Outbound, Turns, left_out, to_internal_error
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -30,8 +31,9 @@ _METHODS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
 class Answers:
     """Writes responses."""
 
-    def __init__(self, config: HttpConfig, outbound: Outbound) -> None:
+    def __init__(self, config: HttpConfig, outbound: Outbound, turns: Turns) -> None:
         self._outbound = outbound
+        self._turns = turns
         self._threshold = config.compress_above
 
     async def reply(
@@ -45,7 +47,10 @@ class Answers:
             await self.unchanged(send, etag)
             return
         # Values are checked when they are written, so only now it is known how the request ended.
+        began = perf_counter()
         told, data = _encode(reply, asked.encoding)
+        if len(data) > BACKLOG_SHARE:
+            self._turns.add(perf_counter() - began)
         if not self._outbound.has_room(len(data)):
             told, data = _encode(left_out(reply, len(data)), asked.encoding)
         status = status_of(told)

@@ -37,7 +37,7 @@ class HttpApp:
 
     def __init__(self, config: HttpConfig, client_api: ClientApi) -> None:
         self._client_api = client_api
-        self._answers = Answers(config, client_api.outbound)
+        self._answers = Answers(config, client_api.outbound, client_api.turns)
         self._context = Context(client_api, config, self._answers)
         self._messages = Messages(client_api, config, self._answers, self._context)
         self.calls = Application(

@@ -170,8 +170,6 @@ class WsClient:
             self._gate.end_turn()
 
     def _wait(self, go_on: Callable[[], None]) -> None:
-        if self._began and not self._gate.paused:  # else it has had its turn, which is counted
-            self._turns.add(perf_counter() - self._began)
         self._turns.call(self.connection.session.principal.identity, go_on)
 
     def _count(self, seconds: float) -> None:
@@ -205,8 +203,8 @@ class WsClient:
             socket.reply(only)
         elif outbox.more or not self._plain:
             self.flush()
-        # What ended the turn is counted, and so is what was kept until the next.
-        if began and not self._gate.paused and (spent := perf_counter() - began) > _COUNTED:
+        # What was kept is counted by the turn that it waited for.
+        if began and not self._gate.handing and (spent := perf_counter() - began) > _COUNTED:
             self._count(spent)
 
     def _greeting(self, data: bytes) -> None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Generator
 from enum import StrEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import cbor2
@@ -18,12 +19,23 @@ import msgspec
 from rcp_protocol.base64_strings import lifted
 from rcp_protocol.depth import is_deep, is_deep_json
 from rcp_protocol.errors import BadRequest, InvalidValue, OutOfRange, PluginError
+from rcp_protocol.pieces import is_long, pieces
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.published_schema import published
 from rcp_protocol.shape import Beyond, Shape, unescaped
 from rcp_protocol.validation import Fault, fault_of
 
-__all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
+__all__ = [
+    "ANY",
+    "DEPTH",
+    "Encoding",
+    "ValueType",
+    "dump",
+    "is_long",
+    "sound",
+    "to_plain",
+    "value_type",
+]
 
 DEPTH = 64
 """How deep lists and maps may stand in each other where a type sets no bound itself."""
@@ -134,6 +146,31 @@ class ValueType:
         plain = parse(raw, encoding)
         return self.convert(sound(plain) if self._shape.open else plain, label)
 
+    def decode_in_steps(
+        self, raw: bytes | msgspec.Raw, encoding: Encoding, label: str = "value"
+    ) -> Generator[None, None, Any]:
+        """Do as `decode` does, in steps, for what is long.
+
+        :raises InvalidValue, OutOfRange, BadRequest: as `decode` does.
+        """
+        if self._bottomless:
+            _check_depth(raw, encoding)
+            yield
+        if encoding is _JSON:
+            huge = self._shape.has_wide_int and _has_digits(raw, _HUGE_DIGITS)
+            yield
+            if not huge:
+                try:
+                    return self._from_json.decode(raw)
+                except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                    yield
+        plain = parse(raw, encoding)
+        yield
+        if encoding is not _JSON and self._shape.open:
+            plain = sound(plain)
+            yield
+        return self.convert(plain, label)
+
     def convert(self, plain: Any, label: str = "value") -> Any:
         """Validate plain data (what `json.loads` would give) and return the typed value.
 
@@ -171,6 +208,17 @@ class ValueType:
         if not self.probes_null and not self._shape.has_wide_int:
             return value, None
         return value, self.encode(value, Encoding.JSON)
+
+    def check_in_steps(self, value: Any) -> Generator[None, None, tuple[Any, bytes | None]]:
+        """Do as `check` does; what has no declared type is written in steps.
+
+        :raises InvalidValue: as `check` does.
+        """
+        if self.type is not Any:
+            return self.check(value)
+        value = self.convert(value)
+        yield
+        return value, (yield from pieces(value, partial(self.encode, encoding=_JSON)))
 
     def encode(self, value: Any, encoding: Encoding) -> bytes:
         """Encode a value of this type.

@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-import rcp_dashboard
+import rcp_dashboard.pages
 from transports.robot import KEY, Site, site
 
 INDEX = b"<!doctype html><title>x</title>"
@@ -24,7 +24,7 @@ def static(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, body in (("index.html", INDEX), ("assets/index-abc.js", SCRIPT)):
         (folder / name).write_bytes(body)
         (folder / f"{name}.gz").write_bytes(gzip.compress(body))
-    monkeypatch.setattr(rcp_dashboard, "STATIC", folder)
+    monkeypatch.setattr(rcp_dashboard.pages, "STATIC", folder)
     return folder
 
 

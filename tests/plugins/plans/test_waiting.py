@@ -9,10 +9,13 @@ from contextlib import asynccontextmanager
 from itertools import count
 from typing import Any
 
+import msgspec
 import pytest
+from msgspec import Raw
 
 from kernel.world import Client, World, world_of
 from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
+from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
@@ -59,6 +62,20 @@ async def test_who_may_start_no_plans_cancels_none_that_waits() -> None:
         assert (await client.final(plan))["status"] == "completed"
 
 
+async def test_few_others_are_remembered_that_cancel_a_plan_while_it_waits() -> None:
+    keys = "".join(
+        f'[[keys]]\nname = "also-{n}"\nrole = "admin"\nkey = "also-also-also-{n}"\n'
+        for n in range(17)
+    )
+    async with busy_world(PEOPLE + keys) as (world, client):
+        plan = send(client, go(2.0))
+        others = [world.client(f"also-also-also-{n}") for n in range(17)]
+        asked = [other.send(type="cancel", path="/system/plans") for other in others * 2]
+        codes = [code(await other.final(id_)) for other, id_ in zip(others * 2, asked, strict=True)]
+        assert codes == (["completed"] * 16 + ["queue_full"]) * 2
+        assert (await client.final(plan))["status"] == "cancelled"
+
+
 async def test_a_cancel_does_not_reach_a_plan_that_is_sent_after_it() -> None:
     async with busy_world() as (_, client):
         client.send(type="cancel", path="/system/plans")
@@ -78,6 +95,20 @@ async def test_a_plan_that_waits_while_its_robot_is_stopped_never_starts() -> No
         assert world.robot.started.empty()
         world.robot.release.set()
         assert (await run(client, go(2.0)))["status"] == "completed"  # sent after the reset
+
+
+async def test_a_plan_that_an_adapter_held_back_while_its_robot_was_stopped_never_starts() -> None:
+    async with world_of(PEOPLE) as world:
+        admin, client_api = world.client("admin-admin-admin"), world.server.client_api
+        body = Raw(msgspec.json.encode({"steps": [echo()]}))
+        since = time.monotonic()
+        await admin.ask(**STOP)
+        await admin.ask(**STOP, body={"reset": True})
+        session = world.client().connection.session
+        for moment, told in ((since, "estop_active"), (time.monotonic(), None)):
+            request = HeldRequest(since=moment, type="execute", path="/system/plans", body=body)
+            reply = await client_api.request(session, request)
+            assert (reply.error or {}).get("code") == told
 
 
 # -- what a turn of the loop costs ------------------------------------------------------------------

@@ -4,8 +4,14 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from kernel.access.quota.home import SLOW, at_home
 from kernel.world import World, world_of
+from plugins.quotas.home import SLOW, at_home
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """Run on asyncio: the gateway's event loop."""
+    return "asyncio"
 
 
 @pytest.fixture

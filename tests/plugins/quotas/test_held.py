@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import BOUND, Client, prepared, world_of
+from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, at_home, usages_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
@@ -116,10 +116,10 @@ async def test_a_session_whose_command_runs_is_given_back_when_its_quota_goes() 
         client = world.client(ANN)
         client.send(type="execute", path="/action/go", body=1)
         await client.until(lambda m: m.get("status") == "in_progress")
-        [account] = world.server.kernel.quotas.of("tenant")
-        assert account.connected == 1
+        [usage] = usages_of(client.connection.session)
+        assert usage.connected == 1
         await apply(world.server, prepared(parse(at_home(""), "test"), []))
-        assert account.connected == 0
+        assert usage.connected == 0
 
 
 def stalled(client: Client) -> None:
@@ -167,9 +167,8 @@ async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -
         stalled(client)
         for _ in range(100):
             client.send(type="ping")
-        meter = client.connection.session.token_bucket
-        assert meter is not None
-        await until(lambda: meter.choked is not None)
+        account: Any = client.connection.session.account
+        await until(lambda: account.choked is not None)
         assert (await other.ask(type="ping"))["status"] == "completed"
         late = client.send(type="ping")
         client.connection.outbox.on_flush = flush
@@ -177,7 +176,7 @@ async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -
         refused = await client.final(late)
         assert refused["error"]["code"] == "queue_full"
         assert refused["error"]["details"]["what"] == "queue_bytes"
-        await until(lambda: meter.choked is None)
+        await until(lambda: account.choked is None)
         assert (await client.ask(type="ping"))["status"] == "completed"
 
 

@@ -1,4 +1,4 @@
-"""Whatever clients do, what an account counts is what there is."""
+"""Whatever clients do, what a quota counts is what there is."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import Client, World, prepared, world_of
-from rcp_kernel.access.token_bucket import QuotaUsage
+from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, at_home, usages_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.sessions.session import Session
+from rcp_quotas.usage import QuotaUsage
 
 LOOSE = "\n[tenants.alpha.quota]\nsessions = 4\nsubscriptions = 5\ncommands = 3\n"
 TIGHT = (
@@ -43,6 +42,8 @@ class Counts(RuleBasedStateMachine):
         self.stack = AsyncExitStack()
         self.clients: list[Client] = []
         self.away: list[tuple[str, str]] = []
+        self.usages: list[QuotaUsage] = []
+        """All that have counted anything so far."""
 
     def do(self, work: Awaitable[Any]) -> Any:
         async def bounded() -> Any:
@@ -157,29 +158,26 @@ class Counts(RuleBasedStateMachine):
             return
         self.do(asyncio.sleep(0))
         kernel = self.world.server.kernel
-        accounts = [*kernel.quotas.of("tenant"), *kernel.quotas.of("principal")]
-        for account in accounts:
-            concerned = [s for s in kernel.sessions.known.values() if concerns(account, s)]
-            assert account.sessions == set(concerned)
+        sessions = kernel.sessions.known.values()
+        found = {usage for session in sessions for usage in usages_of(session)}
+        self.usages += found - {*self.usages}
+        for usage in self.usages:
+            concerned = [s for s in sessions if usage in usages_of(s)]
+            assert usage.sessions == set(concerned)
             running = {
                 id_
                 for id_, command in kernel.commands.running.items()
-                if command.asker is not None and concerns(account, command.asker)
+                if command.asker is not None and usage in usages_of(command.asker)
             }
-            assert account.commands == running
+            assert usage.commands == running
             for what in ("connected", "subscriptions"):
-                assert getattr(account, what) >= 0
+                assert getattr(usage, what) >= 0
 
     def teardown(self) -> None:
         if hasattr(self, "world"):
             self.world.robot.release.set()
             self.do(self.stack.aclose())
         self.runner.close()
-
-
-def concerns(account: QuotaUsage, session: Session) -> bool:
-    """Tell whether a session's meter has this account."""
-    return session.token_bucket is not None and account in session.token_bucket.accounts
 
 
 def test_counts_never_drift() -> None:

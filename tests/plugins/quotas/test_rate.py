@@ -9,15 +9,16 @@ from typing import Any
 import msgspec
 import pytest
 
-from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home
 from kernel.world import World, prepared, world_of
-from rcp_kernel.access.token_bucket import QuotaUsage, TokenBucket
+from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home, usages_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
-from rcp_kernel.config.limits import Quota
-from rcp_kernel.errors import ConfigError, RateLimited
+from rcp_kernel.errors import RateLimited
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request
+from rcp_quotas import Quota
+from rcp_quotas.bucket import TokenBucket
+from rcp_quotas.usage import QuotaUsage
 from steps import finished
 
 pytestmark = pytest.mark.anyio
@@ -178,35 +179,35 @@ quota = { requests = 5, burst = 50 }
     async with world_of(at_home(quotas + keys)) as world:
         found: dict[str, Any] = {}
         for name in "abc":
-            meter = world.client(name * 16).connection.session.token_bucket
-            assert meter is not None
-            found[name] = meter.first.quota
+            [usage] = usages_of(world.client(name * 16).connection.session)
+            found[name] = usage.quota
     assert found["a"] == Quota(requests=5, burst=50, sessions=9)
     assert found["b"] == Quota(requests=1, burst=1, sessions=9)
     assert found["c"] == Quota(requests=2, burst=2, sessions=9)
 
 
-async def test_who_has_no_quota_has_no_meter(world: World) -> None:
-    assert world.client().connection.session.token_bucket is None
+async def test_who_has_no_quota_has_no_account(slow: World) -> None:
+    assert slow.client(ANN).connection.session.account is not None
+    assert slow.client(BOB).connection.session.account is None
 
 
-async def test_a_reload_changes_the_meters_that_run(slow: World) -> None:
+async def test_a_reload_changes_the_rates_that_run(slow: World) -> None:
     client = slow.client(ANN)
     for _ in range(4):
         last = await client.ask(type="ping")
     assert last["error"]["code"] == "rate_limited"
     await apply(slow.server, prepared(parse(at_home(""), "test"), []))
     assert (await client.ask(type="ping"))["status"] == "completed"
-    assert client.connection.session.token_bucket is None
+    assert client.connection.session.account is None
     await apply(slow.server, prepared(parse(at_home(SLOW), "test"), []))
     replies = [await client.ask(type="ping") for _ in range(4)]
     assert replies[-1]["error"]["code"] == "rate_limited"
 
 
 def test_pace_is_kept_over_any_span() -> None:
-    meter = TokenBucket((QuotaUsage("tenant", "a", Quota(requests=10, burst=5)),))
+    bucket = TokenBucket((QuotaUsage("tenant", "a", Quota(requests=10, burst=5)),))
     start = perf_counter()
-    taken = sum(meter.take(start + step / 1000) for step in range(10_000))
+    taken = sum(bucket.take(start + step / 1000) for step in range(10_000))
     assert taken in (104, 105)  # the burst, and ten a second for ten seconds
 
 
@@ -247,19 +248,3 @@ async def test_refusals_are_counted_for_the_operator(slow: World) -> None:
     session = slow.client().connection.session
     text = finished(slow.server.client_api.metrics(session)).decode()
     assert 'rcp_quota_refused_total{quota="tenant",tenant="alpha",what="requests"} 2.0' in text
-
-
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ("[tenants.alpha.quota]\nrequest = 5", ["[tenants[...].quota]", "did you mean `requests`"]),
-        ("[quotas.principal]\nsessions = 0", ["quotas.principal.sessions", ">= 1"]),
-        ("[roles.r.quota]\nrequests = -1", ["roles", "quota.requests"]),
-        ("[quotas]\ntenant = {}", ["[quotas]", "unknown key `tenant`"]),
-    ],
-)
-def test_a_faulty_quota_is_named(table: str, words: list[str]) -> None:
-    with pytest.raises(ConfigError) as caught:
-        parse(at_home(table), "gateway.toml")
-    for word in words:
-        assert word in str(caught.value)

@@ -1,0 +1,102 @@
+"""What one session is counted by: its requests, subscriptions and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from rcp_kernel.errors import RcpError
+
+__all__ = ["JointAccount", "SessionAccount", "joint"]
+
+
+class SessionAccount(Protocol):
+    """What a feature counts of one session, and may refuse it.
+
+    Called on the event loop for each request: it looks things up, and neither blocks nor awaits.
+    Nothing is ever refused that stops a robot or lets go of something.
+    """
+
+    def take(self, moment: float) -> bool:
+        """Count a request at `moment` (`perf_counter`), or count nothing and return False.
+
+        Asked before the body is decoded. What stops a robot counts, and passes in any case; an
+        e-stop, a cancel and a release are not counted at all.
+        """
+        ...
+
+    def allows(self, moment: float) -> bool:
+        """Tell whether `take` would count a request."""
+        ...
+
+    def refusal(self, moment: float) -> RcpError:
+        """Return why `take` counted nothing."""
+        ...
+
+    def check_subscription(self) -> None:
+        """Refuse another subscription.
+
+        :raises RcpError: it is one too many.
+        """
+        ...
+
+    def check_command(self, path: str) -> None:
+        """Refuse another command on a path; asked of plans too, and before any guard.
+
+        :raises RcpError: it is one too many.
+        """
+        ...
+
+    def add_command(self, id_: str, path: str) -> Callable[[], None]:
+        """Count a command that begins; what is returned is called once when it ends."""
+        ...
+
+
+class JointAccount:
+    """The accounts that several features have for one session; each may refuse."""
+
+    __slots__ = ("_accounts",)
+
+    def __init__(self, accounts: tuple[SessionAccount, ...]) -> None:
+        self._accounts = accounts
+
+    def take(self, moment: float) -> bool:
+        """Count a request with all of them, or with none."""
+        return self.allows(moment) and all(account.take(moment) for account in self._accounts)
+
+    def allows(self, moment: float) -> bool:
+        """Tell whether all would count a request."""
+        return all(account.allows(moment) for account in self._accounts)
+
+    def refusal(self, moment: float) -> RcpError:
+        """Return the refusal of the first that counts no request now."""
+        refusing = (account for account in self._accounts if not account.allows(moment))
+        return next(refusing, self._accounts[0]).refusal(moment)
+
+    def check_subscription(self) -> None:
+        """Refuse what any of them refuses."""
+        for account in self._accounts:
+            account.check_subscription()
+
+    def check_command(self, path: str) -> None:
+        """Refuse what any of them refuses."""
+        for account in self._accounts:
+            account.check_command(path)
+
+    def add_command(self, id_: str, path: str) -> Callable[[], None]:
+        """Have all of them count a command."""
+        ends = [account.add_command(id_, path) for account in self._accounts]
+
+        def end() -> None:
+            for ended in ends:
+                ended()
+
+        return end
+
+
+def joint(accounts: Iterable[SessionAccount | None]) -> SessionAccount | None:
+    """Return one account for those of several features; None where there is none."""
+    found = tuple(account for account in accounts if account is not None)
+    if len(found) > 1:
+        return JointAccount(found)
+    return found[0] if found else None

@@ -1,0 +1,150 @@
+"""Accounting: what features count of sessions and of what these hold, and what they refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
+
+import structlog
+
+from rcp_kernel.sessions.account import SessionAccount, joint
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.session import Session
+
+__all__ = ["Accounting", "SessionAccounting", "count_command"]
+
+log = structlog.get_logger("rcp.accounting")
+
+
+class Accounting(Protocol):
+    """What a feature hears of sessions, and where it may refuse one.
+
+    The account that it returns for a session (None: nothing is counted) holds until it returns
+    another. Only `enter` and `check_tenant` may refuse; what else the other methods raise is
+    logged and changes nothing, so that no feature keeps anybody from getting in to stop a robot.
+    """
+
+    def attach(self, session: Session) -> SessionAccount | None:
+        """Return the account of a session that is not counted itself.
+
+        Such are those of requests without a connection, and those that have ended while a command
+        of theirs runs on.
+        """
+        ...
+
+    def enter(self, session: Session, drop: Callable[[Session], None]) -> SessionAccount | None:
+        """Count a new session and return its account; `drop` ends one that has to make room.
+
+        Only such should make room as wait for their client's return (`Session.cut`).
+
+        :raises RcpError: as many as allowed are connected.
+        """
+        ...
+
+    def move(self, session: Session) -> SessionAccount | None:
+        """Count a session whose principal or tenant may be another now; return its account.
+
+        Also one that comes back from an earlier run of the gateway.
+        """
+        ...
+
+    def check_tenant(self, session: Session, tenant: str | None) -> None:
+        """Refuse that a session acts for another tenant.
+
+        :raises RcpError: that tenant has as many sessions as it may.
+        """
+        ...
+
+    def leave(self, session: Session) -> None:
+        """Count a session no more; it may not have been counted."""
+        ...
+
+    def forget_commands(self) -> None:
+        """Forget which commands run: the configuration may be another, and each is counted again."""
+        ...
+
+
+class SessionAccounting:
+    """Asks all features that count sessions."""
+
+    def __init__(
+        self,
+        sessions: Mapping[str, Session],
+        running: Mapping[str, Command],
+    ) -> None:
+        self._parts: tuple[Accounting, ...] = ()
+        self._sessions = sessions
+        """All that have a connection or wait for one, by id."""
+        self._running = running
+        """Commands, by id."""
+
+    def ask(self, parts: Iterable[Accounting]) -> None:
+        """Have these count sessions; there are none yet."""
+        self._parts = tuple(parts)
+
+    def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
+        """Count a new session; `drop` ends one that has to make room.
+
+        :raises RcpError: as many as allowed are connected.
+        """
+        try:
+            accounts = [part.enter(session, drop) for part in self._parts]
+        except Exception:
+            self.leave(session)
+            raise
+        session.account = joint(accounts)
+
+    def update(self, session: Session) -> None:
+        """Have a session counted by what concerns it now; one that has ended counts for nothing."""
+        held = session.id in self._sessions
+        accounts: list[SessionAccount | None] = []
+        for part in self._parts:
+            try:
+                accounts.append(part.move(session) if held else part.attach(session))
+            except Exception:
+                log.exception("accounting_failed", feature=type(part).__module__)
+        session.account = joint(accounts)
+
+    def change_tenant(self, session: Session, tenant: str | None) -> None:
+        """Have a session act for another tenant.
+
+        :raises RcpError: that tenant has as many sessions as it may; nothing changed.
+        """
+        if session.tenant != tenant:
+            for part in self._parts:
+                part.check_tenant(session, tenant)
+            session.tenant = tenant
+            self.update(session)
+
+    def leave(self, session: Session) -> None:
+        """Count a session no more."""
+        for part in self._parts:
+            try:
+                part.leave(session)
+            except Exception:
+                log.exception("accounting_failed", feature=type(part).__module__)
+
+    def recount(self) -> None:
+        """Count the running commands afresh: the configuration may be another."""
+        for part in self._parts:
+            try:
+                part.forget_commands()
+            except Exception:
+                log.exception("accounting_failed", feature=type(part).__module__)
+        for command in self._running.values():
+            if command.asker is not None:
+                self.update(command.asker)
+                count_command(command.asker, command)
+
+
+def count_command(session: Session, command: Command) -> None:
+    """Count a command until it ends; one that began goes on, whatever a feature makes of it."""
+    account = session.account
+    if account is None:
+        return
+    try:
+        end = account.add_command(command.id, command.path)
+    except Exception:
+        log.exception("accounting_failed", command=command.id)
+        return
+    command.followers.append(lambda reply: end() if reply.final else None)
