@@ -1,4 +1,4 @@
-"""The one listener: HTTP and WebSocket on one port, for all that other plugins mount."""
+"""The listener: HTTP and WebSocket on one port, for everything that plugins mount."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["AsgiConfig", "rcp_transports"]
 
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
-    """Offer the listener."""
+    """Provide the listener."""
     from rcp_asgi.listener import open_asgi
     from rcp_asgi.safe import check_open
 

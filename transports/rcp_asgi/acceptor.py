@@ -1,4 +1,4 @@
-"""Takes connections in: counted before anything is spent on them, then TLS, then HTTP."""
+"""Accepts connections: connection limits first, then TLS, then HTTP."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rcp_asgi.tls import Tls
 __all__ = ["Acceptor"]
 
 log = structlog.get_logger("rcp.asgi")
-_AT_ONCE = 8  # connections taken in one turn of the loop: each costs a handshake in the next ones
-_PAUSE = 1.0  # s without taking any, when the process has no file descriptors left
-_TELL = 1.0  # s between log lines about handshakes that failed
+_AT_ONCE = 8  # connections accepted per loop iteration: each costs a handshake later
+_PAUSE = 1.0  # s of pause after the process has run out of file descriptors
+_TELL = 1.0  # s between log lines about failed handshakes
 
 
 class _Guest:
-    """A connection on its way in."""
+    """A connection that is being accepted."""
 
     __slots__ = ("_make", "address", "handed_over", "seat", "socket")
 
@@ -39,7 +39,7 @@ class _Guest:
         self.seat = seat
         self._make = make
         self.handed_over = False
-        """The loop has the socket, and closes it: twice might close that of somebody else."""
+        """The loop owns the socket and closes it; closing it twice might close another one."""
 
     def protocol(self) -> asyncio.Protocol:
         self.handed_over = True
@@ -67,12 +67,12 @@ class Acceptor:
         self._told = 0.0
 
     def open(self) -> None:
-        """Begin to take connections in."""
+        """Start to accept connections."""
         self._resume = None
         self._loop.add_reader(self._listening, self._accept)
 
     def close(self) -> None:
-        """Take no more, and give up those that have not come to HTTP yet."""
+        """Stop accepting, and drop the connections that have not reached HTTP yet."""
         if self._resume is not None:
             self._resume.cancel()
         self._loop.remove_reader(self._listening)
@@ -81,7 +81,7 @@ class Acceptor:
             task.cancel()
 
     def sweep(self) -> None:
-        """Forget who is gone."""
+        """Remove closed connections."""
         self._seats.sweep(self._loop.time())
 
     def _accept(self) -> None:
@@ -101,7 +101,7 @@ class Acceptor:
         seat = self._seats.take(address, self._loop.time())
         if seat.refusal is not None:
             self._settings.client_api.refused("connection", seat.refusal.code)
-            if self._tls is not None:  # to tell would take the handshake that is to be saved
+            if self._tls is not None:  # a reply would require the handshake that is to be avoided
                 seat.leave()
                 made.close()
                 return

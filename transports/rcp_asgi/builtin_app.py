@@ -1,4 +1,4 @@
-"""What the listener answers itself: health, metrics, OpenAPI, and where to look."""
+"""The listener's own pages: health, metrics, OpenAPI and the index."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ __all__ = ["OWN", "builtin_app"]
 OWN = frozenset(
     ("/healthz", "/readyz", "/metrics", "/openapi.json", "/rcp/v1/openapi.json", "/rcp/v1")
 )
-"""Paths that no mount takes from the listener."""
+"""Paths that mounts cannot take over."""
 _METRICS = "text/plain; version=0.0.4"
 
 
 class Services(NamedTuple):
-    """What the handlers use. One record, as Litestar begins a task for each of several dependencies."""
+    """The handlers' collaborators, in one record: Litestar starts a task per dependency."""
 
     client_api: ClientApi
     documents: Documents
@@ -35,36 +35,36 @@ class Services(NamedTuple):
     async def session(self, request: Asked) -> Session:
         """Return the caller's session.
 
-        :raises RcpError: as `session_of` does.
+        :raises RcpError: see `session_of`.
         """
         return await session_of(self.client_api, scope_of(request))
 
     async def sees_all(self, request: Asked) -> bool:
-        """Tell whether the caller may see every tenant."""
+        """Return whether the caller may see every tenant."""
         try:
             return "*" in (await self.session(request)).rights.tenants
         except RcpError:
             return False
 
     async def exposition(self, session: Session) -> bytes:
-        """Write the metrics."""
+        """Return the metrics in Prometheus format."""
         owner, turns = session.principal.identity, self.client_api.turns
         return await turns.finish(owner, self.client_api.metrics(session))
 
 
 class Health(Controller):
-    """Whether it lives, whether it is ready, and how it does."""
+    """Liveness, readiness and metrics."""
 
     @get("/healthz", sync_to_thread=False)
     def healthz(self) -> dict[str, str]:
-        """Tell that the process lives."""
+        """Report that the process is alive."""
         return {"status": "ok"}
 
     @get("/readyz")
     async def readyz(
         self, request: Asked, services: NamedDependency[Services]
     ) -> Response[dict[str, Any]]:
-        """Tell whether every backend is ready; which ones, to those who may see all tenants."""
+        """Report whether every backend is ready; lists them for callers who may see all tenants."""
         ready, states = services.client_api.ready()
         body: dict[str, Any] = {"ready": ready}
         if await services.sees_all(request):
@@ -75,7 +75,7 @@ class Health(Controller):
     async def metrics(
         self, session: NamedDependency[Session], services: NamedDependency[Services]
     ) -> Response[bytes]:
-        """Write the Prometheus exposition: it names every tenant's robots."""
+        """Return the Prometheus metrics, which name every tenant's robots."""
         if "*" not in session.rights.tenants:
             raise Forbidden("metrics need access to every tenant")
         services.client_api.charge(session)
@@ -85,25 +85,25 @@ class Health(Controller):
 
 
 class About(Controller):
-    """What there is, for programs and for people."""
+    """The OpenAPI document and the index."""
 
     @get(["/openapi.json", "/rcp/v1/openapi.json"])
     async def openapi(
         self, session: NamedDependency[Session], services: NamedDependency[Services]
     ) -> Response[bytes]:
-        """Describe what the caller may see."""
+        """Return the OpenAPI document as the caller sees it."""
         return Response(await services.documents.written(session), media_type="application/json")
 
     @get(["/", "/rcp/v1"], sync_to_thread=False)
     def index(self, request: Asked, services: NamedDependency[Services]) -> Response[str]:
-        """Tell what this is and where to look."""
+        """Return the index page."""
         html = "text/html" in request.headers.get("accept", "")
         media = "text/html" if html else "text/plain"
         return Response(index_page(services.client_api, html=html), media_type=media)
 
 
 def builtin_app(client_api: ClientApi) -> Asgi:
-    """Make the application."""
+    """Build the application."""
     made = Services(client_api, Documents(client_api), SharedWork[bytes](client_api.loop))
 
     def services() -> Services:

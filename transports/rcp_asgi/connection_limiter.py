@@ -1,4 +1,4 @@
-"""How many connections there may be, in all and for each address, and how fast new ones come."""
+"""Limits on the number and rate of connections, in total and per address."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ __all__ = ["ConnectionLimiter", "Seat"]
 
 _PER_ADDRESS = 256
 _RATE = 50.0
-_BURST = 2.0  # s worth of the rate
+_BURST = 2.0  # s of the rate, the size of a burst
 
 
 class _AddressState:
-    """One address."""
+    """The connections of one address."""
 
     __slots__ = ("free", "near", "open", "stamp")
 
@@ -24,12 +24,12 @@ class _AddressState:
         self.near = near
         self.open = 0
         self.free: float | None = None
-        """Connections that it may make at once; None: all of its burst."""
+        """Remaining burst of new connections; None: all of it."""
         self.stamp = now
 
 
 class Seat:
-    """The right of one connection to be there."""
+    """One connection's place within the limits."""
 
     __slots__ = ("_guest", "_seats", "refusal")
 
@@ -39,10 +39,10 @@ class Seat:
         self._seats: ConnectionLimiter | None = seats
         self._guest = guest
         self.refusal = refusal
-        """Why there is none: the connection is there to be told so."""
+        """Why the connection is refused; it is kept open only to report this."""
 
     def leave(self) -> None:
-        """Give it back; a second time does nothing."""
+        """Release it; idempotent."""
         if self._seats is None:
             return
         self._seats.taken -= 1
@@ -51,7 +51,7 @@ class Seat:
 
 
 class ConnectionLimiter:
-    """The seats of one listener. `now` is any clock that only rises, in seconds."""
+    """The connection limits of one listener. `now` is any monotonic clock, in seconds."""
 
     def __init__(self, config: AsgiConfig, proxies: Proxies) -> None:
         self._proxies = proxies
@@ -62,7 +62,7 @@ class ConnectionLimiter:
         self.taken = 0
 
     def take(self, address: str, now: float) -> Seat:
-        """Seat a connection; one beyond a limit gets a seat with the refusal."""
+        """Count a connection; one beyond a limit gets a seat with a refusal."""
         name, near = _known_as(address)
         guest = self._guests.get(name)
         if guest is None:
@@ -91,14 +91,14 @@ class ConnectionLimiter:
         return None
 
     def sweep(self, now: float) -> None:
-        """Forget the addresses that have nothing open and made nothing of late."""
+        """Remove addresses without open or recent connections."""
         gone = [n for n, g in self._guests.items() if not g.open and now - g.stamp > _BURST]
         for name in gone:
             del self._guests[name]
 
 
 def _draw(guest: _AddressState, rate: float, now: float) -> float:
-    """Take one of what the rate allows; return the seconds to wait where there is none left."""
+    """Count a new connection against the rate; return the seconds to wait if it is exceeded."""
     full = max(1.0, rate * _BURST)
     free = full if guest.free is None else min(full, guest.free + (now - guest.stamp) * rate)
     guest.stamp = now
@@ -110,9 +110,9 @@ def _draw(guest: _AddressState, rate: float, now: float) -> float:
 
 
 def _known_as(address: str) -> tuple[str, bool]:
-    """Return what an address counts as, and whether it is this machine's own.
+    """Return the key of an address, and whether it belongs to this machine.
 
-    Somebody who has one IPv6 address has 2^64 of them.
+    IPv6 addresses count by network, because one host has 2^64 of them.
     """
     try:
         found = ip_address(address.partition("%")[0])

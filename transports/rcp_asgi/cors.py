@@ -1,4 +1,4 @@
-"""What a browser wants to hear before it shows an answer to a page of another origin."""
+"""CORS headers, which browsers require before a page of another origin may read a response."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _EXPOSED = b"location, etag, retry-after, content-range, x-rcp-id"
 
 
 def is_preflight(scope: Scope) -> bool:
-    """Tell whether a browser asks for leave."""
+    """Return whether a request is a CORS preflight."""
     return (
         scope["method"] == "OPTIONS" and header(scope, b"access-control-request-method") is not None
     )
 
 
 async def preflight(scope: Scope, send: Send, origin: str) -> None:
-    """Give leave for whatever headers the page wants to send."""
+    """Answer a preflight: any header is allowed."""
     wanted = header(scope, b"access-control-request-headers") or b"content-type"
     headers = [
         (b"access-control-allow-origin", origin.encode("latin-1")),
@@ -34,7 +34,7 @@ async def preflight(scope: Scope, send: Send, origin: str) -> None:
 
 
 def allowing(send: Send, origin: str) -> Send:
-    """Add to a response that pages of `origin` may read it."""
+    """Add the CORS headers for `origin` to a response."""
 
     async def allowed(message: Any) -> None:
         if message["type"] == "http.response.start":

@@ -1,4 +1,4 @@
-"""permessage-deflate (RFC 7692) without context takeover: no memory held between messages."""
+"""permessage-deflate (RFC 7692) without context takeover: no memory is kept between messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import zlib
 
 __all__ = ["TooLong", "accept_offer", "deflate", "inflate"]
 
-_TAIL = b"\x00\x00\xff\xff"  # RFC 7692 7.2.1: cut off by the sender, put back by the receiver
+_TAIL = b"\x00\x00\xff\xff"  # RFC 7692 7.2.1: removed by the sender, restored by the receiver
 _TOKEN = re.compile(r"[!#$%&'*+.^_`|~0-9A-Za-z-]+")
 _QUOTED = re.compile(r'"([^"]*)"')
 _BITS = frozenset(str(bits) for bits in range(8, 16))
@@ -15,29 +15,29 @@ _RESPONSE = "permessage-deflate; server_no_context_takeover; client_no_context_t
 
 
 class TooLong(Exception):
-    """A message is longer than allowed once it is inflated."""
+    """A message exceeds the limit after decompression."""
 
 
 def accept_offer(extensions: str) -> str | None:
-    """Return the answer to a client's `Sec-WebSocket-Extensions`; None declines all its offers.
+    """Return the response to a client's `Sec-WebSocket-Extensions`; None declines all offers.
 
-    What is invalid is declined, never corrected (RFC 7692, 7).
+    Invalid offers are declined, never corrected (RFC 7692, 7).
     """
     for offer in _QUOTED.sub(_unquoted, extensions).split(","):
         parameters = _parameters(offer)
         if parameters is not None and _acceptable(parameters):
-            # RFC 7692 7.1.2.1: to accept this one is to say it, too.
+            # RFC 7692 7.1.2.1: accepting this parameter requires returning it.
             named = "server_max_window_bits" in parameters
             return _RESPONSE + ("; server_max_window_bits=15" if named else "")
     return None
 
 
 def _unquoted(match: re.Match[str]) -> str:
-    return match[1] if _TOKEN.fullmatch(match[1]) else "?,?"  # nothing that is valid
+    return match[1] if _TOKEN.fullmatch(match[1]) else "?,?"  # no valid value
 
 
 def _parameters(offer: str) -> dict[str, str | None] | None:
-    """Read one offer of permessage-deflate; None if it is none, or malformed."""
+    """Parse one offer of permessage-deflate; None if it is another extension or malformed."""
     name, *parts = (part.strip(" \t") for part in offer.split(";"))
     if name.lower() != "permessage-deflate":
         return None
@@ -57,7 +57,7 @@ def _acceptable(parameters: dict[str, str | None]) -> bool:
                 good = value is None
             case "client_max_window_bits":
                 good = value is None or value in _BITS
-            case "server_max_window_bits":  # a smaller one is valid, but not spoken here
+            case "server_max_window_bits":  # a smaller window is valid but not supported
                 good = value == "15"
             case _:
                 good = False
@@ -75,7 +75,7 @@ def deflate(data: bytes) -> bytes:
 def inflate(data: bytes, limit: int) -> bytes:
     """Decompress one message.
 
-    :raises TooLong: it has more than `limit` bytes.
+    :raises TooLong: it exceeds `limit` bytes.
     :raises zlib.error: it is damaged.
     """
     decompressor = zlib.decompressobj(-15)

@@ -1,7 +1,7 @@
-"""The body of an endless response, past ASGI: no task is woken and no message is made for a write.
+"""The body of an endless response, bypassing ASGI: a write needs no task and no message.
 
-It is `scope["extensions"]["rcp.stream"]`, to be used after `http.response.start` was sent without
-a content length, until the last `http.response.body`.
+It is `scope["extensions"]["rcp.stream"]`, available between `http.response.start` without a content
+length and the last `http.response.body`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ class Endless:
     def __init__(self, transport: asyncio.Transport) -> None:
         self._transport = transport
         self.writable = True
-        """Whether the write buffer has room, and somebody is there to empty it."""
+        """Whether the write buffer has room and the client is connected."""
         self.drained: Callable[[], None] | None = None
-        """Called when `writable` has become true again; set by who writes."""
+        """Called when `writable` becomes true again; set by the writer."""
 
     def write(self, data: bytes) -> None:
         """Send one chunk; it must not be empty."""
@@ -30,11 +30,11 @@ class Endless:
             self._transport.write(b"%x\r\n%b\r\n" % (len(data), data))
 
     def abort(self) -> None:
-        """Cut the connection: what waits for the client is not waited for."""
+        """Close the connection at once, discarding buffered data."""
         self._transport.abort()
 
     def resume(self) -> None:
-        """Take notice that the socket takes something again."""
+        """Handle a socket that is writable again."""
         self.writable = True
         if self.drained is not None:
             self.drained()

@@ -1,6 +1,6 @@
-"""One request and its response: uvicorn's cycle, whose response heads are made of checked lines.
+"""One request and its response: uvicorn's cycle, with response heads built from checked lines.
 
-Nearly all header fields of nearly all responses are the same, so each is checked and written once.
+Nearly all responses use the same header fields, so each is checked and encoded once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Exchange(RequestResponseCycle):
     """Writes what an ASGI application sends."""
 
     async def send(self, message: ASGISendEvent) -> None:
-        """Take the head or a part of the body."""
+        """Send the head or a part of the body."""
         if self.response_started or message["type"] != "http.response.start":
             await super().send(message)
             return
@@ -56,7 +56,7 @@ class Exchange(RequestResponseCycle):
         self.transport.write(b"".join(lines))
 
     def _adopt(self, name: bytes, value: bytes) -> bool:
-        """Send the body as the head says; tell whether the connection closes after it."""
+        """Set up the body as the head requires; return whether the connection closes afterwards."""
         if name == b"content-length" and self.chunked_encoding is None:
             self.expected_content_length = int(value)
             self.chunked_encoding = False
@@ -73,7 +73,7 @@ class Exchange(RequestResponseCycle):
 def _field(name: bytes, value: bytes) -> tuple[bytes, bytes]:
     """Return a field's name in lower case, and its line.
 
-    :raises ValueError: what is given would be more than one field.
+    :raises ValueError: the name or value contains characters that are not allowed.
     """
     if _NOT_IN_NAMES.search(name) or _NOT_IN_VALUES.search(value):
         raise ValueError(f"the response header {name!r} has characters that no header may have")

@@ -1,4 +1,4 @@
-"""picows' protocol, which reads no more at once than can be parsed within a millisecond or two."""
+"""picows' protocol with reads limited to what can be parsed within one or two milliseconds."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from picows.picows import WSProtocol  # type: ignore[attr-defined] - pinned, see
 __all__ = ["FrameReader"]
 
 _silent = logging.getLogger("rcp.picows")
-_silent.setLevel(logging.CRITICAL)  # each connection would log three lines
-_BUFFER = 16 * 1024  # bytes to begin with; it grows with the messages
+_silent.setLevel(logging.CRITICAL)  # otherwise each connection would log three lines
+_BUFFER = 16 * 1024  # bytes at first; grows with the messages
 _AT_ONCE = 16 * 1024  # bytes: about 500 pings
 
 
 class FrameReader(WSProtocol):
     """Parses frames.
 
-    picows' own buffer doubles whenever it was filled, never shrinks, and is offered whole: after a
-    storm of short messages one read would bring tens of thousands of them, in one turn of the loop.
+    picows' own buffer doubles whenever it is full, never shrinks, and is offered as a whole: after
+    a burst of short messages, one read could return tens of thousands of them in one loop
+    iteration.
     """
 
     def __init__(self, listen: Any, longest: int) -> None:
         super().__init__(
-            None,  # host and port, path: for clients
+            None,  # host, port and path, for clients only
             None,
             False,  # is_client_side
             listen,
             _silent,
-            False,  # disconnect_on_exception: the receiver never raises, and if so, it is a bug
-            None,  # handshake timeout: it is complete in the next lines
-            False,  # auto ping and its times: `Socket` does it itself
+            False,  # disconnect_on_exception: an exception of the receiver is a bug
+            None,  # handshake timeout: it completes in the next lines
+            False,  # auto ping and its times: `Socket` does this itself
             None,
             None,
             WSAutoPingStrategy.PING_WHEN_IDLE,
@@ -43,11 +44,11 @@ class FrameReader(WSProtocol):
         )
 
     def get_buffer(self, size_hint: int) -> memoryview:
-        """Return where the next bytes go."""
+        """Return the buffer for the next bytes."""
         return WSProtocol.get_buffer(self, size_hint)[:_AT_ONCE]
 
     def feed(self, data: bytes) -> None:
-        """Parse bytes that were read before this protocol had the transport."""
+        """Parse bytes that were read before this protocol took the transport over."""
         while data:
             room = self.get_buffer(len(data))
             part = data[: len(room)]

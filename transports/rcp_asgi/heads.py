@@ -1,11 +1,11 @@
-"""Frame heads of short unfragmented messages, made once for each length."""
+"""Frame heads of short unfragmented messages, built once per length."""
 
 from __future__ import annotations
 
 __all__ = ["BINARY", "JOINED", "TEXT", "join"]
 
-JOINED = 16 * 1024  # bytes: longer messages are sent by themselves, so that nothing copies them
-_OBJECT = 0x7B  # "{": only JSON begins with it, CBOR and MessagePack maps do not
+JOINED = 16 * 1024  # bytes: longer messages are sent separately, to avoid copying them
+_OBJECT = 0x7B  # "{": only JSON starts with it; CBOR and MessagePack maps do not
 
 
 class Heads(dict[int, bytes]):
@@ -31,7 +31,7 @@ BINARY = Heads(0x2)
 
 
 def join(messages: list[bytes]) -> bytes:
-    """Frame messages behind one another; what begins as a JSON object goes as text."""
+    """Join framed messages; those that start as a JSON object are sent as text."""
     parts: list[bytes] = []
     for data in messages:
         parts.append((TEXT if data[0] == _OBJECT else BINARY)[len(data)])

@@ -1,8 +1,8 @@
 """HTTP framing: uvicorn's httptools protocol, with limits on headers, time and connections.
 
-What is malformed is answered with an envelope here too, after what came before it, and a WebSocket
-handshake goes to `Upgrade` without being written out and parsed again. What came in one read is
-parsed slice by slice, a slice a turn of the loop: 256 KiB hold thousands of requests.
+Malformed requests are also answered with an envelope, in order, and a WebSocket handshake is passed
+to `Upgrade` without being serialised and parsed again. The bytes of one read are parsed in slices,
+one per loop iteration: 256 KiB hold thousands of requests.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from rcp_kernel.wire import encode_reply, failure
 
 __all__ = ["HttpProtocol"]
 
-_LINGER = 1.0  # s that a refused client has to read why
-_SLICE = 4 * 1024  # bytes parsed in one turn of the loop: some hundred requests at most
-_BODY_SLICE = 64 * 1024  # bytes of a body of known length, which cost next to nothing
+_LINGER = 1.0  # s for a refused client to read the reason
+_SLICE = 4 * 1024  # bytes parsed per loop iteration: at most some hundred requests
+_BODY_SLICE = 64 * 1024  # bytes of a body of known length, which are cheap to parse
 _METHOD = re.compile(rb"[!#$%&'*+.^_`|~0-9A-Za-z-]{1,64} ")
 
 
@@ -71,19 +71,19 @@ class HttpProtocol(HttpToolsProtocol):
         self._in_head = True
         self._in_body = False
         self._owed = 0
-        """Bytes of the body that its Content-Length still promises."""
+        """Remaining bytes of the body, by its Content-Length."""
         self._silent = 0
-        """Bytes since the parser last told anything: it keeps an unfinished header to itself."""
+        """Bytes since the parser's last callback: it buffers an unfinished header."""
         self._unread: bytes | memoryview = b""
         self._turn: asyncio.Handle | None = None
         self._deaf = False
         self._fault: RcpError | None = None
-        """What a callback of the parser found wrong."""
+        """The error found by a parser callback."""
         self._ended = False
-        """The client has said all, and may still listen."""
+        """The client has closed its sending side, and may still read."""
         self._farewell: asyncio.TimerHandle | None = None
         self._parting: RcpError | None = None
-        """What is to be said when the requests before it are answered."""
+        """The error to send after the pending responses."""
         self._peer = UNKNOWN_PEER
         self._proxied = False
         self._slow: asyncio.TimerHandle | None = None
@@ -91,10 +91,10 @@ class HttpProtocol(HttpToolsProtocol):
         self._body: Endless | None = None
         self._backlog: Backlog | None = None
         self._answered: RequestResponseCycle | None = None
-        """The request that is being answered; `cycle` is the last one that came."""
+        """The request being answered; `cycle` is the last one received."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a connection, unless there are too many."""
+        """Accept a connection, unless a limit is exceeded."""
         super().connection_made(transport)
         self.flow = self._reading = ReadFlow(transport)
         self._body = Endless(transport)
@@ -116,18 +116,18 @@ class HttpProtocol(HttpToolsProtocol):
         return Peer(address, read_certificate(der) if der else None)
 
     def _watch(self, seconds: float) -> None:
-        """Cut the connection unless `_stop_clock` comes first."""
+        """Close the connection unless `_stop_clock` is called first."""
         self._slow = self.loop.call_later(seconds, self._late)
 
     def _late(self) -> None:
         self._slow = None
         if self._in_body and not self._deaf and (self.pipeline or self.flow.read_paused):
-            self._watch(self._settings.config.body_timeout)  # it is us who do not read
+            self._watch(self._settings.config.body_timeout)  # the gateway itself has paused reading
             return
         self.transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the clock."""
+        """Stop the timer."""
         self._stop_clock()
         self._deaf = True
         self._unread = b""
@@ -146,7 +146,7 @@ class HttpProtocol(HttpToolsProtocol):
             answered.message_event.set()
 
     def pause_writing(self) -> None:
-        """Hold an endless response back."""
+        """Pause an endless response."""
         super().pause_writing()
         if self._body is not None:
             self._body.writable = False
@@ -154,7 +154,7 @@ class HttpProtocol(HttpToolsProtocol):
             self._backlog.set(self.transport.get_write_buffer_size())
 
     def resume_writing(self) -> None:
-        """Go on with an endless response."""
+        """Resume an endless response."""
         super().resume_writing()
         if self._body is not None:
             self._body.resume()
@@ -167,17 +167,17 @@ class HttpProtocol(HttpToolsProtocol):
             self._slow = None
 
     def data_received(self, data: bytes) -> None:
-        """Parse; what is no HTTP is told so and cut."""
+        """Parse; malformed input is answered with an error, then the connection closes."""
         if self._deaf:
             return
-        if self._unread:  # reading stops with the next turn of the loop
+        if self._unread:  # pauses reading in the next loop iteration
             self._unread = bytes(self._unread) + data
             return
         self._unread = data if len(data) <= _SLICE else memoryview(data)
         self._parse()
 
     def _parse(self) -> None:
-        """Parse one slice of what was read."""
+        """Parse one slice of the input."""
         self._turn = None
         self._unset_keepalive_if_required()
         size = max(_SLICE, min(self._owed, _BODY_SLICE))
@@ -207,7 +207,7 @@ class HttpProtocol(HttpToolsProtocol):
         self._continue()
 
     def _continue(self) -> None:
-        """See to the rest of what was read, after the requests in it that wait."""
+        """Continue with the unparsed input, once the pending requests allow it."""
         if self._unread:
             self._reading.hold()
             if self._turn is None and not self.pipeline:
@@ -223,14 +223,14 @@ class HttpProtocol(HttpToolsProtocol):
             self._mind()
 
     def eof_received(self) -> bool:  # type: ignore[override] - asyncio takes either
-        """Answer what a client has asked that says no more, if that takes but a moment."""
+        """Answer a client that has closed its sending side, if that takes only a moment."""
         begun = self.cycle is not None and self.cycle.response_started
         if begun and not self.cycle.response_complete:
-            return False  # an endless response, whose client is gone
+            return False  # an endless response, whose client has gone
         if not self.transport.can_write_eof() or self.transport.is_closing():
             return False
         if self._deaf and self._parting is None:
-            return False  # it has its answer
+            return False  # it is already answered
         self._ended = True
         self._farewell = self.loop.call_later(_LINGER, self.transport.close)
         if not self._deaf:
@@ -238,7 +238,7 @@ class HttpProtocol(HttpToolsProtocol):
         return True
 
     def _conclude(self) -> None:
-        """Close when all is answered that came before the end."""
+        """Close once everything received before the end is answered."""
         if self._unread:
             return
         if self._in_body or (self._in_head and (self._head or self._silent)):
@@ -247,9 +247,9 @@ class HttpProtocol(HttpToolsProtocol):
             self.transport.close()
 
     def _go_on_without_upgrade(self) -> None:
-        """Take a request as if it wished for no other protocol (RFC 9110, 7.8).
+        """Process a request as if it had not asked for an upgrade (RFC 9110, 7.8).
 
-        The parser takes what follows for that protocol, the body too, so another one begins anew.
+        After an upgrade the parser does not parse what follows, so a new parser takes over.
         """
         scope = self.scope
         lines = [f"{scope['method']} ".encode(), self.url, b" HTTP/1.1\r\n"]
@@ -264,7 +264,7 @@ class HttpProtocol(HttpToolsProtocol):
         self.parser.feed_data(b"".join([*lines, b"\r\n"]))
 
     def _mind(self) -> None:
-        """See to it that what has begun comes to an end."""
+        """Start the timer for the present state."""
         if self._in_head:
             self._watch(self._settings.config.header_timeout)
         elif self._in_body:
@@ -277,21 +277,21 @@ class HttpProtocol(HttpToolsProtocol):
             )
 
     def on_message_begin(self) -> None:
-        """Begin to count what the headers take."""
+        """Start to count the size of the headers."""
         super().on_message_begin()
         self.scope["extensions"] = self._extensions  # type: ignore[typeddict-unknown-key]
         self._head = 0
         self._in_head = True
 
     def on_url(self, url: bytes) -> None:
-        """Take a part of the request line."""
+        """Handle a part of the request line."""
         if self._exceeds(len(url)):
             self._fault = TargetTooLong("the request line is too long")
-            raise self._fault  # the parser stops, and `_parse` answers
+            raise self._fault  # the parser stops and `_parse` replies
         self.url += url
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Take a header; trailers are counted and left out: nobody here waits for any."""
+        """Handle a header; trailers are counted and dropped, because nothing uses them."""
         if self._exceeds(len(name) + len(value) + 4):
             self._fault = HeadTooLong("the request's headers are too long")
             raise self._fault
@@ -299,7 +299,7 @@ class HttpProtocol(HttpToolsProtocol):
             super().on_header(name, value)
 
     def _exceeds(self, size: int) -> bool:
-        """Count what the head takes; tell whether that is too much."""
+        """Count the size of the head; return whether it is too large."""
         self._silent = 0
         self._head += size
         return self._head > self._settings.config.max_header
@@ -330,7 +330,7 @@ class HttpProtocol(HttpToolsProtocol):
             self._begin(version)
 
     def _begin(self, version: str) -> None:
-        """Have a request handled, after those before it."""
+        """Start the handler of a request, after those before it."""
         scope = cast("dict[str, Any]", self.scope)
         app = cast("ASGI3Application", self.app)
         url = httptools.parse_url(self.url)
@@ -364,7 +364,7 @@ class HttpProtocol(HttpToolsProtocol):
             self._answered = self.cycle
 
     def _speak_for_client(self) -> None:
-        """Take the address that a proxy tells for that of the other end."""
+        """Replace the peer's address by the one that a trusted proxy reports."""
         address = self._settings.proxies.client(self.headers)
         if address is not None:
             peer = Peer(address, self._peer.certificate)
@@ -373,15 +373,15 @@ class HttpProtocol(HttpToolsProtocol):
             scope["extensions"] = {**self._extensions, "rcp.peer": peer}
 
     def on_body(self, body: bytes) -> None:
-        """Take a part of the body."""
+        """Handle a part of the body."""
         self._silent = 0
         self._owed -= len(body)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """Stop the clock: the whole request is there."""
+        """Stop the timer: the request is complete."""
         if not self._in_body:
-            return  # it begins anew, see `_go_on_without_upgrade`
+            return  # already restarted, see `_go_on_without_upgrade`
         self._in_body = False
         self._owed = self._silent = 0
         if self._slow is not None:
@@ -389,7 +389,7 @@ class HttpProtocol(HttpToolsProtocol):
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """Go on with what was read behind the request."""
+        """Continue with the input that follows the request."""
         last = not self.pipeline
         if not last:
             self._answered = self.pipeline[-1][0]
@@ -402,7 +402,7 @@ class HttpProtocol(HttpToolsProtocol):
             self._conclude()
 
     def _give_up(self, error: RcpError) -> None:
-        """Hear no more, and say why when whatever came before is answered."""
+        """Stop reading, and send the error after the pending responses."""
         self._stop_clock()
         self._deaf = True
         self._unread = b""
@@ -411,7 +411,7 @@ class HttpProtocol(HttpToolsProtocol):
         self._settings.client_api.refused("request", error.code)
         cycle = self.cycle
         if self._in_body and self.pipeline:
-            self.pipeline.popleft()  # the newest, which is the broken one
+            self.pipeline.popleft()  # the latest, which is the malformed one
         elif self._in_body:
             begun = cycle.response_started
             cycle.disconnected = True
@@ -428,7 +428,7 @@ class HttpProtocol(HttpToolsProtocol):
         self._watch(self._settings.config.body_timeout)
 
     def _part(self, error: RcpError) -> None:
-        """Say why the connection ends; closed at once, it would drop what the client sends still."""
+        """Send the error and close; lingers, because closing at once would reset the connection."""
         self._unset_keepalive_if_required()
         self._stop_clock()
         if self.transport.is_closing():
@@ -441,7 +441,7 @@ class HttpProtocol(HttpToolsProtocol):
             self.transport.close()
 
     def _turn_away(self, error: RcpError) -> None:
-        """Tell why there is no place, and let the client read it before the connection goes."""
+        """Refuse the connection, and let the client read the reason before closing."""
         self._deaf = True
         self._say(error, error.http)
         self.transport.write_eof()
@@ -480,7 +480,7 @@ class HttpProtocol(HttpToolsProtocol):
 
 
 def _fault_of(error: Exception, data: bytes | memoryview) -> RcpError:
-    """Say what the parser did not like."""
+    """Return the error for a parser failure."""
     if isinstance(error, httptools.HttpParserInvalidMethodError) and _METHOD.match(data):
         return UnknownMethod("the method is not supported")
     reason = "" if isinstance(error, httptools.HttpParserCallbackError) else f": {error}"

@@ -1,4 +1,4 @@
-"""The page at `/`: what this is, and where to look."""
+"""The index page at `/`: what this server is, and links."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PLACES = (
 
 
 def index_page(client_api: ClientApi, *, html: bool) -> str:
-    """Write the page as HTML or plain text."""
+    """Return the page as HTML or plain text."""
     known = {path for path, _ in _PLACES}
     others = [
         (mount.prefix, mount.name)

@@ -1,4 +1,4 @@
-"""The listener's life: refuse what is not safe, bind, serve, and go within a bound."""
+"""The listener's lifecycle: check the configuration, bind, serve, and stop within a time limit."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from rcp_kernel.errors import ConfigError
 __all__ = ["open_asgi"]
 
 log = structlog.get_logger("rcp.asgi")
-_TICK = 1.0  # s between new Date headers, and looks at the certificates' files
+_TICK = 1.0  # s between new Date headers, and between checks of the certificate files
 _BACKLOG = 1024
-_HEADERS = [  # for pages of other origins that embed what they may not read
+_HEADERS = [  # against pages of other origins that embed what they may not read
     ("x-content-type-options", "nosniff"),
     ("cross-origin-resource-policy", "same-origin"),
     ("content-security-policy", "frame-ancestors 'self'"),
@@ -43,7 +43,7 @@ _HEADERS = [  # for pages of other origins that embed what they may not read
 async def open_asgi(config: AsgiConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Listen while entered.
 
-    :raises ConfigError: what is configured is not safe, or the address cannot be listened on.
+    :raises ConfigError: the configuration is unsafe, or the address is not available.
     """
     check_door(config, client_api)
     tls = None if config.tls is None else Tls(config.tls)
@@ -95,7 +95,7 @@ def _bind(config: AsgiConfig) -> socket.socket:
 
 
 def _server(settings: Settings, front: MountRouter) -> Server:
-    """Make what the connections share; it never listens itself."""
+    """Build the state that connections share; this server itself does not listen."""
     uvicorn_config = Config(
         front,
         ws=Upgrade,
@@ -147,7 +147,7 @@ async def _close(server: Server, settings: Settings) -> None:
             await asyncio.wait(late, timeout=settings.config.grace)
     with suppress(TimeoutError):
         async with asyncio.timeout(settings.config.grace):
-            while state.connections:  # noqa: ASYNC110 - uvicorn tells nobody when one goes
+            while state.connections:  # noqa: ASYNC110 - uvicorn does not signal when a connection ends
                 await asyncio.sleep(0.01)
     for connection in list(state.connections):
         transport: Any = getattr(connection, "transport", None)

@@ -1,6 +1,6 @@
-"""The front client_api: one dictionary look and a few prefixes before any framework is asked.
+"""The router of all requests: a dictionary lookup and a few prefixes, before any framework.
 
-Mounts may come and go while the gateway runs; the table is made anew when they did.
+Mounts can be added and removed while the gateway runs; the table is then rebuilt.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class MountRouter:
         self._origins = origins
         self._house = house
         self._own = own
-        """Paths that the house answers itself, whatever is mounted above them."""
+        """Paths served by the listener itself, regardless of mounts."""
         self._root = root_path
         self._seen: list[Mount] = []
         self._tables: dict[str, list[tuple[str, str, Asgi]]] = {"http": [], "websocket": []}
@@ -72,7 +72,7 @@ class MountRouter:
             log.exception("mount_failed", path=scope["path"])
             if scope["type"] == "websocket":
                 raise
-            # A response that was begun cannot be taken back: the server refuses this one and cuts.
+            # A response that has started cannot be revoked: the server closes the connection.
             failed = InternalError("the gateway failed to handle the request; see its log")
             await refuse(send, failed)
 

@@ -1,4 +1,4 @@
-"""One OpenAPI document of what every mount says about itself."""
+"""The OpenAPI document, combined from those of all mounts."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rcp_kernel.client_api import ClientApi
 __all__ = ["Documents"]
 
 _TITLE = "RCP gateway"
-_KEPT = 8  # documents, of a megabyte where there are a thousand resources
+_KEPT = 8  # documents, of about a megabyte each with a thousand resources
 
 
 class Documents:
-    """The document as callers see it; all that see the same share one until it changes."""
+    """The document per view of the tree; callers with the same view share one until it changes."""
 
     def __init__(self, client_api: ClientApi) -> None:
         self._client_api = client_api
@@ -24,9 +24,9 @@ class Documents:
         self._writing = SharedWork[bytes](client_api.loop)
 
     async def written(self, session: Session) -> bytes:
-        """Return the document for what a session sees.
+        """Return the encoded document for a session.
 
-        :raises RateLimited: a quota does not allow it now.
+        :raises RateLimited: a quota is exceeded.
         """
         client_api = self._client_api
         client_api.charge(session)
@@ -40,7 +40,7 @@ class Documents:
         document = self._known.pop(key, None)
         if document is None:
             document = await self._writing.result(key, lambda: self._write(session))
-        self._known[key] = document  # behind those that nobody has asked for since
+        self._known[key] = document  # least recently used
         if len(self._known) > _KEPT:
             del self._known[next(iter(self._known))]
         return document
@@ -50,7 +50,7 @@ class Documents:
         paths: dict[str, Any] = {}
         schemes = _schemes(client_api)
         components: dict[str, dict[str, Any]] = {"securitySchemes": schemes}
-        # What an operation may do without proof it says itself, where that is not this.
+        # Operations that need no authentication declare that themselves.
         free: list[dict[str, Any]] = [{}] if client_api.proofs.anonymous else []
         for mount in list(client_api.mounts):
             if mount.openapi is None:
@@ -76,7 +76,7 @@ class Documents:
 
 
 def _schemes(client_api: ClientApi) -> dict[str, Any]:
-    """Describe by what a client may prove who it is."""
+    """Describe the authentication schemes."""
     found: dict[str, Any] = {}
     if client_api.proofs.bearer:
         found["bearer"] = {

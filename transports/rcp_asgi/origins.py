@@ -1,7 +1,7 @@
-"""Which web pages may talk to the gateway, and by which names it is called.
+"""Which web pages may use the gateway, and under which host names.
 
-A browser sends `Origin` with what a script or form of another site starts, and `Sec-Fetch-Site` with
-what such a page embeds; a page that rebinds its own name to loopback is found out by `Host`.
+A browser sends `Origin` with requests of a script or form of another site, and `Sec-Fetch-Site`
+with what such a page embeds; DNS rebinding to loopback is detected by `Host`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address to listen on is reached from this machine only."""
+    """Return whether a listening address is reachable from this machine only."""
     if host == "localhost":
         return True
     try:
@@ -33,7 +33,7 @@ def is_loopback(host: str) -> bool:
 
 
 class Origins:
-    """The rules, made of the configuration once."""
+    """The rules, built from the configuration once."""
 
     def __init__(self, host: str, origins: Iterable[str], hosts: Iterable[str]) -> None:
         self._origins = frozenset(origin.rstrip("/").lower() for origin in origins)
@@ -44,9 +44,9 @@ class Origins:
         self._known: dict[bytes, bool] = {}
 
     def check(self, scope: Scope) -> str | None:
-        """Return the foreign but welcome origin of a request, None where there is none.
+        """Return the foreign but allowed origin of a request, None if there is none.
 
-        :raises Forbidden: the page or the name is not one of those that the configuration allows.
+        :raises Forbidden: the origin or the host name is not allowed.
         """
         found: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
@@ -79,7 +79,7 @@ class Origins:
     def _check_embedding(self, found: dict[bytes, bytes], method: str) -> None:
         """Refuse what a page of another origin embeds (images, scripts, frames): it has no Origin.
 
-        :raises Forbidden: it is that.
+        :raises Forbidden: another origin embeds it.
         """
         if found[b"sec-fetch-site"] in (b"same-origin", b"none") or "*" in self._origins:
             return
@@ -105,12 +105,12 @@ class Origins:
 def _name(host: bytes) -> str:
     try:
         return urlsplit("//" + host.decode("latin-1")).hostname or ""
-    except ValueError:  # brackets around what is no address
+    except ValueError:  # brackets around something other than an address
         return ""
 
 
 def _is_same(origin: str, host: bytes, *, secure: bool) -> bool:
-    """Tell whether a page is the gateway's own: a proxy may have added TLS, nobody takes it away."""
+    """Return whether a page is the gateway's own: a proxy may have added TLS."""
     scheme, _, netloc = origin.partition("://")
     port = _DEFAULT_PORTS.get(scheme)
     if port is None or (secure and scheme != "https"):

@@ -1,4 +1,4 @@
-"""Whom a reverse proxy speaks for: the address in `X-Forwarded-For`, believed of listed proxies alone."""
+"""Client addresses behind reverse proxies: `X-Forwarded-For`, trusted only from listed proxies."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["Proxies"]
 
 
 class Proxies:
-    """The proxies of one listener."""
+    """The trusted proxies of one listener."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        """Read addresses and networks.
+        """Parse addresses and networks.
 
-        :raises ConfigError: one of them is neither.
+        :raises ConfigError: one of them is invalid.
         """
         try:
             self._networks = [ip_network(name, strict=False) for name in names]
@@ -27,7 +27,7 @@ class Proxies:
             ) from None
 
     def __contains__(self, address: str) -> bool:
-        """Tell whether an address is that of a proxy."""
+        """Return whether an address belongs to a proxy."""
         if not self._networks:
             return False
         try:
@@ -39,9 +39,9 @@ class Proxies:
         return any(found in network for network in self._networks)
 
     def client(self, headers: Iterable[tuple[bytes, bytes]]) -> str | None:
-        """Return the address that the outermost proxy saw; None if the headers do not say.
+        """Return the address that the outermost trusted proxy saw; None if there is none.
 
-        Read from the right: whatever stands left of it may be the client's own invention.
+        Read from the right: the client itself may have written anything further left.
         """
         lines = [value for name, value in headers if name == b"x-forwarded-for"]
         for part in reversed(b",".join(lines).decode("latin-1").split(",")):

@@ -1,4 +1,4 @@
-"""Who is told of what comes in by a WebSocket."""
+"""The callbacks of an open WebSocket."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ __all__ = ["Receiver"]
 
 
 class Receiver(Protocol):
-    """Who uses the socket."""
+    """The user of a socket."""
 
     def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - a frame's own flag
-        """Take one whole message."""
+        """Handle a whole message."""
         ...
 
     def other_frame(self) -> None:
-        """Take notice of a frame that is no whole message, but takes its time as well."""
+        """Handle a frame that is not a whole message, but costs time as well."""
         ...
 
     def settled(self) -> None:
-        """Take notice that the last frame of what was read has been told of."""
+        """Handle the end of a read: all its frames were delivered."""
         ...
 
     def garbled(self, data: bytes) -> None:
-        """Take notice of a text message that is not UTF-8; the socket closes after it."""
+        """Handle a text message that is not UTF-8; the socket closes afterwards."""
         ...
 
     def oversized(self, size: int) -> None:
-        """Take notice of a message that was too long and was thrown away."""
+        """Handle a message that was too long and was discarded."""
         ...
 
     def drained(self) -> None:
-        """Take notice that the socket is writable again."""
+        """Handle a socket that is writable again."""
         ...
 
     def lost(self, code: int) -> None:
-        """Take notice of the end, with the close code (1006: none)."""
+        """Handle the end of the connection, with the close code (1006: none)."""
         ...

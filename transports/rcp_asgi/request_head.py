@@ -1,7 +1,7 @@
-"""What the head of a request must be before anything is done for it (RFC 9112, sections 2 to 6).
+"""Checks of a request's head before any processing (RFC 9112, sections 2 to 6).
 
-A proxy in front of the gateway has to read the same request as the gateway does: whatever two
-readers could take for two different things is refused.
+A proxy in front of the gateway must interpret a request exactly like the gateway: anything
+ambiguous is refused.
 """
 
 from __future__ import annotations
@@ -20,60 +20,60 @@ __all__ = [
 ]
 
 METHODS = b"GET, HEAD, PUT, POST, DELETE, OPTIONS"
-"""What the gateway as a whole takes: the `Allow` of `OPTIONS *`."""
+"""The methods of the gateway as a whole: the `Allow` of `OPTIONS *`."""
 _AUTHORITY = re.compile(
     rb"(?:\[[0-9A-Za-z:.%_~-]+\]|[0-9A-Za-z._~!$&'()*+,;=%-]*)(?::[0-9]{0,5})?\Z"
 )
-"""`uri-host [":" port]` (RFC 9110, 7.2); user names are none of it."""
+"""`uri-host [":" port]` (RFC 9110, 7.2), without user names."""
 _ABSOLUTE = re.compile(rb"([A-Za-z][A-Za-z0-9+.-]*)://([^/?]*)(.*)\Z", re.DOTALL)
 _VERSIONS = ("1.1", "1.0")
 Headers = list[tuple[bytes, bytes]]
 
 
 class Malformed(BadRequest):
-    """What came is no request of HTTP/1.1, or could be read as two different ones."""
+    """The input is not an HTTP/1.1 request, or is ambiguous."""
 
     default_remedy = "Send an HTTP/1.1 request as RFC 9112 defines it."
 
 
 class UnknownVersion(Malformed):
-    """The request is of an HTTP version that is not spoken here."""
+    """The HTTP version is not supported."""
 
     http = 505
 
 
 class TargetTooLong(PayloadTooLarge):
-    """The request line is longer than the limit."""
+    """The request line exceeds the limit."""
 
     http = 414
     default_remedy = "Use a shorter URL, or POST the envelope to /rcp/v1/messages."
 
 
 class HeadTooLong(PayloadTooLarge):
-    """Request line and headers together are longer than the limit."""
+    """Request line and headers together exceed the limit."""
 
     http = 431
     default_remedy = "Send fewer or shorter headers."
 
 
 class UnknownMethod(NotImplementedByRobot):
-    """The method is none that any resource of the gateway takes."""
+    """No resource of the gateway supports the method."""
 
     default_remedy = f"Use one of {METHODS.decode()}."
 
 
 class UnknownCoding(NotImplementedByRobot):
-    """The body is coded in a way that is not understood here."""
+    """The transfer coding of the body is not supported."""
 
     default_remedy = "Send the body with Content-Length, or `Transfer-Encoding: chunked`."
 
 
 def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> bytes:
-    """Return the target's path and query; `Host` becomes that of an absolute target.
+    """Return the target's path and query; `Host` is replaced by that of an absolute target.
 
-    :raises Malformed: the head is not that of one request with one meaning.
-    :raises UnknownMethod: it is for proxies.
-    :raises UnknownCoding: the body is coded otherwise than in chunks.
+    :raises Malformed: the head is invalid or ambiguous.
+    :raises UnknownMethod: the method is for proxies.
+    :raises UnknownCoding: the body has a transfer coding other than chunked.
     """
     if version not in _VERSIONS:
         raise UnknownVersion(f"HTTP/{version} is not supported")
@@ -92,7 +92,7 @@ def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> 
         raise Malformed("the request target is neither a path nor an http URL")
     if not match[2] or not _AUTHORITY.match(match[2]):
         raise Malformed("the authority of the request target is not a host and port")
-    # RFC 9112, 3.2.2: what an absolute target says goes before the header, and is checked as it is.
+    # RFC 9112, 3.2.2: the host of an absolute target replaces the header, and is checked likewise.
     if host is not None:
         headers.remove((b"host", host))
     headers.append((b"host", match[2]))
@@ -114,7 +114,7 @@ def _host(version: str, headers: Headers) -> bytes | None:
 
 
 def _check_body(version: str, headers: Headers) -> None:
-    """Refuse what leaves in doubt where the body ends (RFC 9112, 6.1 and 6.3)."""
+    """Refuse ambiguous body lengths (RFC 9112, 6.1 and 6.3)."""
     coding: bytes | None = None
     length = False
     for name, value in headers:

@@ -1,4 +1,4 @@
-"""What the listener refuses to do on an address that others reach."""
+"""Safety checks for an address that other machines can reach."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ __all__ = ["check_door", "check_open"]
 
 
 def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
-    """Refuse an address open to others without TLS, or where anybody or nobody may do anything.
+    """Refuse a non-loopback address without TLS, or without effective authentication.
 
-    :raises ConfigError: that is so, or the certificates or proxies cannot be read.
+    :raises ConfigError: the configuration is unsafe, or a certificate or proxy is invalid.
     """
     Proxies(config.proxies)
     if config.tls is not None:
         Tls(config.tls)
-    # A feature or a token in the store may prove identities: known when they are there, by
-    # `check_door`.
+    # A feature or a stored token may authenticate clients, which is only known once features have
+    # started: see `check_door`.
     elsewhere = bool(gateway.features or gateway.jwt) or gateway.store.path is not None
     _check(config, closed=gateway.closed, served=gateway.serves or elsewhere)
 
 
 def check_door(config: AsgiConfig, client_api: ClientApi) -> None:
-    """Do as `check_open` does, when it is known what the plugins do.
+    """Repeat the checks of `check_open` once the features have started.
 
-    :raises ConfigError: likewise.
+    :raises ConfigError: the configuration is unsafe.
     """
     _check(config, closed=client_api.secure, served=client_api.serves)
 

@@ -1,4 +1,4 @@
-"""What the connections of one listener share."""
+"""State shared by the connections of one listener."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["Settings"]
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """The configuration, the gateway's limits, and who wants to know of the end."""
+    """The configuration, the gateway's limits, and the callbacks for the shutdown."""
 
     config: AsgiConfig
     client_api: ClientApi
     proxies: Proxies
     closing: set[Callable[[], None]] = field(default_factory=set[Callable[[], None]])
-    """Called when the listener closes: `scope["extensions"]["rcp.closing"]` of endless responses."""
+    """Called when the listener closes: the `rcp.closing` extension of endless responses."""

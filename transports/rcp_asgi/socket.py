@@ -1,8 +1,8 @@
-"""One open WebSocket: picows frames it, this class adds what RFC 6455 wants beyond frames.
+"""One open WebSocket: picows does the framing, this class the rest of RFC 6455.
 
-Messages in fragments, the closing handshake, UTF-8, compression, keepalive; and towards the
-transport that uses it: whole messages in, joined writes out, and a flag that says when to wait.
-It is `scope["extensions"]["rcp.socket"]` of the ASGI applications below the listener.
+It handles fragmentation, the closing handshake, UTF-8, compression and keepalive. Its user receives
+whole messages, writes batches, and sees in a flag when to wait. It is
+`scope["extensions"]["rcp.socket"]` of the ASGI applications below the listener.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ __all__ = ["Socket"]
 
 _TEXT, _BINARY, _CONTINUATION = WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.CONTINUATION
 _PING, _PONG, _CLOSE = WSMsgType.PING, WSMsgType.PONG, WSMsgType.CLOSE
-_OBJECT = 0x7B  # "{": only JSON begins with it, CBOR and MessagePack maps do not
+_OBJECT = 0x7B  # "{": only JSON starts with it; CBOR and MessagePack maps do not
 _HIGH_WATER = 64 * 1024  # bytes in the write buffer above which the socket is not writable
-_CLOSE_WAIT = 2.0  # s the peer has to answer a close
-_UNANSWERED = 2  # pings after which the peer counts as gone
+_CLOSE_WAIT = 2.0  # s for the peer to answer a close
+_UNANSWERED = 2  # unanswered pings after which the peer counts as gone
 # RFC 6455 7.4.1
 log = structlog.get_logger("rcp.asgi")
 _PROTOCOL_ERROR = 1002
@@ -35,7 +35,7 @@ _INTERNAL = 1011
 
 
 class Socket(WSListener):
-    """The native handle of a WebSocket. For the event loop's thread."""
+    """The native handle of a WebSocket. Use it on the event loop's thread only."""
 
     __slots__ = (
         "_compressed",
@@ -68,11 +68,11 @@ class Socket(WSListener):
         self, settings: Settings, receiver: Receiver, loop: asyncio.AbstractEventLoop
     ) -> None:
         self.writable = False
-        """Whether the write buffer has room; the receiver hears of it by `drained`."""
+        """Whether the write buffer has room; the receiver is notified by `drained`."""
         self.deflates = False
-        """Whether the client agreed to permessage-deflate."""
+        """Whether permessage-deflate was negotiated."""
         self.compresses = False
-        """Whether messages to this client are worth compressing."""
+        """Whether compressing messages to this client is worthwhile."""
         self.code = _GONE
         self.open = False
         self._settings = settings
@@ -83,10 +83,10 @@ class Socket(WSListener):
         self._transport: WSTransport
         self._raw: asyncio.Transport
         self.limit = settings.client_api.limits.message
-        """Longest message that is taken once it is put together and inflated."""
+        """Maximum length of a received message, reassembled and decompressed."""
         self._threshold = settings.config.compress_above
         self._parts: list[bytes] | None = None
-        """The fragments of a message that is not complete; empty once it is too long."""
+        """The fragments of an incomplete message; empty once it is too long."""
         self._size = 0
         self._opcode = _TEXT
         self._compressed = False
@@ -97,7 +97,7 @@ class Socket(WSListener):
         self._reading = True
 
     def attach(self, receiver: Receiver) -> None:
-        """Have everything told to another receiver from now on."""
+        """Replace the receiver."""
         self._receiver = receiver
         self._receive = receiver.received
         self._settled = receiver.settled
@@ -105,7 +105,7 @@ class Socket(WSListener):
     # -- picows --------------------------------------------------------------------------------
 
     def on_ws_connected(self, transport: WSTransport) -> None:
-        """Begin."""
+        """Start."""
         self._transport = transport
         self._raw = transport.underlying_transport
         self._raw.set_write_buffer_limits(high=_HIGH_WATER)
@@ -113,7 +113,7 @@ class Socket(WSListener):
         self._rest()
 
     def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
-        """Sort a frame; the first branch is the way of nearly all."""
+        """Dispatch a frame; the first branch handles nearly all."""
         self._heard = True
         opcode = frame.msg_type
         try:
@@ -140,11 +140,11 @@ class Socket(WSListener):
             self._fail(_INTERNAL, "the gateway failed; see its log")
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
-        """End."""
+        """Stop."""
         self.end()
 
     def end(self) -> None:
-        """Tell the receiver that there is no connection, or never was one."""
+        """Notify the receiver that there is no connection, or never was one."""
         self.open = False
         self.writable = False
         if self._timer is not None:
@@ -156,11 +156,11 @@ class Socket(WSListener):
             self._receiver.lost(self.code)
 
     def pause_writing(self) -> None:
-        """Take notice that the peer takes nothing."""
+        """Handle a peer that does not read."""
         self.writable = False
 
     def resume_writing(self) -> None:
-        """Go on: the peer took something, so it lives."""
+        """Continue: the peer has read data, so it is alive."""
         self._heard = True
         if not self.open:
             return
@@ -187,7 +187,7 @@ class Socket(WSListener):
         if frame.rsv1 or frame.rsv2 or frame.rsv3:
             self._fail(_PROTOCOL_ERROR, "reserved bits")
         elif opcode is _PING:
-            self._pong = frame.get_payload_as_bytes()  # RFC 6455 5.5.3: the latest one will do
+            self._pong = frame.get_payload_as_bytes()  # RFC 6455 5.5.3: the latest suffices
         elif opcode is _CLOSE:
             self._closed_by_peer(frame)
 
@@ -218,7 +218,7 @@ class Socket(WSListener):
         self._size += len(data)
         if self._size > self.limit:
             parts.clear()
-        elif data:  # without end there may be empty ones
+        elif data:  # otherwise there could be any number of empty ones
             parts.append(data)
         if frame.fin:
             self._parts = None
@@ -244,14 +244,14 @@ class Socket(WSListener):
             self._receive(data, text)
 
     def _garbled(self, data: bytes) -> None:
-        # RFC 6455 8.1: the connection fails; the request is answered all the same.
+        # RFC 6455 8.1: the connection fails; the request still gets its reply.
         self._receiver.garbled(data)
         self._fail(_INVALID_TEXT, "the text is not UTF-8")
 
-    # -- out -----------------------------------------------------------------------------------
+    # -- sending -------------------------------------------------------------------------------
 
     def write(self, messages: list[bytes]) -> None:
-        """Send whole messages in one write; JSON objects go as text, all else as binary."""
+        """Send whole messages in one write; JSON objects as text, others as binary."""
         if self._gone():
             return
         if self.compresses:
@@ -276,16 +276,16 @@ class Socket(WSListener):
 
     @property
     def buffered(self) -> int:
-        """Bytes written that the peer has not taken."""
+        """Number of bytes that the peer has not read yet."""
         return 0 if self._gone() else self._raw.get_write_buffer_size()
 
     def reply(self, data: bytes) -> None:
-        """Send one message, uncompressed: picows frames and writes it without a copy of ours."""
+        """Send one message, uncompressed; picows frames it without an additional copy."""
         if not self._gone():
             self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
 
     def _gone(self) -> bool:
-        """Tell whether nothing more can be written, also before the loop says that it was lost."""
+        """Return whether nothing can be written any more, even before the loop reports the loss."""
         return not self.open or self._raw.is_closing()
 
     @staticmethod
@@ -294,7 +294,7 @@ class Socket(WSListener):
         return (heads.TEXT if text else heads.BINARY)[size]
 
     def pass_on(self, parts: list[bytes]) -> bool:
-        """Send what is framed already if there is room for it; tell whether there was."""
+        """Send framed data if there is room for it; return whether there was."""
         if not self.writable or self._gone():
             return False
         if len(parts) == 1:
@@ -304,7 +304,7 @@ class Socket(WSListener):
         return True
 
     def write_frames(self, parts: list[bytes]) -> None:
-        """Send what is framed already, in as few writes as there are long parts."""
+        """Send framed data, with as few writes as there are long parts."""
         if self._gone():
             return
         if len(parts) == 1:
@@ -336,23 +336,23 @@ class Socket(WSListener):
 
     @property
     def reading(self) -> bool:
-        """Whether the transport is to read: not while paused, but in any case up to the close."""
+        """Whether the transport should read: not while paused, but always during a close."""
         return self._reading or not self.open
 
     def pause_reading(self) -> None:
-        """Take nothing from the peer until `resume_reading`; frames read already still come."""
+        """Stop reading until `resume_reading`; frames already read are still delivered."""
         if self.open and self._reading:
             self._reading = False
             self._raw.pause_reading()
 
     def resume_reading(self) -> None:
-        """Go on reading."""
+        """Resume reading."""
         if self.open and not self._reading:
             self._reading = True
             self._raw.resume_reading()
 
     def close(self, code: int, reason: str = "") -> None:
-        """Begin the closing handshake; the peer has a moment to answer it."""
+        """Start the closing handshake; the peer has a limited time to answer."""
         if not self.open:
             return
         self.open = False
@@ -366,16 +366,16 @@ class Socket(WSListener):
         self._timer = self._loop.call_later(_CLOSE_WAIT, self.abort)
 
     def _fail(self, code: int, reason: str) -> None:
-        """Close because of the peer's fault: nothing that it says any more counts (RFC 6455 7.1.7).
+        """Close because of a protocol error; further input is ignored (RFC 6455 7.1.7).
 
-        Only the way out is shut at once: a reset would take the close frame with it.
+        Only the sending side is shut down at once: a reset would discard the close frame.
         """
         self.close(code, reason)
-        if self._raw.can_write_eof():  # TLS cannot: the peer's answer or the clock ends it
+        if self._raw.can_write_eof():  # not with TLS: the peer or the timer ends it
             self._raw.write_eof()
 
     def abort(self) -> None:
-        """Cut the connection."""
+        """Close the connection at once."""
         self._raw.abort()
 
     # -- keepalive -----------------------------------------------------------------------------

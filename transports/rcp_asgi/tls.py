@@ -1,7 +1,7 @@
 """The listener's certificates: loaded once, and again whenever their files change.
 
-A connection keeps the context that it was made with; new ones get the new one. Files that do not
-load leave the old ones in force, since they may be half written.
+A connection keeps its context; new ones get the latest. If files fail to load, the previous context
+stays in use, because they may be only partly written.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from rcp_kernel.errors import ConfigError
 __all__ = ["Tls"]
 
 log = structlog.get_logger("rcp.asgi")
-_SOON = 14 * 86_400  # s before its end that a certificate is warned of
+_SOON = 14 * 86_400  # s before expiry from which a certificate is reported
 _VERIFY = {"none": ssl.CERT_NONE, "optional": ssl.CERT_OPTIONAL, "required": ssl.CERT_REQUIRED}
 
 
 class Tls:
-    """What connections are made with."""
+    """The TLS context for new connections."""
 
     def __init__(self, config: TlsConfig) -> None:
         """Load the files.
 
-        :raises ConfigError: one of them cannot be read, or they do not go together.
+        :raises ConfigError: a file cannot be read, or certificate and key do not match.
         """
         self._config = config
         self._files = [
@@ -41,10 +41,10 @@ class Tls:
         self._seen = self._stamps()
         self.context = _context(config)
         self.revoked = _revoked(config)
-        """Certificates that are not good any more."""
+        """Revoked certificates."""
 
     def refresh(self) -> bool:
-        """Load files that have changed; tell whether there was anything new."""
+        """Reload files that have changed; return whether any had."""
         stamps = self._stamps()
         if stamps == self._seen:
             return False
@@ -60,8 +60,8 @@ class Tls:
         return True
 
     def warn(self) -> None:
-        """Log a warning of a certificate that is at its end, or soon, and of a key that all may read."""
-        if others_may(_path(self._config.key), stat.S_IROTH):  # its group's may be meant
+        """Log certificates that have expired or soon will, and a key that everybody can read."""
+        if others_may(_path(self._config.key), stat.S_IROTH):  # group access may be intended
             log.warning("key_readable", key=self._config.key)
         found = read_pem(_read("certificate", _path(self._config.certificate)))
         left = 0 if found is None else (found.expires - now()) / 1e9
@@ -108,7 +108,7 @@ def _context(config: TlsConfig) -> ssl.SSLContext:
     if config.crl is not None:
         _trust(context, "crl", config.crl)
         context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
-    # A session taken up again would not look at the certificate again.
+    # A resumed session would not verify the certificate again.
     context.options |= ssl.OP_NO_TICKET
     context.num_tickets = 0
     return context
@@ -119,7 +119,7 @@ def _own(context: ssl.SSLContext, config: TlsConfig) -> None:
     for name, path in (("certificate", certificate), ("key", key)):
         _read(name, path)
     try:
-        # Never None: OpenSSL would ask for the password on the terminal.
+        # Never None: OpenSSL would prompt for the password on the terminal.
         context.load_cert_chain(certificate, key, password=config.key_password or "")
     except (ssl.SSLError, ValueError) as error:
         raise _fault(

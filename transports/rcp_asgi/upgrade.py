@@ -1,8 +1,8 @@
-"""From an HTTP request to an open WebSocket, and the ASGI application in between.
+"""From an HTTP request to an open WebSocket, with the ASGI application in between.
 
-The handshake is checked and answered here; once the application accepts, picows' own protocol
-takes the transport over and calls `Socket`. An application that takes the native handle out of
-`scope["extensions"]["rcp.socket"]` is done with ASGI; any other one uses `receive` and `send`.
+The handshake is checked and answered here; once the application accepts, picows' protocol takes the
+transport over and calls `Socket`. An application that takes the native handle from
+`scope["extensions"]["rcp.socket"]` no longer uses ASGI; others use `receive` and `send`.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from rcp_kernel.wire import encode_reply, failure
 __all__ = ["Upgrade"]
 
 log = structlog.get_logger("rcp.asgi")
-_QUEUE = 64  # messages that an ASGI application may leave unread before reading stops
+_QUEUE = 64  # messages that an ASGI application may leave unread before reading pauses
 _GOING_AWAY = 1001
 _BINARY = ("rcp.v1.cbor", "rcp.v1.msgpack")
 
 
 class Upgrade(asyncio.Protocol):
-    """One WebSocket connection, from the handshake on."""
+    """One WebSocket connection, from its handshake on."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class Upgrade(asyncio.Protocol):
         """Check the handshake and call the application."""
         self._transport.pause_reading()
         self._transport.set_protocol(self)
-        self._state.connections.add(self)  # type: ignore[arg-type] - it only wants `shutdown`
+        self._state.connections.add(self)  # type: ignore[arg-type] - it only needs `shutdown`
         problem = self._problem()
         if problem is not None:
             status, text = problem
@@ -174,7 +174,7 @@ class Upgrade(asyncio.Protocol):
 
     def _accept(self, subprotocol: str | None, headers: Any) -> None:
         if self._transport.is_closing():
-            return  # `connection_lost` is under way
+            return  # `connection_lost` is about to be called
         fields = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in headers]
         if subprotocol is not None:
             fields.append(("Sec-WebSocket-Protocol", subprotocol))
@@ -187,7 +187,7 @@ class Upgrade(asyncio.Protocol):
             response = WSUpgradeResponse.create_101_response(fields)
             return WSUpgradeResponseWithListener(response, self.socket)
 
-        # Twice the limit is read, so that the sender can be told, and its connection kept.
+        # Twice the limit is read, so that the sender gets an error and keeps the connection.
         protocol = FrameReader(listen, 2 * self._settings.client_api.limits.message)
         self._stage = "accepted"
         protocol.connection_made(self._transport)
@@ -196,7 +196,7 @@ class Upgrade(asyncio.Protocol):
         if self._rest:
             protocol.feed(self._rest)
             self._rest = b""
-        if self.socket.reading:  # what came with the handshake may have been enough for now
+        if self.socket.reading:  # unless the first data has paused it
             self._transport.resume_reading()
 
     def _agree_on_deflate(self, subprotocol: str | None) -> str | None:
@@ -228,11 +228,11 @@ class Upgrade(asyncio.Protocol):
     # -- asyncio, until picows has taken over --------------------------------------------------
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Tell whoever uses the socket that the client is gone."""
+        """Notify the user of the socket that the client is gone."""
         self.socket.end()
 
     def shutdown(self) -> None:
-        """Close, because the listener does."""
+        """Close, because the listener stops."""
         if self._stage == "connecting":
             self._deny(503, b"", [])
         else:
@@ -245,23 +245,23 @@ class Upgrade(asyncio.Protocol):
         self._arrived.set()
 
     def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
-        """Queue a message; the application reads it when it comes to it."""
+        """Queue a message until the application reads it."""
         value = {"text": data.decode()} if text else {"bytes": data}
         self._push({"type": "websocket.receive", **value})
         if len(self._events) >= _QUEUE:
             self.socket.pause_reading()
 
     def settled(self) -> None:
-        """Do nothing: the application reads in its own time."""
+        """Do nothing: the application reads at its own pace."""
 
     def other_frame(self) -> None:
-        """Do nothing, as well."""
+        """Do nothing."""
 
     def garbled(self, data: bytes) -> None:
-        """Leave it to the close code to say so."""
+        """Do nothing: the close code reports it."""
 
     def oversized(self, size: int) -> None:
-        """Close: ASGI has no other way to say so."""
+        """Close: ASGI has no other way to report it."""
         self.socket.close(1009, "the message is too long")
 
     def drained(self) -> None:
@@ -269,7 +269,7 @@ class Upgrade(asyncio.Protocol):
         self._drained.set()
 
     def lost(self, code: int) -> None:
-        """Tell the application."""
+        """Notify the application."""
         self._state.connections.discard(self)  # type: ignore[arg-type]
         self._seat.leave()
         self._stage = "closed"
@@ -281,7 +281,7 @@ _REQUEST = (
     b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: %b\r\n\r\n"
 )
-"""What picows is given to answer: the essence of a request that was checked already."""
+"""A constant request for picows, because the real one was checked already."""
 
 
 def _envelope(error: BadRequest | InternalError) -> bytes:

@@ -1,4 +1,4 @@
-"""No secrets in URLs: they end up in logs, histories and Referer headers on the way."""
+"""No secrets in URLs: they would end up in logs, histories and Referer headers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SECRETS = frozenset(
 
 
 def check_url(scope: Scope) -> None:
-    """Refuse a query that names a secret; its value is neither looked at nor told.
+    """Refuse a query that contains a secret; its value is neither evaluated nor reported.
 
     :raises BadRequest: it does.
     """

@@ -1,4 +1,4 @@
-"""Requests over HTTP under /rcp/v1: resources, envelopes, commands, catalogue, health."""
+"""HTTP requests under /rcp/v1: resources, envelopes, commands, catalogue, health."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["HttpConfig", "open_http", "rcp_transports"]
 
 @asynccontextmanager
 async def open_http(config: HttpConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
-    """Offer the calls to the listener while entered."""
+    """Mount the calls in the listener while entered."""
     from rcp_http.app import PREFIX, HttpApp
     from rcp_http.openapi import Described
 
@@ -32,5 +32,5 @@ async def open_http(config: HttpConfig, client_api: ClientApi) -> AsyncGenerator
 
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
-    """Offer HTTP."""
+    """Provide HTTP."""
     return [TransportKind("http", HttpConfig, open_http, __doc__ or "")]

@@ -19,7 +19,7 @@ from rcp_kernel.wire import Reply, encode_reply, failure
 __all__ = ["BOOT", "Answers", "matches", "methods_of"]
 
 BOOT = secrets.token_hex(4).encode()
-"""Part of every validator: numbers begin anew with the process."""
+"""Part of every validator, because numbers restart with the process."""
 _MEDIA = {encoding: (b"content-type", name) for encoding, name in MEDIA.items()}
 _NO_CACHE = (b"cache-control", b"no-cache")
 _VARY = (b"vary", b"accept, accept-encoding, authorization, x-rcp-tenant")
@@ -46,7 +46,7 @@ class Answers:
         if etag is not None and matches(asked, etag):
             await self.unchanged(send, etag)
             return
-        # Values are checked when they are written, so only now it is known how the request ended.
+        # Values are validated when they are encoded, so the outcome is known only now.
         began = perf_counter()
         told, data = _encode(reply, asked.encoding)
         if len(data) > BACKLOG_SHARE:
@@ -64,7 +64,7 @@ class Answers:
         await self.body(send, asked, status, data, found, etag)
 
     async def unchanged(self, send: Send, etag: bytes) -> None:
-        """Tell that the client has it already."""
+        """Respond that the client's copy is current."""
         headers = [(b"etag", etag), _NO_CACHE, _VARY]
         await _send(send, 304, headers, b"")
 
@@ -77,7 +77,7 @@ class Answers:
         headers: Headers,
         etag: bytes | None = None,
     ) -> None:
-        """Send an encoded answer, compressed if that is worth it."""
+        """Send an encoded response, compressed if worthwhile."""
         headers += _MEDIA[asked.encoding], _NO_CACHE, _VARY
         if etag is not None:
             headers.append((b"etag", etag))
@@ -91,7 +91,7 @@ class Answers:
             await _send(send, status, headers, data)
             return
         backlog = self._outbound.open()
-        backlog.set(len(data))  # it may have to wait until an earlier answer was taken
+        backlog.set(len(data))  # an earlier response may have to be sent first
         try:
             await _send(send, status, headers, data)
         finally:
@@ -104,7 +104,7 @@ async def _send(send: Send, status: int, headers: Headers, data: bytes) -> None:
 
 
 def matches(asked: HttpRequest, etag: bytes) -> bool:
-    """Tell whether the client named this validator in If-None-Match."""
+    """Return whether If-None-Match contains this validator."""
     named = asked.found.get("if_none_match")
     if named is None:
         return False
@@ -115,7 +115,7 @@ def matches(asked: HttpRequest, etag: bytes) -> bool:
 
 
 def _encode(reply: Reply, encoding: Encoding) -> tuple[Reply, bytes]:
-    """Write a reply; one that cannot be written becomes the failure that says so."""
+    """Encode a reply; if that fails, encode the error."""
     try:
         return reply, encode_reply(reply, encoding)
     except Exception as error:
@@ -135,7 +135,7 @@ def _error_headers(status: int, error: dict[str, Any], asked: HttpRequest) -> He
         headers.append((b"www-authenticate", b"Bearer"))
     headers += retry_after(error.get("retry_after"))
     if status == 405:
-        # An envelope that was posted names the resource, and the URL takes none but posts.
+        # A posted envelope names the resource itself; its URL only supports POST.
         posted = asked.path == MESSAGES
         allowed = ("execute",) if posted else (error.get("details") or {}).get("allowed", ())
         headers.append((b"allow", ", ".join(methods_of(allowed)).encode()))

@@ -1,4 +1,4 @@
-"""The ASGI application: resources and envelopes go straight, all other calls by Litestar (decision 0031)."""
+"""The ASGI application: resources and envelopes directly, the rest by Litestar (decision 0031)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PREFIX = "/rcp/v1"
 _CONTEXT = PREFIX + "/context/"
 _TYPES = {"GET": "read", "PUT": "write", "POST": "execute"}
 _REQUEST = "rcp.request"
-"""Where the scope has the request's head, for the controllers."""
+"""Key of the request's head in the scope, for the controllers."""
 
 
 class HttpApp:
@@ -47,10 +47,10 @@ class HttpApp:
             remedy="See /rcp/v1/openapi.json.",
             described=True,
         )
-        """What is neither a resource nor an envelope."""
+        """Everything except resources and envelopes."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request; whatever goes wrong is an envelope."""
+        """Serve one request; errors are envelopes."""
         path: str = scope["path"]
         try:
             scope[_REQUEST] = asked = HttpRequest(scope)
@@ -99,7 +99,7 @@ class HttpApp:
             raise NotTaken(path, asked.method, await self._taken(session, path))
 
     async def _taken(self, session: Session, path: str) -> list[str]:
-        """Return what a resource takes, or what any does if there is none: 405 in either case."""
+        """Return the methods of a resource, or of any if it does not exist: 405 in both cases."""
         try:
             return await self._context.methods(session, path)
         except (InvalidPath, UnknownPath):

@@ -1,4 +1,4 @@
-"""A request that a controller serves: what it asks, who makes it, and how it is answered."""
+"""A request that a controller serves: its head, its caller and its response."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Call"]
 
 
 class Call:
-    """It; one record, as Litestar begins a task for each of several dependencies."""
+    """The request, in one record: Litestar starts a task per dependency."""
 
     def __init__(
         self, client_api: ClientApi, answers: Answers, asked: HttpRequest, session: Session
@@ -59,7 +59,7 @@ class Call:
         )
 
     def encoded(self, data: bytes, etag: bytes) -> ASGIApp:
-        """Answer with an envelope that is written already, and its validator."""
+        """Answer with an encoded envelope and its validator."""
 
         async def answer(_scope: Any, _receive: Any, send: Any) -> None:
             await self._answers.body(send, self.asked, 200, data, [], etag)
@@ -67,7 +67,7 @@ class Call:
         return answer
 
     def unchanged(self, etag: bytes) -> ASGIApp:
-        """Tell that the client has it already."""
+        """Respond that the client's copy is current."""
 
         async def answer(_scope: Any, _receive: Any, send: Any) -> None:
             await self._answers.unchanged(send, etag)

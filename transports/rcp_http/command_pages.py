@@ -1,4 +1,4 @@
-"""A page of the list of commands: which are asked for, and as many as there is room for."""
+"""A page of the list of commands: filtered, and limited in size."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from rcp_kernel.wire import Status
 
 __all__ = ["Wanted", "fill"]
 
-_PAGE = 100  # items of a page where the caller does not say how many
+_PAGE = 100  # default number of items per page
 _STATUSES = (*get_args(Status), "running")
 
 
 class Wanted(NamedTuple):
-    """What the parameters of a request ask for."""
+    """The filters of a request."""
 
     status: str | None
     path: str | None
     after: tuple[int, str] | None
-    """The last command of the page before."""
+    """The last command of the previous page."""
     limit: int
 
     @classmethod
     def read(cls, asked: HttpRequest) -> Wanted:
-        """Read the parameters.
+        """Parse the parameters.
 
-        :raises BadRequest: one of them is not what it should be.
+        :raises BadRequest: one of them is invalid.
         """
         status, cursor, limit = asked.one("status"), asked.one("cursor"), asked.one("limit")
         if status is not None and status not in _STATUSES:
@@ -42,7 +42,7 @@ class Wanted(NamedTuple):
         )
 
     def takes(self, command: Command) -> bool:
-        """Tell whether a command is asked for."""
+        """Return whether a command matches the filters."""
         if self.after is not None and command.age >= self.after:
             return False
         if self.path is not None and command.path != self.path:
@@ -57,7 +57,7 @@ def fill(
 ) -> Generator[None, None, str | None]:
     """Fill a page with at most `longest` bytes in steps; return the cursor of the next page.
 
-    The first command is told however long it is.
+    The first command is always included.
     """
     last: Command | None = None
     for command in commands:

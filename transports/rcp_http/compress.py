@@ -1,4 +1,4 @@
-"""Content coding of answers; long ones are coded off the event loop."""
+"""Content coding of responses; long ones are compressed off the event loop."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rcp_http.negotiate import Coding
 
 __all__ = ["compress"]
 
-_IN_PLACE = 128 * 1024  # bytes up to which coding takes less than a thread's hand-over is worth
-_GZIP = 31  # window bits: the largest, with gzip's head and tail
+_IN_PLACE = 128 * 1024  # bytes below which compression is cheaper than a switch to a thread
+_GZIP = 31  # window bits: the maximum, with gzip header and trailer
 _local = threading.local()
 
 
 async def compress(data: bytes, how: Coding) -> bytes:
-    """Code an answer."""
+    """Compress a response."""
     if len(data) <= _IN_PLACE:
         return _compress(data, how)
     return await asyncio.to_thread(_compress, data, how)
@@ -29,6 +29,6 @@ def _compress(data: bytes, how: Coding) -> bytes:
         return zlib.compress(data, 1, _GZIP)
     compressor: zstandard.ZstdCompressor | None = getattr(_local, "zstd", None)
     if compressor is None:
-        # It holds a context that must not be used by two threads at once.
+        # The context must not be used by two threads at once.
         compressor = _local.zstd = zstandard.ZstdCompressor(level=1)
     return compressor.compress(data)

@@ -1,4 +1,4 @@
-"""What `[transports.http]` may say."""
+"""The configuration of `[transports.http]`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ __all__ = ["HttpConfig"]
 
 
 class HttpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Requests over HTTP. Sizes in bytes, times in seconds; the body's size is `[limits] message`."""
+    """HTTP requests. Sizes in bytes, times in seconds; `[limits] message` limits bodies."""
 
     compress_above: Annotated[int, Meta(ge=0)] = 2048
-    """Longer answers are compressed for clients that accept zstd or gzip."""
+    """Minimum size of responses to compress, for clients that accept zstd or gzip."""
     body_timeout: Annotated[float, Meta(gt=0)] = 30.0
-    """For the whole of a request's body to come in."""
+    """Time-out for receiving the body of a request."""
     max_wait: Annotated[float, Meta(gt=0)] = 600.0
-    """Longest that `Prefer: wait` may hold an answer back."""
+    """Maximum of `Prefer: wait`."""

@@ -21,7 +21,7 @@ __all__ = ["Context", "Follower"]
 
 
 class Follower:
-    """The replies to one request: the latest, and futures for whoever waits for the rest."""
+    """The replies to one request: the latest, and futures for the others."""
 
     __slots__ = ("_final", "_first", "_session", "latest")
 
@@ -32,7 +32,7 @@ class Follower:
         self._final: asyncio.Future[Reply] | None = None
 
     def __call__(self, reply: Reply) -> None:
-        """Take the next reply."""
+        """Handle the next reply."""
         self.latest = reply
         if self._first is None and self._final is None:
             return
@@ -43,7 +43,7 @@ class Follower:
     async def first(self) -> Reply:
         """Return a reply as soon as there is one.
 
-        :raises TokenExpired: who waits for it is not proved to be anybody any more.
+        :raises TokenExpired: the caller's credentials expired while it waited.
         """
         if self.latest is None:
             self._first = asyncio.get_running_loop().create_future()
@@ -52,9 +52,9 @@ class Follower:
         return self.latest
 
     async def final(self, patience: float | None = None) -> Reply:
-        """Return the final reply, or what there is after `patience` seconds.
+        """Return the final reply, or the latest after `patience` seconds.
 
-        :raises TokenExpired: as `first` does.
+        :raises TokenExpired: see `first`.
         """
         if self.latest is None or not self.latest.final:
             self._final = asyncio.get_running_loop().create_future()
@@ -76,7 +76,7 @@ class Follower:
 
 
 class Context:
-    """The handlers of one kind of URL."""
+    """The handlers of `/context/<path>`."""
 
     def __init__(self, client_api: ClientApi, config: HttpConfig, answers: Answers) -> None:
         self._client_api = client_api
@@ -95,7 +95,7 @@ class Context:
         reply = follower.latest
         if reply is None or not reply.final:
             reply = await follower.final()
-        if self._client_api.turns.over:  # a long answer takes milliseconds to write
+        if self._client_api.turns.over:  # encoding a long response takes milliseconds
             await self._client_api.turns.wait(session.principal.identity)
         if (asked.octets or "range" in asked.found) and reply.error is None:
             data = bytes_of(reply, native=asked.octets)
@@ -131,7 +131,7 @@ class Context:
         asked.allow()
         request = asked.request("write", path)
         await self._take_body(asked, session, request, receive)
-        # Whether the path can be written at all is said first: the same with a body and without.
+        # The path is checked first, so that the error is the same with a body and without.
         if not request.body and "PUT" in await self.methods(session, path):
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
         follower = Follower(session)
@@ -141,7 +141,7 @@ class Context:
     async def execute(
         self, asked: HttpRequest, session: Session, path: str, receive: Receive, send: Send
     ) -> None:
-        """POST: the body is the input; answered at once unless the client says that it waits."""
+        """POST: the body is the input; responds at once unless the client asks to wait."""
         asked.allow()
         request = asked.request("execute", path)
         await self._take_body(asked, session, request, receive)
@@ -151,7 +151,7 @@ class Context:
     async def run(
         self, asked: HttpRequest, session: Session, request: Request, send: Send, wait: float | None
     ) -> None:
-        """Submit an execute and answer with its first reply, or its last within `wait` seconds."""
+        """Submit an execute and respond with its first reply, or its last within `wait` seconds."""
         follower = Follower(session)
         self._client_api.submit(session, request, follower)
         reply = await follower.first()
@@ -174,15 +174,15 @@ class Context:
         asked.put_body(request, data)
 
     async def options(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
-        """OPTIONS: what may be done with the resource."""
+        """OPTIONS: the methods of the resource."""
         methods = await self.methods(session, path)
         await respond(send, 204, b"", headers=[(b"allow", ", ".join(methods).encode())])
 
     async def methods(self, session: Session, path: str) -> list[str]:
-        """Return the methods by which the caller may do something with a resource.
+        """Return the methods that the caller may use on a resource.
 
-        :raises UnknownPath: there is none.
-        :raises RcpError: the path is none, or a quota does not allow to look.
+        :raises UnknownPath: it does not exist.
+        :raises RcpError: the path is invalid, or a quota is exceeded.
         """
         client_api = self._client_api
         client_api.charge(session)

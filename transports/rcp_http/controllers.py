@@ -1,4 +1,4 @@
-"""The calls under `/rcp/v1` that are neither resources nor envelopes: catalogue, commands, health."""
+"""The calls under `/rcp/v1` besides resources and envelopes: catalogue, commands, health."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _OPERATIONS = operation_names(Operation(31))
 
 
 class Catalogue(Controller):
-    """What there is, and of which types."""
+    """Resources and their schemas."""
 
     tags = ("gateway",)
 
@@ -89,14 +89,14 @@ class Catalogue(Controller):
         **declared("List the schemas that the caller may see.", responses=replies()),
     )
     async def schemas(self, call: NamedDependency[Call]) -> ASGIApp:
-        """Answer with every schema of what the caller may see, by id."""
+        """Answer with the schemas that the caller may see, by id."""
         client_api, session = call.client_api, call.session
         work = written(client_api.schemas(session), call.asked.encoding)
         return call.plain(await client_api.turns.finish(session.principal.identity, work))
 
     @get("/schemas/{id:str}", **declared("Return one schema.", ID, responses=replies()))
     async def schema(self, id: FromPath[str], call: NamedDependency[Call]) -> ASGIApp:  # noqa: A002 - its name in the document
-        """Answer with one; bare for those who accept `application/schema+json`."""
+        """Answer with one schema; without an envelope for `application/schema+json`."""
         client_api, session = call.client_api, call.session
         work = client_api.schemas(session)
         schemas = await client_api.turns.finish(session.principal.identity, work)
@@ -109,7 +109,7 @@ class Catalogue(Controller):
 
 
 class Status(Controller):
-    """How the gateway does."""
+    """The health report."""
 
     tags = ("gateway",)
 
@@ -120,7 +120,7 @@ class Status(Controller):
 
 
 class Commands(Controller):
-    """What was commanded, and how it goes."""
+    """The commands and their states."""
 
     path = "/commands"
     tags = ("gateway",)
@@ -149,7 +149,7 @@ class Commands(Controller):
 
     @get("/{id:str}", **declared("Return a command with its history.", ID, responses=replies()))
     async def command(self, id: FromPath[str], call: NamedDependency[Call]) -> ASGIApp:  # noqa: A002
-        """Answer with the state, with feedback and history."""
+        """Answer with the command's state, feedback and history."""
         body = call.client_api.command(call.session, id).plain()
         return call.plain(body, "/system/commands")
 
@@ -159,14 +159,14 @@ class Commands(Controller):
         status_code=200,
     )
     async def cancel(self, id: FromPath[str], call: NamedDependency[Call]) -> ASGIApp:  # noqa: A002
-        """Have it cancelled."""
+        """Cancel a command."""
         request = call.asked.request("cancel")
         request.command = id
         return call.reply(await call.submit(request))
 
 
 def _etag(call: Call) -> bytes:
-    """Make the validator of what a session sees of the tree, as it was asked for."""
+    """Return the validator of a session's view of the tree, for these parameters."""
     session = call.session
     seen = (
         session.principal.grants,

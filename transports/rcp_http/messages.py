@@ -1,4 +1,4 @@
-"""`/messages`: any one envelope, posted."""
+"""`/messages`: any single envelope by POST."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Messages:
         await self._context.run(asked, session, request, send, self._patience(asked, request))
 
     def _patience(self, asked: HttpRequest, request: Request) -> float | None:
-        """How long an execute may hold its answer back: a service is a short call, an action not."""
+        """Return how long an execute waits for its result: a service is a short call, an action not."""
         if asked.at_once:
             return None
         if asked.wait is not None:

@@ -1,4 +1,4 @@
-"""Which encoding and which content coding: Accept, Content-Type, Accept-Encoding (RFC 9110)."""
+"""Content negotiation: Accept, Content-Type, Accept-Encoding (RFC 9110)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _TYPES = {
     "application/vnd.msgpack": Encoding.MSGPACK,
 }
 _AS_JSON = {"", "application/x-www-form-urlencoded", "text/plain", "text/json"}
-"""What `curl -d` and `fetch` say of a body when nobody told them what it is."""
+"""Content types that `curl -d` and `fetch` send by default."""
 Wanted = tuple[Encoding, bool]
-"""The encoding of envelopes, and whether bare bytes are wanted where a value has them."""
+"""The encoding of envelopes, and whether values of bytes are wanted without an envelope."""
 Coding = Literal["zstd", "gzip"]
 
 
@@ -42,9 +42,9 @@ def _weighed(text: str) -> Iterator[tuple[str, float]]:
 
 @lru_cache(maxsize=256)
 def accepted(accept: bytes) -> Wanted:
-    """Choose the encoding that a client wants most.
+    """Choose the encoding that the client prefers.
 
-    :raises BadRequest: it takes none of those spoken here.
+    :raises BadRequest: it accepts none of the supported ones.
     """
     best: tuple[float, int, Encoding] | None = None
     octets = False
@@ -60,7 +60,7 @@ def accepted(accept: bytes) -> Wanted:
             OCTETS,
             "application/schema+json",
         ):
-            found, place = Encoding.JSON, place + 1000  # noqa: PLW2901 - what is named comes first
+            found, place = Encoding.JSON, place + 1000  # noqa: PLW2901 - the more specific type first
         if found is not None and (best is None or (weight, -place) > best[:2]):
             best = (weight, -place, found)
     if best is None:
@@ -73,9 +73,9 @@ def accepted(accept: bytes) -> Wanted:
 
 @lru_cache(maxsize=256)
 def body_encoding(content_type: bytes) -> Encoding | None:
-    """Return the encoding of a request's body; None is bare bytes.
+    """Return the encoding of a request's body; None is raw bytes.
 
-    :raises BadRequest: it is written in something else.
+    :raises BadRequest: the media type is not supported.
     """
     name = content_type.decode("latin-1").partition(";")[0].strip().lower()
     if name == OCTETS:

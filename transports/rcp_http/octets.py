@@ -1,4 +1,4 @@
-"""Values of bytes as they are, whole or a range of them (RFC 9110, section 14)."""
+"""Values of bytes as raw bodies, whole or a range (RFC 9110, section 14)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _MEDIA = OCTETS.encode()
 
 
 class NotSatisfiable(BadRequest):
-    """The range lies outside of the value."""
+    """The range is outside the value."""
 
     http = 416
 
 
 def bytes_of(reply: Reply, *, native: bool) -> bytes | None:
-    """Return the bytes that a reply's body is, or that its only field is; None if it has none.
+    """Return the bytes of a reply's body, or of its only field; None if it has none.
 
-    With `native`, a value that a backend serialised has its serialised bytes.
+    With `native`, a value that a backend serialised is returned in its serialised form.
     """
     body: Any = reply.body
     if isinstance(body, Sample):
@@ -39,9 +39,9 @@ def bytes_of(reply: Reply, *, native: bool) -> bytes | None:
 
 
 async def send_octets(send: Send, asked: HttpRequest, reply: Reply, data: bytes) -> None:
-    """Answer with bare bytes.
+    """Answer with raw bytes.
 
-    :raises NotSatisfiable: the range that was asked for lies outside.
+    :raises NotSatisfiable: the requested range is outside the value.
     """
     etag = b'"%b.%d"' % (BOOT, reply.seq or 0)
     headers: Headers = [(b"accept-ranges", b"bytes"), (b"etag", etag), (b"vary", b"accept")]
@@ -64,7 +64,7 @@ async def send_octets(send: Send, asked: HttpRequest, reply: Reply, data: bytes)
 def _part(text: str, size: int) -> tuple[int, int] | None:
     match = _RANGE.match(text.strip())
     if match is None or match[0] == "bytes=-":
-        return None  # several ranges, or another unit: the whole is a right answer too
+        return None  # several ranges or another unit: the whole value is a valid response too
     if match[1]:
         start = int(match[1])
         stop = min(size, int(match[2]) + 1) if match[2] else size
@@ -76,7 +76,7 @@ def _part(text: str, size: int) -> tuple[int, int] | None:
 
 
 def range_headers(error: RcpError) -> Headers:
-    """Return the header that tells the size to a client whose range lay outside."""
+    """Return the header with the size, for a range outside the value."""
     if isinstance(error, NotSatisfiable) and error.details is not None:
         return [(b"content-range", b"bytes */%d" % error.details["size"])]
     return []

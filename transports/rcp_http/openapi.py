@@ -17,13 +17,13 @@ from rcp_web.application import Application
 __all__ = ["Described"]
 
 Node = dict[str, Any]
-_PAGE = 10  # resources that are described in one step
+_PAGE = 10  # resources described per step
 _CONTEXT = "/rcp/v1/context"
 _METHODS = {"get": Operation.READ, "put": Operation.WRITE, "post": Operation.EXECUTE}
 
 
 def _written(node: Node) -> Raw:
-    """Write a part of the document: the whole is too long to be written in one turn of the loop."""
+    """Encode a part of the document: the whole would take too long for one loop iteration."""
     return Raw(msgspec.json.encode(node))
 
 
@@ -32,7 +32,7 @@ def _content(schema: Node) -> Node:
 
 
 class Described:
-    """Describes what a session sees."""
+    """Describes the resources that a session sees."""
 
     def __init__(self, client_api: ClientApi, calls: Application) -> None:
         self._client_api = client_api
@@ -65,7 +65,7 @@ class Described:
 
 
 def _describe(resource: Node, paths: Node, schemas: Node, free: int, proved: list[Node]) -> None:
-    """Describe one resource; `free` are the operations that take no proof of identity."""
+    """Describe one resource; `free` are the operations that need no authentication."""
     refs = {
         name: _component(resource["schema_ids"][name], schema, schemas)
         for name, schema in resource["schemas"].items()
@@ -108,7 +108,7 @@ def _operation(
 
 
 def _takes_null(schema: Node) -> bool:
-    """Tell whether an input may be left out: an absent body counts as null."""
+    """Return whether an input may be omitted: an absent body counts as null."""
     whole = schema
     if "$ref" in schema:
         whole = schema.get("$defs", {}).get(schema["$ref"].rpartition("/")[2], schema)
@@ -143,7 +143,7 @@ _PARTS: Node = {
 
 
 def _component(id_: str, schema: Node, schemas: Node) -> Node:
-    """Put a schema and its definitions among the components; return the reference to it."""
+    """Add a schema and its definitions to the components; return the reference to it."""
     if id_ not in schemas:
         place = f"#/components/schemas/{id_}."
         for name, inner in schema.get("$defs", {}).items():

@@ -1,4 +1,4 @@
-"""The fixed part of the OpenAPI document: envelopes, what calls have in common, and those that go straight."""
+"""The fixed part of the OpenAPI document: envelopes, common parts, calls without a controller."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ UNCHANGED: Node = {"304": {"description": "Not changed since the `ETag` in `If-N
 
 
 def replies(statuses: tuple[int, ...] = CALL, extra: Node | None = None) -> Node:
-    """Return the responses of a call: a reply, what else there is, and refusals."""
+    """Return the responses of a call: a reply, others, and refusals."""
     content = {"application/json": {"schema": {"$ref": "#/components/schemas/Reply"}}}
     done: Node = {"200": {"description": "The reply.", "content": content}}
     return done | (extra or {}) | refusals(statuses)
 
 
 def _envelope() -> Node:
-    """Describe the request envelope by the type that reads it."""
+    """Describe the request envelope, by the type that decodes it."""
     fields = [
         (field.encode_name, field.type)
         for field in msgspec.structs.fields(Request)
@@ -119,7 +119,7 @@ def _envelope() -> Node:
 
 
 def direct() -> Node:
-    """Describe what no controller serves: envelopes, and reads of patterns."""
+    """Describe the calls without a controller: envelopes, and reads of patterns."""
     accepted = {"202": {"$ref": "#/components/responses/202"}}
     post: Node = {
         "summary": "Send any single envelope, or a batch.",

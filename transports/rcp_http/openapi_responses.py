@@ -1,4 +1,4 @@
-"""Refusals in the OpenAPI document: one response for each status, with the codes that lead to it."""
+"""Errors in the OpenAPI document: one response per status, with its error codes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["CALL", "COMMAND", "READ", "refusals", "responses"]
 
 Node = dict[str, Any]
 CALL = (400, 401, 403, 404, 405, 414, 422, 429, 431, 500, 501, 503, 504)
-"""Statuses of what only looks at the gateway."""
+"""Statuses of calls that only read."""
 READ = (*CALL, 416, 502)
 COMMAND = (*CALL, 409, 413, 423, 499, 502)
 _ELSE = {
@@ -18,7 +18,7 @@ _ELSE = {
     416: "`bad_request`: the range is outside the value.",
     431: "`payload_too_large`: the headers are longer than the limit.",
 }
-"""Statuses that HTTP has for what is one code of the contract."""
+"""Statuses that HTTP distinguishes, but the contract covers by one code."""
 _HEADERS: dict[int, tuple[str, str]] = {
     401: ("WWW-Authenticate", "How to authenticate."),
     405: ("Allow", "The methods that the resource supports."),
@@ -31,7 +31,7 @@ def refusals(statuses: tuple[int, ...]) -> Node:
 
 
 def responses() -> Node:
-    """Describe every refusal there is."""
+    """Describe every error response."""
     codes: dict[int, list[str]] = {}
     for code, error in sorted(BY_CODE.items()):
         codes.setdefault(error.http, []).append(f"`{code}`")

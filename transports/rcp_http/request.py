@@ -1,4 +1,4 @@
-"""One HTTP request as the handlers see it: who, what, which envelope fields, which encoding."""
+"""One HTTP request as the handlers see it: caller, parameters, envelope fields, encoding."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ _HEADERS = {
     b"prefer": "prefer",
     b"x-rcp-tenant": "tenant",
 }
-"""Headers that are looked at, by what they are called here."""
+"""The headers in use, by their names here."""
 _ENVELOPE: dict[bytes, str] = {}
-"""Headers that are fields of the envelope."""
+"""Headers that set fields of the envelope."""
 for _field in _FIELDS:
     _ENVELOPE[b"x-rcp-" + _field.replace("_", "-").encode()] = _field
     if _field != "id":
@@ -64,7 +64,7 @@ _MAX_PARAMETERS = 500
 
 
 class HttpRequest:
-    """A request's head, read once."""
+    """The head of a request, parsed once."""
 
     __slots__ = (
         "encoding",
@@ -87,9 +87,9 @@ class HttpRequest:
             elif name in _ENVELOPE:
                 envelope[_ENVELOPE[name]] = value
         self.found = found
-        """The headers that count."""
+        """The headers in use."""
         self.envelope = envelope
-        """The fields of the envelope that came as headers."""
+        """Envelope fields from headers."""
         self.method: str = "GET" if scope["method"] == "HEAD" else scope["method"]
         self.path: str = scope["path"]
         self.peer = peer_of(scope)
@@ -101,27 +101,27 @@ class HttpRequest:
             self.query = read_query(scope["query_string"], _MAX_PARAMETERS)
 
     def negotiate(self) -> None:
-        """Find out which encoding the answer is to have.
+        """Determine the encoding of the response.
 
-        :raises BadRequest: none that is spoken here.
+        :raises BadRequest: the client accepts none of the supported ones.
         """
         accept = self.found.get("accept")
         if accept is not None and accept != b"*/*":
             self.encoding, self.octets = accepted(accept)
 
     def session(self, client_api: ClientApi) -> Session | None:
-        """Return the caller's session; None if it takes a while to know: await `waited`.
+        """Return the caller's session; None if this takes a while: then await `waited`.
 
-        :raises Unauthenticated: the token is not good, or there has to be one.
-        :raises Forbidden: the caller does not act in the tenant that it names.
+        :raises Unauthenticated: the token is invalid, or required and missing.
+        :raises Forbidden: the caller has no rights in the requested tenant.
         """
         principal = client_api.known(bearer(self.found.get("authorization")), self.peer)
         return None if principal is None else self._session(client_api, principal)
 
     async def waited(self, client_api: ClientApi) -> Session:
-        """Return the caller's session, however long it takes to know who it is.
+        """Return the caller's session, waiting for authentication if necessary.
 
-        :raises RcpError: as `session` does.
+        :raises RcpError: see `session`.
         """
         token = bearer(self.found.get("authorization"))
         return self._session(client_api, await client_api.identify(token, self.peer))
@@ -133,15 +133,15 @@ class HttpRequest:
         return client_api.session(principal, tenant, self.peer)
 
     def one(self, name: str) -> str | None:
-        """Return a parameter that may be given once.
+        """Return a parameter that may occur once.
 
-        :raises BadRequest: it is given twice.
+        :raises BadRequest: it occurs twice.
         """
         values = self.query.get(name)
         return None if values is None else single(name, values)
 
     def allow(self, *names: str) -> None:
-        """Refuse parameters that are neither `names`, nor fields of the envelope, nor `x-…`.
+        """Refuse parameters other than `names`, envelope fields and `x-…`.
 
         :raises BadRequest: there is one.
         """
@@ -156,9 +156,9 @@ class HttpRequest:
                 )
 
     def request(self, type_: str, path: str | None = None) -> Request:
-        """Make the envelope, with the fields that came as parameters or headers.
+        """Build the envelope, with the fields from parameters and headers.
 
-        :raises BadRequest: one of them is not what it should be.
+        :raises BadRequest: one of them is invalid.
         """
         fields = self._fields() if self.envelope or self.query else None
         if not fields:
@@ -181,13 +181,13 @@ class HttpRequest:
         if "dry_run" in fields:
             fields["dry_run"] = flag("dry_run", fields["dry_run"])
         if "timestamp" in fields:
-            with suppress(ValueError):  # ISO 8601, or refused for being neither
+            with suppress(ValueError):  # ISO 8601; otherwise the value is refused as neither
                 fields["timestamp"] = float(fields["timestamp"])
         return fields
 
     @property
     def wait(self) -> float | None:
-        """Seconds that the client lets a final reply take, by `?wait` or `Prefer: wait`.
+        """Seconds to wait for the final reply, from `?wait` or `Prefer: wait`.
 
         :raises BadRequest: it is not a number.
         """
@@ -201,11 +201,11 @@ class HttpRequest:
 
     @property
     def at_once(self) -> bool:
-        """Whether the client wants no waiting: `Prefer: respond-async` (RFC 7240)."""
+        """Whether the client does not want to wait: `Prefer: respond-async` (RFC 7240)."""
         return b"respond-async" in self.found.get("prefer", b"").lower()
 
     def check_unconditional(self) -> None:
-        """Refuse to change something under a condition that nobody here would look at.
+        """Refuse conditional changes, because conditions are not supported.
 
         :raises NotImplementedByRobot: there is such a header.
         """
@@ -219,9 +219,9 @@ class HttpRequest:
     async def body(self, receive: Receive, limit: int, patience: float) -> bytes:
         """Read the body.
 
-        :raises PayloadTooLarge: it is longer than `limit`.
-        :raises DeadlineExceeded: it did not come in time.
-        :raises BadRequest: it is coded, or a part of something.
+        :raises PayloadTooLarge: it exceeds `limit`.
+        :raises DeadlineExceeded: it did not arrive in time.
+        :raises BadRequest: it has a content coding, or is partial.
         """
         coding = self.found.get("content_encoding", b"identity").strip().lower()
         if coding != b"identity":
@@ -238,9 +238,9 @@ class HttpRequest:
         return await read_body(receive, limit, patience)
 
     def put_body(self, request: Request, data: bytes) -> None:
-        """Make a request's body of the HTTP body, as its Content-Type says.
+        """Decode the HTTP body into the request's body, by its Content-Type.
 
-        :raises BadRequest: it is not well-formed, or of a type that is not read here.
+        :raises BadRequest: it is malformed, or its type is not supported.
         """
         encoding = body_encoding(self.found.get("content_type", b""))
         if encoding is None:
@@ -257,9 +257,9 @@ class HttpRequest:
 
 
 def number(name: str, text: str) -> float:
-    """Read a parameter that is a number.
+    """Parse a numeric parameter.
 
-    :raises BadRequest: it is none.
+    :raises BadRequest: it is not a number.
     """
     try:
         found = float(text)
@@ -271,9 +271,9 @@ def number(name: str, text: str) -> float:
 
 
 def count(name: str, text: str) -> int:
-    """Read a parameter that says how many items a page has.
+    """Parse a page size.
 
-    :raises BadRequest: it is not a number of those.
+    :raises BadRequest: it is not a number within the limits.
     """
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= MOST:
         raise BadRequest(f"`{name}` must be a number from 1 to {MOST}, not {text[:40]!r}")
@@ -281,9 +281,9 @@ def count(name: str, text: str) -> int:
 
 
 def flag(name: str, text: str) -> bool:
-    """Read a parameter that is true or false; an empty one is true.
+    """Parse a boolean parameter; empty means true.
 
-    :raises BadRequest: it is neither.
+    :raises BadRequest: it is neither true nor false.
     """
     known = {"true": True, "1": True, "": True, "false": False, "0": False}
     if text.lower() not in known:

@@ -1,4 +1,4 @@
-"""The schemas of all that somebody may see, written one by one."""
+"""The schemas that a caller may see, encoded one by one."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ __all__ = ["written"]
 def written(
     search: Generator[None, None, dict[str, dict[str, Any]]], encoding: Encoding
 ) -> Generator[None, None, Any]:
-    """Write what a search for schemas finds, in steps."""
+    """Encode the schemas found, in steps."""
     found = yield from search
-    if encoding is Encoding.CBOR:  # whose library has no way to take bytes over
+    if encoding is Encoding.CBOR:  # whose library cannot embed encoded bytes
         return found
     pieces: dict[str, Raw] = {}
     for id_, schema in found.items():

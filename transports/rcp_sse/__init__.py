@@ -1,4 +1,4 @@
-"""Server-sent events: updates, a command's replies and the status as streams over HTTP."""
+"""Server-sent events: updates, a command's replies and the status as HTTP streams."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _check(scope: Scope) -> None:
 
 @asynccontextmanager
 async def open_sse(config: SseConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
-    """Offer the streams to the listener while entered."""
+    """Mount the streams in the listener while entered."""
     events = Events(config, client_api)
     app: Asgi = _Sse(client_api, events, Replies(config, client_api))
 
@@ -96,5 +96,5 @@ async def open_sse(config: SseConfig, client_api: ClientApi) -> AsyncGenerator[d
 
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
-    """Offer server-sent events."""
+    """Provide server-sent events."""
     return [TransportKind("sse", SseConfig, open_sse, __doc__ or "")]

@@ -1,4 +1,4 @@
-"""What `[transports.sse]` may say."""
+"""The configuration of `[transports.sse]`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ class SseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Server-sent events. Times in seconds."""
 
     comment: Annotated[float, Meta(gt=0)] = 15.0
-    """Between the comments that keep proxies awake."""
+    """Interval of the comments that keep proxies from closing the connection."""
     journal: Annotated[int, Meta(ge=16)] = 1024
-    """Events of a stream whose place is known when its client comes back."""
+    """Events per stream that are kept for clients that resume."""

@@ -1,4 +1,4 @@
-"""GET /events and /status/events: a subscription as a stream that its client can come back to."""
+"""GET /events and /status/events: a subscription as a stream that clients can resume."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NOTICE = b'{"type":"notice"'
 
 
 def event(name: bytes, data: bytes, id_: bytes = b"") -> bytes:
-    """Write one event; JSON has no line breaks of its own, so `data` is one line."""
+    """Encode one event; encoded JSON has no line breaks, so `data` is one line."""
     return b"%bevent: %b\ndata: %b\n\n" % (b"id: %b\n" % id_ if id_ else b"", name, data)
 
 
@@ -43,13 +43,13 @@ class Events:
     ) -> None:
         """Stream until the client leaves or the subscription ends.
 
-        :raises RcpError: nothing was sent yet, and nothing will be.
+        :raises RcpError: refused; nothing was sent.
         """
         query = read_query(scope["query_string"], MOST)
         stream = Stream(scope, receive, send, self._config.comment)
         token = bearer(header(scope, b"authorization"))
         principal = await self._client_api.identify(token, peer_of(scope))
-        # Those who come and those who go take turns: each may bring the feeds of a whole tree along.
+        # Connects and disconnects take turns: each may involve the feeds of a whole tree.
         turns, owner = self._client_api.turns, principal.identity
         await turns.wait(owner)
         with turns.spending():
@@ -66,7 +66,7 @@ class Events:
     def _connect(
         self, scope: Scope, query: Query, stream: Stream, principal: Principal
     ) -> tuple[Connection, bool]:
-        """Open a connection, with the session of the client's last one if it is still there."""
+        """Open a connection, resuming the client's last session if it still exists."""
         client_api = self._client_api
         tenant = query.get("tenant", [None])[0]
         named = header(scope, b"x-rcp-tenant")
@@ -133,12 +133,12 @@ class Events:
 
     def _leave(self, connection: Connection) -> None:
         session = connection.session
-        connection.close(resumable=bool(session.subscriptions))  # where all ended, nobody returns
+        connection.close(resumable=bool(session.subscriptions))  # after the end nobody resumes
         after = self._client_api.limits.session_ttl if session.greeted else 0.0
         self._journals.forget(session.id, after)
 
     def close(self) -> None:
-        """Forget everything."""
+        """Discard everything."""
         self._journals.close()
 
 
@@ -157,7 +157,7 @@ def _wrapper(journal: Journal, session: str, told: Callable[[], None]) -> Wrap:
     def wrap(data: bytes, sample: Sample | None) -> bytes:
         if sample is not None:
             return update % (note(sample.entry.path, sample.seq), data)
-        told()  # a subscription that ends says so
+        told()  # a subscription that ends reports it
         return event(b"notice" if data.startswith(_NOTICE) else b"reply", data)
 
     return wrap

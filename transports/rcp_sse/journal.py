@@ -1,4 +1,4 @@
-"""What a stream has told, by number, so that its client may come back to any place of it."""
+"""The numbered events of a stream, so that a client can resume at any of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Journal", "Journals", "parse_event_id"]
 
 
 class Journal:
-    """The numbers of one session's events: a bounded memory of path and sample of each."""
+    """The events of one session: a bounded record of path and sample by number."""
 
     __slots__ = ("_before", "_first", "_seen", "_size", "last")
 
@@ -19,12 +19,12 @@ class Journal:
         self._size = size
         self._seen: deque[tuple[str, int]] = deque()
         self._first = 1
-        """Number of the oldest event that is still in `_seen`."""
+        """Number of the oldest event in `_seen`."""
         self._before: dict[str, int] = {}
-        """The last sample of each path before that one."""
+        """The last sample of each path before that event."""
 
     def note(self, path: str, seq: int) -> int:
-        """Note an update; return its number."""
+        """Record an update; return its number."""
         seen = self._seen
         if len(seen) >= self._size:
             old_path, old_seq = seen.popleft()
@@ -35,14 +35,14 @@ class Journal:
         return number
 
     def until(self, number: int) -> dict[str, int] | None:
-        """Return the last sample of each path up to an event; None if that is not known any more."""
+        """Return the last sample of each path up to an event; None if it is no longer known."""
         if number < self._first - 1 or number > self.last:
             return None
         return self._before | dict(list(self._seen)[: number - self._first + 1])
 
 
 class Journals:
-    """The journals of sessions whose clients may come back."""
+    """The journals of sessions whose clients may resume."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -50,7 +50,7 @@ class Journals:
         self._timers: dict[str, asyncio.TimerHandle] = {}
 
     def of(self, session: str) -> Journal:
-        """Return the journal of a session; a new one if it has none."""
+        """Return the journal of a session, creating it if necessary."""
         timer = self._timers.pop(session, None)
         if timer is not None:
             timer.cancel()
@@ -61,7 +61,7 @@ class Journals:
         return self._known.get(session)
 
     def forget(self, session: str, after: float = 0.0) -> None:
-        """Let a journal go after so many seconds, unless its session comes back."""
+        """Discard a journal after some seconds, unless its session resumes."""
         if after <= 0:
             self._known.pop(session, None)
         elif session in self._known and session not in self._timers:
@@ -73,12 +73,12 @@ class Journals:
         self._known.pop(session, None)
 
     def close(self) -> None:
-        """Let all of them go."""
+        """Discard all journals."""
         for timer in self._timers.values():
             timer.cancel()
 
 
 def parse_event_id(text: str | None) -> tuple[str, int] | None:
-    """Read `<session id>:<number>`; None for anything else."""
+    """Parse `<session id>:<number>`; None for anything else."""
     session, _, number = (text or "").rpartition(":")
     return (session, int(number)) if session and number.isdigit() and len(number) < 16 else None

@@ -46,7 +46,7 @@ def _stream(summary: str, parameters: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 async def described(_: Session) -> dict[str, Any]:
-    """Describe the calls; they are the same for everybody."""
+    """Describe the calls; they are the same for every caller."""
     options = [_parameter(name, "query", text) for name, text in _OPTIONS.items()]
     path = _parameter("path", "query", "A path or pattern; repeatable.", required=True)
     id_ = _parameter("id", "path", "The command.", required=True)

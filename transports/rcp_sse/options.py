@@ -17,7 +17,7 @@ _LISTS = ("fields",)
 _JSON = ("where", "qos")
 _TEXTS = ("on", "encoding")
 _QOS = {"reliability": str, "depth": int, "priority": int, "lifespan": float, "qos.deadline": float}
-"""Parts of `qos` that may stand alone: `reliability=reliable`, or with `qos.` before them."""
+"""Parts of `qos` that may be given alone: `reliability=reliable`, or as `qos.reliability`."""
 _OTHER = ("path", "paths", "history", "initial", "deadband", "id", "tenant", "last_event_id")
 Query = dict[str, list[str]]
 MOST = 2000  # parameters
@@ -26,9 +26,9 @@ Wish = tuple[str, dict[str, Any]]
 
 
 def subscription(query: Query, path: str | None) -> Wish:
-    """Make the subscription that the query asks for; `path` is given by the URL, or None.
+    """Build the subscription of a query; `path` comes from the URL, or is None.
 
-    :raises BadRequest: a parameter is unknown or not what it should be, or no path is named.
+    :raises BadRequest: a parameter is unknown or invalid, or there is no path.
     """
     paths = [*query.get("path", ()), *query.get("paths", ())]
     if path is not None:

@@ -1,4 +1,4 @@
-"""GET /commands/<id>/events: what a command has said and says, until its final status."""
+"""GET /commands/<id>/events: past and future replies of a command, until its final status."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Replies:
         self._client_api = client_api
 
     async def serve(self, scope: Scope, receive: Receive, send: Send, id_: str) -> None:
-        """Stream the replies; those that the client has (`Last-Event-ID`) are left out.
+        """Stream the replies, without those that the client has (`Last-Event-ID`).
 
-        :raises UnknownPath: there is no such command, or not for this caller.
+        :raises UnknownPath: there is no such command, or the caller may not see it.
         """
         query = read_query(scope["query_string"], MOST)
         session = await session_of(self._client_api, scope, query.get("tenant", [None])[0])
@@ -38,14 +38,14 @@ class Replies:
         last = parse_event_id(sent.decode("latin-1") if sent else None)
         skip = last[1] if last is not None and last[0] == id_ else 0
         stream = Stream(scope, receive, send, self._config.comment)
-        # A history that was thinned out has fewer records than were told: then the last one will do.
+        # A pruned history has fewer records than were sent: then continue after the last one.
         records = command.history[skip:] or command.history[-1:]
         waiting: deque[Reply] = deque(command.reply(record) for record in records)
         told = skip
 
         def follow(reply: Reply) -> None:
             if waiting and not reply.final and waiting[-1].status == "in_progress":
-                waiting.pop()  # the newest feedback wins for a client that is slow
+                waiting.pop()  # for a slow client, newer feedback replaces older
             waiting.append(reply)
             stream.wake()
 

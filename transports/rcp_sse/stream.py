@@ -1,4 +1,4 @@
-"""One endless response: told when there is something to say, written only when it is taken."""
+"""One endless response: woken when there is data, written only when the socket is writable."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ log = structlog.get_logger("rcp.sse")
 _HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
     (b"cache-control", b"no-store"),
-    (b"x-accel-buffering", b"no"),  # nginx would hold events back
+    (b"x-accel-buffering", b"no"),  # nginx would buffer events
 ]
 _COMMENT = b":\n\n"
 Collect = Callable[[], list[bytes]]
-"""Return what is to be sent now."""
+"""Return the data to send now."""
 
 
 class Body(Protocol):
-    """The listener's way past ASGI: `scope["extensions"]["rcp.stream"]`."""
+    """The listener's bypass of ASGI: `scope["extensions"]["rcp.stream"]`."""
 
     writable: bool
-    """Whether the socket takes something."""
+    """Whether the socket accepts data."""
     drained: Callable[[], None] | None
-    """Called when `writable` has become true again."""
+    """Called when `writable` becomes true again."""
 
     def write(self, data: bytes) -> None:
         """Send a part of the body."""
@@ -50,17 +50,17 @@ class Stream:
         self._ended = asyncio.get_running_loop().create_future()
         self._comment = False
         self.last = False
-        """What is collected next ends the response."""
+        """Whether the next data is the last."""
 
     def wake(self) -> None:
-        """Send what there is, if the socket takes it; what waits goes on conflating."""
+        """Send pending data if the socket accepts it; otherwise it keeps conflating."""
         collect = self._collect
         if collect is None or not self._out.writable:
             return
         try:
             chunks = collect()
         except Exception:
-            # Whatever woke it is no part of this response: the client comes back and resumes.
+            # The error belongs to this response only: the client reconnects and resumes.
             log.exception("stream_failed")
             self.finish()
             return
@@ -81,7 +81,7 @@ class Stream:
     async def run(self, collect: Collect) -> None:
         """Send what `collect` returns whenever woken, until `last` or `finish`."""
         await self._send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
-        self._out.write(b":ok\n\n")  # the head goes out, and `EventSource` is open
+        self._out.write(b":ok\n\n")  # sends the head, so that `EventSource` opens
         self._out.drained = self.wake
         self._collect = collect
         self._closing.add(self.finish)
@@ -99,14 +99,14 @@ class Stream:
         await self._send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _tick(self) -> None:
-        """Keep proxies awake; a client that is gone without a word is found out by it too."""
+        """Send a comment, which keeps proxies from closing and detects clients that are gone."""
         while True:
             await asyncio.sleep(self._period)
             self._comment = True
             self.wake()
 
     async def _watch(self) -> None:
-        """Take notice of the client's leaving."""
+        """Wait for the client to disconnect."""
         message: Any = await self._receive()
         while message["type"] != "http.disconnect":
             message = await self._receive()

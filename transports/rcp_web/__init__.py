@@ -1,4 +1,5 @@
-"""Litestar controllers as the application of a `Mount`, refusing as the contract says.
+"""Litestar controllers as the application of a `Mount`, with errors as envelopes.
 
-`Application` serves them, `calls` describes them, and `read_query` reads the query of any request strictly.
+`Application` serves them, `calls` describes them, and `read_query` parses the query of any request
+strictly.
 """

@@ -1,4 +1,4 @@
-"""Litestar as an ASGI application for a `Mount`: exact routes, refusals that are envelopes."""
+"""Litestar as an ASGI application for a `Mount`: exact routes, errors as envelopes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _ORDER = ("GET", "PUT", "POST", "DELETE", "HEAD", "OPTIONS")
 class Application:
     """Serves controllers.
 
-    Litestar serves `/a/` as `/a` and leaves `HEAD` to handlers of its own. Here a path is served as it
-    is routed or not at all, and `HEAD` is a `GET` whose body the listener leaves out.
+    Litestar serves `/a/` as `/a` and requires separate handlers for `HEAD`. Here paths must match
+    exactly, and `HEAD` is a `GET` whose body the listener omits.
     """
 
     def __init__(
@@ -39,10 +39,10 @@ class Application:
         dependencies: Mapping[str, Provide] | None = None,
         described: bool = False,
     ) -> None:
-        """Make it; `remedy` is for paths that are not served, `described` for `paths`."""
+        """Initialise; `remedy` is for unknown paths, `described` for `paths`."""
         self._refuse = refuse
         self._remedy = remedy
-        # Litestar has no document without routes to it: no prefix of a mount leads there.
+        # Litestar needs routes to build a document; no mount prefix leads to this one.
         document = OpenAPIConfig("", "", path=_NOWHERE, render_plugins=[JsonRenderPlugin()])
         self._litestar = Litestar(
             handlers,
@@ -59,13 +59,13 @@ class Application:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
         path, method = scope["path"], scope["method"]
-        inner = {**scope, "root_path": ""}  # the listener has taken it off the path
+        inner = {**scope, "root_path": ""}  # the listener has removed it from the path
         if path != "/" and (path[-1:] == "/" or "//" in path):
             inner["path"] = _NOT_SERVED
         if method == "HEAD":
             inner["method"] = "GET"
         elif method == "OPTIONS":
-            inner["method"] = _NO_METHOD  # the error names the methods of every handler of the path
+            inner["method"] = _NO_METHOD  # the error lists the methods of every handler of the path
         inner[_ASKED] = scope
         await self._litestar(cast("Any", inner), receive, cast("Any", send))
 
@@ -91,21 +91,21 @@ class Application:
 
 
 _ASKED = "rcp.asked"
-"""Where the scope is kept that came, of which Litestar gets another version."""
+"""Key of the original scope, of which Litestar gets a modified copy."""
 _NOWHERE = "/-/openapi"
 _NOT_SERVED = "/-/-"
 _NO_METHOD = "-"
 
 
 def scope_of(request: Asked) -> Scope:
-    """Return the scope as the listener made it."""
+    """Return the scope as the listener built it."""
     return cast("Any", request.scope)[_ASKED]
 
 
 def response(
     status: int, body: bytes = b"", media: bytes = JSON, headers: Iterable[tuple[bytes, bytes]] = ()
 ) -> ASGIApp:
-    """Return what a handler returns that has the whole response: Litestar's own costs more."""
+    """Return a handler's result as a complete response: Litestar's own is slower."""
 
     async def send_it(_scope: Any, _receive: Any, send: Any) -> None:
         await respond(send, status, body, media, headers)

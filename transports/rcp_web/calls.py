@@ -1,4 +1,4 @@
-"""What a handler takes and answers: declared once, for the check of its query and for OpenAPI."""
+"""Declarations of parameters and responses, for checking queries and for OpenAPI."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def call(summary: str, *parameters: Node, responses: Node, body: Node | None = N
 
     @dataclass
     class Declared(Operation):
-        """An operation whose parameters are read by us, so Litestar does not know of them."""
+        """An operation whose parameters this package parses, unknown to Litestar."""
 
         def __post_init__(self) -> None:
             self.parameters = cast("Any", list(parameters))
@@ -38,5 +38,5 @@ def call(summary: str, *parameters: Node, responses: Node, body: Node | None = N
 
 
 def parameters_of(request: Request[Any, Any, Any]) -> tuple[str, ...]:
-    """Return the names of the query parameters that the handler of a request declares."""
+    """Return the names of the query parameters declared for a request's handler."""
     return request.route_handler.opt.get(_OPTION, ())

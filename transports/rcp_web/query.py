@@ -1,4 +1,4 @@
-"""The query of a URL, read strictly: a parameter that is unknown or given twice is refused."""
+"""Strict query parsing: unknown and repeated parameters are refused."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def read_query(text: bytes, most: int) -> dict[str, list[str]]:
 
 
 def single(name: str, values: list[str]) -> str:
-    """Return the one value of a parameter.
+    """Return the only value of a parameter.
 
-    :raises BadRequest: it is given several times.
+    :raises BadRequest: it is repeated.
     """
     if len(values) > 1:
         raise BadRequest(f"the parameter `{name}` is given {len(values)} times")

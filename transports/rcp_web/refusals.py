@@ -1,4 +1,4 @@
-"""How a request that failed is answered."""
+"""Error responses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["NotTaken", "Refusal", "envelope", "headers_of"]
 
 
 class Refusal(NamedTuple):
-    """A body, and headers beside those of the status."""
+    """A body, and headers in addition to those of the status."""
 
     body: bytes
     media: bytes = JSON
@@ -21,7 +21,7 @@ class Refusal(NamedTuple):
 
 
 class NotTaken(UnsupportedOperation):
-    """A path does not support the method; `methods` are those that it does."""
+    """A path does not support the method; `methods` are those that it supports."""
 
     def __init__(self, path: str, method: str, methods: list[str]) -> None:
         super().__init__(
@@ -33,7 +33,7 @@ class NotTaken(UnsupportedOperation):
 
 
 def envelope(_: Scope, error: RcpError) -> Refusal:
-    """Refuse with an envelope in JSON."""
+    """Return an error as an envelope in JSON."""
     return Refusal(encode_reply(failure(error, "error"), Encoding.JSON))
 
 

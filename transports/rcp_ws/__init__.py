@@ -1,4 +1,4 @@
-"""WebSocket at /rcp/v1/ws: envelopes both ways, in JSON, CBOR or MessagePack."""
+"""WebSocket at /rcp/v1/ws: envelopes in both directions, in JSON, CBOR or MessagePack."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PATH = "/rcp/v1/ws"
 
 
 class _WebSocket:
-    """The ASGI application: it accepts, hands the native handle to a peer, and waits for the end."""
+    """The ASGI application: attaches a client to the native handle and waits for its end."""
 
     def __init__(self, config: WsConfig, client_api: ClientApi) -> None:
         self._config = config
@@ -52,7 +52,7 @@ class _WebSocket:
 
 @asynccontextmanager
 async def open_ws(config: WsConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
-    """Offer the WebSocket to the listener while entered."""
+    """Mount the WebSocket in the listener while entered."""
     mount = Mount(name="ws", prefix=_PATH, kind="websocket", app=_WebSocket(config, client_api))
     client_api.mount(mount)
     try:
@@ -63,5 +63,5 @@ async def open_ws(config: WsConfig, client_api: ClientApi) -> AsyncGenerator[dic
 
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
-    """Offer WebSocket."""
+    """Provide WebSocket."""
     return [TransportKind("ws", WsConfig, open_ws, __doc__ or "")]

@@ -1,4 +1,4 @@
-"""One client: between its WebSocket and its connection to the gateway."""
+"""One client: connects its WebSocket to its connection to the gateway."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ __all__ = ["WsClient"]
 
 log = structlog.get_logger("rcp.ws")
 _NOBODY = Principal("nobody", ())
-_PATIENCE = 10.0  # s for a client to prove itself in `hello`
+_PATIENCE = 10.0  # s for a client to authenticate in `hello`
 _POLICY = 1008
 _INTERNAL = 1011
 _TRY_LATER = 1013
 _UNTAKEN = "too many unread bytes"
-_LAST = 32  # times what one turn has room for, before a connection is closed: 8 MiB of replies
-_SEGMENT = b"segment"  # only a message with this word in it can be one
-_TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
-_LEAST = 0.0002  # s that each has even so when the time of all is used up: an e-stop takes less
-_COUNTED = 0.00002  # s that the messages of one read take before it is worth counting them
-_SHORT = 4096  # bytes of a message that is taken even then
-_LOOK_EVERY = 32  # replies between looks whether the client takes them
+_LAST = 32  # times the data sent per turn, before a connection is closed: 8 MiB
+_SEGMENT = b"segment"  # only a message with this word can be a segment
+_TURN = 0.0005  # s of processing per client and turn; then others have theirs
+_LEAST = 0.0002  # s guaranteed per client even if the total is used up: an e-stop takes less
+_COUNTED = 0.00002  # s of processing per read below which it is not counted
+_SHORT = 4096  # bytes of a message that is always accepted
+_LOOK_EVERY = 32  # replies between checks whether the client reads them
 
 
 class WsClient:
-    """Feeds the connection with messages, and the socket with what the outbox holds."""
+    """Passes messages to the connection, and the contents of the outbox to the socket."""
 
     __slots__ = (
         "_began",
@@ -101,20 +101,20 @@ class WsClient:
             hello=self._hello, released=self._gate.put_back, cut=self._cut_off
         )
         self._began = 0.0
-        """When the first of the messages that came together was taken; 0 between such."""
+        """Start of processing the current read; 0 between reads."""
         self._turn, self._used = 0, 0.0
-        """A turn of the loop, and the time that was counted in it."""
+        """Number of the current turn, and the time used in it."""
         self._incoming = Incoming(config, whole=self._whole, again=self._again, failed=self._fail)
         room = client_api.limits.queue_bytes // 4
         park = self._outbox.park
         self._outgoing = Outgoing(encoding, config.kept, room, client_api.loop, park)
         self._plain = False
-        """Replies need neither compression nor segments."""
+        """Whether replies need neither compression nor segmentation."""
         self.gone = asyncio.Event()
         self._adopt_limit()
 
     def opened(self) -> None:
-        """Take notice that the handshake is done, and what was agreed in it."""
+        """Apply the result of the handshake."""
         self._agree()
 
     def _agree(self) -> None:
@@ -125,10 +125,10 @@ class WsClient:
         else:
             outbox.send_messages(long=self._outgoing.size is not None)
 
-    # -- in ------------------------------------------------------------------------------------
+    # -- receiving -----------------------------------------------------------------------------
 
     def received(self, data: bytes, text: bool = True) -> None:  # noqa: FBT001, FBT002 - see Receiver
-        """Take a message of the client, or keep it until it is this client's turn."""
+        """Handle a message of the client, or keep it until the client's next turn."""
         gate, size = self._gate, len(data)
         if (gate.paused or (size > _SHORT and self._turns.over)) and not gate.handing:
             gate.keep(data)
@@ -142,11 +142,11 @@ class WsClient:
         if not self._began:
             self._begin()
         try:
-            # Nobody's segments are put together.
+            # Nobody's segments are reassembled.
             if _SEGMENT not in data or self._patience is not None or not self._segment(data):
                 self._receive(data)
         except Exception as error:
-            # Else the client would wait for its answer for ever.
+            # Otherwise the client would wait for its reply forever.
             self.connection.stumbled(data, error)
         if len(outbox.control) >= self._look_at or outbox.waiting > BACKLOG_SHARE:
             self.flush()
@@ -158,12 +158,12 @@ class WsClient:
             gate.end_turn()
 
     def _begin(self) -> None:
-        """Begin with what was read at once: `settled` sends the answers to all of it."""
+        """Start processing a read: `settled` sends the replies to all of it."""
         self._began = perf_counter()
         self._outbox.gather()
 
     def other_frame(self) -> None:
-        """Count the time of a frame that is no whole message."""
+        """Count the time of a frame that is not a whole message."""
         if not self._began:
             self._begin()
         elif perf_counter() - self._began > _TURN:
@@ -173,7 +173,7 @@ class WsClient:
         self._turns.call(self.connection.session.principal.identity, go_on)
 
     def _count(self, seconds: float) -> None:
-        """Count what the messages of one read took: the loop reads many times in a turn."""
+        """Count the processing time of a read: the loop reads several times per turn."""
         turns = self._turns
         turns.add(seconds)
         if self._turn != turns.number:
@@ -183,10 +183,10 @@ class WsClient:
             self._gate.end_turn()
 
     def _full(self) -> bool:
-        """Tell whether the client is to be read from no more, until somebody calls `review`.
+        """Return whether reading from the client must pause until `review` is called.
 
-        Either it does not take what it asked for, and a flush follows, or a message of it is not
-        handled yet, and `released` follows.
+        Either it does not read what it requested, and a flush follows, or one of its messages is
+        still being handled, and `released` follows.
         """
         if self.connection.holds:
             return True
@@ -195,7 +195,7 @@ class WsClient:
         return bool(sends) and (len(outbox.control) >= self._config.backlog or outbox.crowded)
 
     def settled(self) -> None:
-        """Send what there is to say to the messages that came together."""
+        """Send the replies to the messages of one read."""
         outbox, socket = self._outbox, self._socket
         began, self._began = self._began, 0.0
         only = outbox.settle(alone=self._plain and socket.writable)
@@ -203,12 +203,12 @@ class WsClient:
             socket.reply(only)
         elif outbox.more or not self._plain:
             self.flush()
-        # What was kept is counted by the turn that it waited for.
+        # Kept messages are counted in the turn that they waited for.
         if began and not self._gate.handing and (spent := perf_counter() - began) > _COUNTED:
             self._count(spent)
 
     def _greeting(self, data: bytes) -> None:
-        """Take nothing but `hello` from a client that has not proved who it is."""
+        """Accept only `hello` from a client that is not authenticated."""
         type_, id_ = peek_header(data, self._encoding)
         if type_ != "hello" and not self.connection.holds:
             error = Unauthenticated("authentication required")
@@ -217,9 +217,9 @@ class WsClient:
         self.connection.receive(data)
 
     def _cut_off(self) -> None:
-        """Close a client that does not take what waits for it, so that there is room for others.
+        """Close a client that does not read, to free its memory.
 
-        It may never see why, as the close frame comes after what it leaves unread.
+        It may never see the reason, because the close frame follows the data that it does not read.
         """
         session = self.connection.session
         log.warning(
@@ -240,7 +240,7 @@ class WsClient:
             self._patience = None
 
     def _broken(self, error: Exception) -> None:
-        """Close a connection that cannot go on: what it was told may have gaps."""
+        """Close a connection after an internal error: its data may have gaps."""
         log.error("websocket_failed", session=self.connection.session.id, exc_info=error)
         self._close(_INTERNAL, "the gateway failed; see its log")
 
@@ -249,20 +249,20 @@ class WsClient:
         self._socket.close(code, reason)
 
     def garbled(self, data: bytes) -> None:
-        """Answer text that is not UTF-8, before the socket closes for it."""
+        """Reply to a text message that is not UTF-8, before the socket closes."""
         type_, id_ = peek_header(data, self._encoding)
         error = BadRequest("the text message is not UTF-8")
         self._socket.write([self.connection.encode(failure(error, type_, id_))])
 
     def oversized(self, size: int) -> None:
-        """Answer a message that was thrown away."""
+        """Reply to a message that was discarded because of its size."""
         error = PayloadTooLarge(
             f"the message is longer than {self._limit} bytes", details={"limit": self._limit}
         )
         self.connection.send(failure(error, "error"))
 
     def lost(self, code: int) -> None:
-        """Let go; the session waits for the client's return."""
+        """Release the connection; its session waits for the client to return."""
         self._end_patience()
         self._gate.close()
         self._incoming.close()
@@ -273,7 +273,7 @@ class WsClient:
     # -- segments ------------------------------------------------------------------------------
 
     def _segment(self, data: bytes) -> bool:
-        """Take a message that may be a segment; tell whether it was one."""
+        """Handle a message that may be a segment; return whether it was one."""
         id_: str | int | None = None
         try:
             found = segments.read(data, self._encoding)
@@ -310,13 +310,13 @@ class WsClient:
         return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
 
     def _adopt_limit(self) -> None:
-        """Take messages as long as whom the client has proved to be may send."""
+        """Set the maximum message size to that of the authenticated caller."""
         self._limit = self._socket.limit = self._incoming.limit = self.connection.limit
 
-    # -- out -----------------------------------------------------------------------------------
+    # -- sending -------------------------------------------------------------------------------
 
     def flush(self) -> None:
-        """Send what there is, if the socket takes it."""
+        """Send pending data, if the socket accepts it."""
         try:
             self._flush()
             if self._gate.paused:
@@ -340,7 +340,7 @@ class WsClient:
             outbox.hand(socket.buffered)
 
     def _send_some(self) -> None:
-        """Send as much as one turn has room for."""
+        """Send as much as one turn allows."""
         socket, outbox = self._socket, self._outbox
         if self._outgoing.size is not None:
             self._flush_cut(self._outgoing, self._outgoing.size)
@@ -351,7 +351,7 @@ class WsClient:
             socket.write_frames(parts)
 
     def _flush_last(self) -> None:
-        """Send what is due, as the end comes after it, and the reason may be the last of it."""
+        """Send the remaining data before the end, which may include its reason."""
         self._gate.close()
         outbox = self._outbox
         for _ in range(_LAST):
@@ -372,5 +372,5 @@ class WsClient:
             self._outbox.mark()
 
     def drained(self) -> None:
-        """Go on: the client takes again."""
+        """Continue: the client is reading again."""
         self.flush()

@@ -1,4 +1,4 @@
-"""What `[transports.ws]` may say."""
+"""The configuration of `[transports.ws]`."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ __all__ = ["WsConfig"]
 
 
 class WsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """WebSocket. Sizes in bytes, times in seconds; sizes of messages are the gateway's `[limits]`."""
+    """WebSocket. Sizes in bytes, times in seconds; the gateway's `[limits]` apply to messages."""
 
     segment_size: Annotated[int, Meta(ge=1024)] = 1024 * 1024
-    """Largest `segment_size` that a client may agree on for what it is sent."""
+    """Maximum `segment_size` for messages to a client."""
     transfers: Annotated[int, Meta(ge=1)] = 16
-    """Segmented transfers of one connection that may be incomplete at once."""
+    """Maximum number of incomplete segmented transfers per connection."""
     segments: Annotated[int, Meta(ge=1)] = 65_536
-    """Segments of one transfer."""
+    """Maximum number of segments per transfer."""
     segment_timeout: Annotated[float, Meta(gt=0)] = 10.0
-    """A transfer that gets nothing for so long is given up."""
+    """Time without a segment after which a received transfer is dropped."""
     kept: Annotated[float, Meta(ge=0)] = 10.0
-    """Time that a transfer sent can be asked for again."""
+    """Time for which segments of a sent transfer can be requested again."""
     backlog: Annotated[int, Meta(ge=1)] = 256
-    """Replies that may wait for a client before nothing more is read from it."""
+    """Maximum number of queued replies before reading from the client pauses."""

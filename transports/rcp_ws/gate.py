@@ -1,4 +1,4 @@
-"""Whether a client is read from: decided in one place, from reasons that are asked for anew."""
+"""Whether a client is read from: one place decides, and re-evaluates all reasons each time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["ReadGate"]
 
 
 class ReadGate:
-    """Stops and continues the reading of one client, and keeps what was read before it stopped.
+    """Pauses and resumes reading from one client, and keeps messages received meanwhile.
 
-    Two reasons stop it: the client has used up its turn of the loop, or `full` says that it does
-    not take its replies. Neither is undone by whoever brought it about: `review` asks both again,
-    and has to be called after everything that may have changed `full`. What was kept is handled
-    in order, before anything newer; once this or the socket is closed, nothing is.
+    Two reasons pause it: the client has used up its turn of the loop, or `full` reports that it
+    does not read its replies. `review` re-evaluates both, and must be called after anything that
+    may have changed `full`. Kept messages are handled in order, before newer ones; after this or
+    the socket is closed, none are.
     """
 
     __slots__ = (
@@ -45,34 +45,34 @@ class ReadGate:
     ) -> None:
         self._socket = socket
         self._wait = wait
-        """Calls back when the client has a turn again."""
+        """Calls back at the client's next turn."""
         self._handle = handle
         self._settle = settle
-        """Called after the last of some messages that were handled together."""
+        """Called after the last of several messages that were handled together."""
         self._full = full
-        """True only while something is left to send: the flush that sends the rest calls `review`."""
+        """True only while there is data to send: the flush that sends it calls `review`."""
         self._failed = failed
         self._kept: deque[bytes] = deque()
         self._turn_over = False
         self._closed = False
         self.paused = False
-        """Whether messages that come are to be kept."""
+        """Whether received messages are kept."""
         self.handing = False
-        """Whether one that was kept is being handled."""
+        """Whether a kept message is being handled."""
 
     def keep(self, data: bytes) -> None:
-        """Take a message that came although reading is paused: the socket had it already."""
+        """Keep a message that the socket had already read when reading was paused."""
         if not self._closed:
             self._kept.append(data)
 
     def put_back(self, messages: deque[bytes]) -> None:
-        """Handle messages that had to wait elsewhere, before any that came after them."""
+        """Handle messages that were deferred elsewhere, before any that came after them."""
         if not self._closed:
             self._kept.extendleft(reversed(messages))
             self.review()
 
     def end_turn(self) -> None:
-        """Let others have theirs, and go on when it comes to this client again."""
+        """End this client's turn; continue in the next one."""
         if not self._turn_over:
             self._turn_over = True
             self._wait(self._begin_turn)
@@ -83,15 +83,15 @@ class ReadGate:
         self.review()
 
     def review(self) -> None:
-        """Handle what was kept, and read or not, as the reasons stand now."""
+        """Handle kept messages, and pause or resume reading as the reasons require."""
         if self.handing:
-            return  # the loop below looks again after each message
+            return  # the loop below checks again after each message
         self.handing = True
         try:
             while self._kept and not self._stopped():
                 self._handle(self._kept.popleft())
                 if not self._kept or self._stopped():
-                    self._settle()  # which may make room for more
+                    self._settle()  # which may free space for more
         except Exception as error:
             self._failed(error)
         finally:
@@ -99,7 +99,7 @@ class ReadGate:
         self._apply()
 
     def close(self) -> None:
-        """Handle nothing any more; reading goes on, so that the client's end is noticed."""
+        """Stop handling messages; reading continues, to detect the end of the connection."""
         self._closed = True
         self._kept.clear()
         self._apply()

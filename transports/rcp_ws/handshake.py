@@ -1,4 +1,4 @@
-"""The opening: which encoding, and who."""
+"""The handshake: encoding and caller."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ SUBPROTOCOLS = {f"rcp.v1.{encoding.value}": encoding for encoding in Encoding}
 
 
 def choose(offered: list[str]) -> tuple[str | None, Encoding]:
-    """Choose the first subprotocol of the client's that is spoken here; none offered is JSON.
+    """Choose the client's first supported subprotocol; JSON if it offers none.
 
-    :raises BadRequest: none of those offered is spoken.
+    :raises BadRequest: none of those offered is supported.
     """
     for name in offered:
         if name in SUBPROTOCOLS:
@@ -30,9 +30,9 @@ def choose(offered: list[str]) -> tuple[str | None, Encoding]:
 
 
 async def identify(client_api: ClientApi, scope: Scope) -> tuple[Principal | None, str | None]:
-    """Return who connects and the tenant it wants; None has to prove itself in `hello` first.
+    """Return the caller and its tenant; None: it must authenticate in `hello`.
 
-    :raises Unauthenticated: the token of the Authorization header is not good.
+    :raises Unauthenticated: the token of the Authorization header is invalid.
     """
     token = bearer(header(scope, b"authorization"))
     tenant = header(scope, b"x-rcp-tenant")

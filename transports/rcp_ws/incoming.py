@@ -1,4 +1,4 @@
-"""Transfers on their way in: put together, within limits of size, number and time."""
+"""Received segmented transfers: reassembled, with limits on size, number and time."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from rcp_ws.segments import Segment, digest
 
 __all__ = ["Incoming"]
 
-_LISTED = 1000  # missing segments named at once
+_LISTED = 1000  # missing segments reported at once
 
 
 class _Transfer:
-    """One message that is not complete yet."""
+    """One incomplete message."""
 
     __slots__ = ("asked", "facts", "have", "last", "parts", "timer")
 
@@ -40,7 +40,7 @@ class _Transfer:
 
 
 class Incoming:
-    """The transfers of one connection."""
+    """The received transfers of one connection."""
 
     def __init__(
         self,
@@ -52,22 +52,22 @@ class Incoming:
     ) -> None:
         self._config = config
         self.limit = 0
-        """Longest message, in bytes; set by the owner."""
+        """Maximum message length, in bytes; set by the owner."""
         self._whole = whole
-        """Called with each message that is complete."""
+        """Called with each complete message."""
         self._again = again
-        """Called to have segments sent again."""
+        """Called to request segments again."""
         self._failed = failed
-        """Called when a transfer is given up."""
+        """Called when a transfer is dropped."""
         self._transfers: dict[str | int, _Transfer] = {}
         self._held = 0
 
     def take(self, segment: Segment) -> None:
-        """Take one segment.
+        """Handle one segment.
 
-        :raises PayloadTooLarge: the whole, or all that is under way, is too long.
-        :raises QueueFull: too many transfers are under way.
-        :raises SegmentCorrupt: the parts do not make the whole that they promised.
+        :raises PayloadTooLarge: the message, or all transfers together, are too long.
+        :raises QueueFull: there are too many transfers.
+        :raises SegmentCorrupt: the segments do not match the announced message.
         """
         transfer = self._transfers.get(segment.id)
         if transfer is None:
@@ -91,7 +91,7 @@ class Incoming:
             return
         transfer.last = asyncio.get_running_loop().time()
         if segment.num == total - 1 and not transfer.asked:
-            # The stream is in order: what has not come before the last one was lost.
+            # The stream is in order: segments missing before the last one are lost.
             transfer.asked = True
             self._again(segment.id, transfer.missing)
 
@@ -148,6 +148,6 @@ class Incoming:
             transfer.timer.cancel()
 
     def close(self) -> None:
-        """Forget everything."""
+        """Discard everything."""
         for id_ in list(self._transfers):
             self._drop(id_)

@@ -1,4 +1,4 @@
-"""Transfers on their way out: one segment for each write turn, so that a map never delays a pose."""
+"""Sent segmented transfers: one segment per turn, so that a map does not delay a pose."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class _Transfer:
         self.bodies = cut(data, size)
         self.whole = (len(data), digest(data))
         self.waiting = 0
-        """Segments that are not sent yet, or are to be sent again."""
+        """Segments to send, or to send again."""
         self.forget: asyncio.TimerHandle | None = None
 
 
 class Outgoing:
     """The segmented transfers of one connection.
 
-    `held` is called with the bytes of all that it holds: transfers under way, and those kept to be
-    asked for again, which are at most `room` bytes and are let go of first.
+    `held` is called with the size of all transfers: those being sent, and those kept for
+    repetition, which are limited to `room` bytes and dropped first.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Outgoing:
         held: Callable[[int], None],
     ) -> None:
         self.size: int | None = None
-        """Longest message that goes in one piece; None: every one does."""
+        """Maximum length of an unsegmented message; None: no limit."""
         self._encoding = encoding
         self._kept = kept
         self._room = room
@@ -55,11 +55,11 @@ class Outgoing:
 
     @property
     def busy(self) -> bool:
-        """Whether segments wait to be sent."""
+        """Whether segments are queued."""
         return bool(self._queue)
 
     def sift(self, messages: list[bytes]) -> list[bytes]:
-        """Keep the messages that go in one piece; queue the others' segments."""
+        """Return the unsegmented messages; queue the segments of the others."""
         size = self.size
         assert size is not None
         short: list[bytes] = []
@@ -85,7 +85,7 @@ class Outgoing:
         self._queue.extend((transfer, num) for num in numbers)
 
     def next(self) -> bytes:
-        """Take the next segment; with the last one its transfer begins to be forgotten."""
+        """Return the next segment; after the last one, the transfer starts to expire."""
         transfer, num = self._queue.popleft()
         transfer.waiting -= 1
         if not transfer.waiting:
@@ -94,7 +94,7 @@ class Outgoing:
         return frame(transfer.id, num, transfer.bodies, transfer.whole, self._encoding)
 
     def _make_room(self) -> None:
-        """Let go of what is kept, the oldest first, where that is more than there is room for."""
+        """Drop kept transfers, oldest first, until the rest fits."""
         if self._bytes > self._room:
             for transfer in [t for t in self._known.values() if not t.waiting]:
                 self._drop(transfer)
@@ -110,10 +110,10 @@ class Outgoing:
         self._held(self._bytes)
 
     def again(self, wish: Again) -> None:
-        """Send segments once more.
+        """Send segments again.
 
-        :raises SegmentMissing: the transfer is not kept any more, or has no such segment.
-        :raises QueueFull: as many of its segments wait as it has.
+        :raises SegmentMissing: the transfer is no longer available, or has no such segment.
+        :raises QueueFull: as many of its segments as it has are already queued.
         """
         transfer = self._known.get(str(wish.id))
         if transfer is None:
@@ -132,7 +132,7 @@ class Outgoing:
         self._send(transfer, wanted)
 
     def close(self) -> None:
-        """Forget everything."""
+        """Discard everything."""
         self._queue.clear()
         for transfer in list(self._known.values()):
             self._drop(transfer)

@@ -1,7 +1,7 @@
-"""Segments: a message too long to go in one piece, as the contract cuts it (section 6).
+"""Segments of a long message, as the contract defines them (section 6).
 
-Every segment bears the size and hash of the whole, so that whoever receives them can make room,
-notice damage, and ask again for what is missing.
+Every segment carries the size and hash of the whole, so that the receiver can allocate memory,
+detect damage, and request missing segments.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     num: Annotated[int, Meta(ge=0)]
     total: Annotated[int, Meta(ge=1)]
     size: Annotated[int, Meta(ge=0)]
-    """Bytes of the whole."""
+    """Size of the whole message."""
     sha256: Annotated[str, Meta(pattern="^[0-9a-fA-F]{64}$")]
-    """Hash of the whole."""
+    """Hash of the whole message."""
     body: bytes
 
 
 class Again(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A wish for segments that did not arrive."""
+    """A request for segments that did not arrive."""
 
     type: Literal["segment"]
     id: TransferId
@@ -51,9 +51,9 @@ _again_msgpack = msgspec.msgpack.Decoder(Again)
 
 
 def read(data: bytes, encoding: Encoding) -> Segment | Again | None:
-    """Read a segment, or a wish for some; None if the message is something else.
+    """Parse a segment, or a request for segments; None if the message is something else.
 
-    :raises BadRequest: it is a segment, and malformed.
+    :raises BadRequest: it is a malformed segment.
     """
     try:
         if encoding is Encoding.CBOR:
@@ -67,7 +67,7 @@ def _read_slowly(data: bytes, encoding: Encoding, error: Exception) -> Again | N
     try:
         plain = parse(data, encoding)
     except BadRequest:
-        return None  # the gateway says what is wrong with it
+        return None  # the gateway reports the error
     if not isinstance(plain, dict) or plain.get("type") != "segment":
         return None
     if "resend" not in plain:
@@ -82,14 +82,14 @@ def _read_slowly(data: bytes, encoding: Encoding, error: Exception) -> Again | N
 
 
 def cut(data: bytes, size: int) -> list[bytes]:
-    """Cut a message into bodies of at most `size` bytes."""
+    """Split a message into bodies of at most `size` bytes."""
     return [data[start : start + size] for start in range(0, len(data), size)]
 
 
 def frame(
     id_: str, num: int, bodies: list[bytes], whole: tuple[int, str], encoding: Encoding
 ) -> bytes:
-    """Write one segment; `whole` is size and hash of the message."""
+    """Encode one segment; `whole` is size and hash of the message."""
     fields: dict[str, Any] = {
         "type": "segment",
         "id": id_,
@@ -103,7 +103,7 @@ def frame(
 
 
 def request_again(id_: str | int, missing: list[int], encoding: Encoding) -> bytes:
-    """Write a wish for segments."""
+    """Encode a request for segments."""
     return _encode({"type": "segment", "id": id_, "resend": missing}, encoding)
 
 
@@ -118,5 +118,5 @@ def _encode(fields: dict[str, Any], encoding: Encoding) -> bytes:
 
 
 def digest(data: bytes) -> str:
-    """Return the hash that segments bear."""
+    """Return the hash used in segments."""
     return hashlib.sha256(data).hexdigest()

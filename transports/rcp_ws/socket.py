@@ -1,4 +1,4 @@
-"""What this transport wants of the listener: the native handle `rcp.socket`, as a type."""
+"""The listener's native WebSocket handle `rcp.socket`, as a type."""
 
 from __future__ import annotations
 
@@ -8,59 +8,59 @@ __all__ = ["NativeSocket", "Receiver"]
 
 
 class Receiver(Protocol):
-    """Who is told of what comes in."""
+    """The callbacks of a socket."""
 
     def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - a frame's own flag
-        """Take one whole message."""
+        """Handle a whole message."""
         ...
 
     def other_frame(self) -> None:
-        """Take notice of a frame that is no whole message, but takes its time as well."""
+        """Handle a frame that is not a whole message, but costs time as well."""
         ...
 
     def settled(self) -> None:
-        """Take notice that the last frame of what was read has been told of."""
+        """Handle the end of a read: all its frames were delivered."""
         ...
 
     def garbled(self, data: bytes) -> None:
-        """Answer a text message that is not UTF-8, at once: the socket closes after it."""
+        """Reply to a text message that is not UTF-8; the socket closes afterwards."""
         ...
 
     def oversized(self, size: int) -> None:
-        """Answer a message that was thrown away because it was too long."""
+        """Reply to a message that was discarded because of its size."""
         ...
 
     def drained(self) -> None:
-        """Go on writing."""
+        """Resume writing."""
         ...
 
     def lost(self, code: int) -> None:
-        """Let go: the socket is closed."""
+        """Release the connection: the socket is closed."""
         ...
 
 
 class NativeSocket(Protocol):
-    """An open WebSocket without ASGI in between."""
+    """An open WebSocket, bypassing ASGI."""
 
     writable: bool
-    """Whether the write buffer has room; `Receiver.drained` tells when it has again."""
+    """Whether the write buffer has room; `Receiver.drained` is called when it has again."""
     open: bool
     limit: int
-    """Longest message that is taken once it is put together and inflated."""
+    """Maximum length of a received message, reassembled and decompressed."""
     compresses: bool
-    """Whether messages are compressed one by one, so that frames cannot be made beforehand."""
+    """Whether messages are compressed individually, so that frames cannot be prebuilt."""
 
     @property
     def buffered(self) -> int:
-        """Bytes written that the client has not taken."""
+        """Number of bytes that the client has not read yet."""
         ...
 
     def attach(self, receiver: Receiver) -> None:
-        """Have everything told to `receiver`."""
+        """Replace the receiver."""
         ...
 
     def write(self, messages: list[bytes]) -> None:
-        """Send whole messages in one write; JSON objects go as text, all else as binary."""
+        """Send whole messages in one write; JSON objects as text, others as binary."""
         ...
 
     def reply(self, data: bytes) -> None:
@@ -72,21 +72,21 @@ class NativeSocket(Protocol):
         ...
 
     def pass_on(self, parts: list[bytes]) -> bool:
-        """Send what is framed already if there is room for it; tell whether there was."""
+        """Send framed data if there is room for it; return whether there was."""
         ...
 
     def write_frames(self, parts: list[bytes]) -> None:
-        """Send what is framed already."""
+        """Send framed data."""
         ...
 
     def pause_reading(self) -> None:
-        """Take nothing more from the client; what was read already still comes."""
+        """Stop reading; messages that were already read are still delivered."""
         ...
 
     def resume_reading(self) -> None:
-        """Go on reading."""
+        """Resume reading."""
         ...
 
     def close(self, code: int, reason: str = "") -> None:
-        """Begin the closing handshake."""
+        """Start the closing handshake."""
         ...
