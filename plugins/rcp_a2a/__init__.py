@@ -1,4 +1,4 @@
-"""Agents over A2A: a card, JSON-RPC and REST; a message is a plan, a task is its run."""
+"""Agents over A2A: a card, JSON-RPC and REST; a message is a plan, a task is its execution."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ __all__ = ["A2aConfig", "open_a2a", "rcp_adapters"]
 
 @asynccontextmanager
 async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
-    """Offer the agent to the listener while entered.
+    """Mount the agent in the listener while entered.
 
-    :raises ConfigError: a key or CA cannot be read, or a network of `push` is none.
+    :raises ConfigError: a key or CA cannot be read, or a network in `push` is invalid.
     """
-    # The official SDK takes half a second to load: only a gateway that speaks A2A pays for it, and
-    # the robots that are open by now do not wait meanwhile.
-    # Its spans would be of streams that are left from another context, which it complains about.
+    # The SDK takes half a second to import: only gateways that use A2A need it, and robots can
+    # connect meanwhile. Its tracing spans would complain about streams that end in another context.
     os.environ.setdefault("OTEL_INSTRUMENTATION_A2A_SDK_ENABLED", "false")
     loaded = await asyncio.to_thread(import_module, "rcp_a2a.app_lifespan")
     async with loaded.serving(config, client_api) as facts:
@@ -34,6 +33,6 @@ async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[d
 
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
-    """Offer A2A."""
+    """Provide A2A."""
     needs = ("a2a", "starlette")
     return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "", needs=needs)]

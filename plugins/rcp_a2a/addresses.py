@@ -1,8 +1,7 @@
-"""Where notifications may go: addresses are looked up once, judged, and called as they were judged.
+"""Allowed notification addresses: resolved once, checked, and used as resolved.
 
-A name that is looked up a second time may have moved to a place inside (DNS rebinding), so what
-was judged is what is called: the connection is made to the address, while the name stays in `Host`
-and in TLS.
+A name resolved a second time may point to an internal address (DNS rebinding), so the connection
+uses the checked address, while `Host` and TLS keep the name.
 """
 
 from __future__ import annotations
@@ -22,35 +21,35 @@ __all__ = ["Addresses", "Judged", "Unfit", "Unknown"]
 Address = IPv4Address | IPv6Address
 _LOOKUP = 5.0  # s
 _LONGEST = 2048  # characters
-_NAT64 = ip_network("64:ff9b::/96")  # RFC 6052: an IPv4 address within
+_NAT64 = ip_network("64:ff9b::/96")  # RFC 6052: an embedded IPv4 address
 
 
 class Unfit(Exception):
-    """A URL that is not called, with the reason."""
+    """A URL that is not allowed, with the reason."""
 
 
 class Unknown(Unfit):
-    """Its name could not be looked up, which may be otherwise in a while."""
+    """The name cannot be resolved now; a later attempt may succeed."""
 
 
 class Judged(msgspec.Struct, frozen=True):
-    """A URL that may be called, and by which address."""
+    """A URL that is allowed, with its address."""
 
     url: str
-    """With the address in place of the name."""
+    """The URL with the address instead of the name."""
     host: str
-    """The name as `Host` has it."""
+    """The name for `Host`."""
     name: str
-    """The name as TLS has it."""
+    """The name for TLS."""
 
 
 class Addresses:
-    """Judges the URLs that clients name."""
+    """Checks the URLs given by clients."""
 
     def __init__(self, config: PushConfig) -> None:
-        """Read the networks.
+        """Parse the networks.
 
-        :raises ConfigError: one is none.
+        :raises ConfigError: one is invalid.
         """
         self._http = config.http
         self._private: list[IPv4Network | IPv6Network] = []
@@ -63,7 +62,7 @@ class Addresses:
                 ) from None
 
     async def fits(self, url: str) -> bool:
-        """Tell whether a URL may be named; each call of it is judged again."""
+        """Return whether a URL is accepted; each use checks it again."""
         try:
             await self.judge(url)
         except Unknown:
@@ -73,10 +72,10 @@ class Addresses:
         return True
 
     async def judge(self, url: str) -> Judged:
-        """Look a URL's name up; return how it is called.
+        """Resolve a URL's name; return how to call it.
 
-        :raises Unfit: it may not be called.
-        :raises Unknown: its name cannot be looked up now.
+        :raises Unfit: the URL is not allowed.
+        :raises Unknown: its name cannot be resolved now.
         """
         if len(url) > _LONGEST:
             raise Unfit("the URL is too long")
@@ -103,7 +102,7 @@ class Addresses:
         except (OSError, UnicodeError, TimeoutError) as error:
             raise Unknown("the URL's host cannot be resolved") from error
         addresses = [ip_address(str(info[4][0]).partition("%")[0]) for info in found]
-        # All of them: a name with a public and a private address is a way in.
+        # All addresses: a name could have both a public and a private one.
         if not addresses or not all(map(self._fit, addresses)):
             raise Unfit("the URL's address is not allowed")
         return addresses[0]

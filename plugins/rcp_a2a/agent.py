@@ -1,4 +1,4 @@
-"""The agent: runs the plan of a message as a task, and cancels it."""
+"""The agent: executes the plan of a message as a task, and cancels it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ log = structlog.get_logger("rcp.a2a")
 
 
 class Agent(AgentExecutor):
-    """Carries out messages."""
+    """Executes messages."""
 
     def __init__(self, client_api: ClientApi, patience: float) -> None:
         self._client_api = client_api
@@ -29,7 +29,7 @@ class Agent(AgentExecutor):
         self._runs: dict[str, Run] = {}
 
     async def execute(self, context: RequestContext, event_queue: EventQueue) -> None:
-        """Run the plan of a message, or go on with it, to its end or the next question."""
+        """Start or continue the plan of a message, until its end or the next question."""
         caller = caller_of(context.call_context)
         wanted = asked(_request(context))
         task = context.current_task
@@ -42,7 +42,7 @@ class Agent(AgentExecutor):
         else:
             run = self._runs.get(task.id)
             if run is None:
-                return  # it has ended while this message was on its way
+                return  # the task ended before this message arrived
             run.listen(event_queue)
             if (text := run.answer(caller, wanted)) is not None:
                 await run.ask_again(text)
@@ -52,7 +52,7 @@ class Agent(AgentExecutor):
         finally:
             if run.question is None:
                 self._forget(task.id)
-                run.ended.set()  # whatever has happened: a cancel waits for it
+                run.ended.set()  # in any case: a cancellation waits for it
 
     def _forget(self, task_id: str) -> None:
         self._runs.pop(task_id, None)
@@ -66,7 +66,7 @@ class Agent(AgentExecutor):
 
 
 def _request(context: RequestContext) -> SendMessageRequest:
-    request: Any = context._params  # noqa: SLF001 - its metadata is read through, its message is not
+    request: Any = context._params  # noqa: SLF001 - the SDK exposes its metadata, but not the message
     return request
 
 

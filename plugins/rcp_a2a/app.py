@@ -1,4 +1,4 @@
-"""The ASGI application: who calls, in which tenant, and which of the SDK's endpoints answers."""
+"""The ASGI application: authentication, tenant, and the dispatch to the SDK's endpoints."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ __all__ = ["App"]
 
 log = structlog.get_logger("rcp.a2a")
 _BODY_TIMEOUT = 30.0  # s
-_STEP = 250  # values that take as long as a turn may
+_STEP = 250  # values that take a whole turn
 _STATES = frozenset(TaskState.keys())
 _TAKEN = (b"application/json", b"application/a2a+json")
 
@@ -59,12 +59,12 @@ class _Call(msgspec.Struct):
 
 
 class _Asked(NamedTuple):
-    """What was read of a request before the SDK reads it."""
+    """What was read of a request before the SDK parses it."""
 
     call: _Call = _Call()
     plain: Any = None
     values: int = 0
-    """In how many the body is."""
+    """Number of values in the body."""
 
 
 class App:
@@ -80,7 +80,7 @@ class App:
         callers = Callers()
         routes = [
             *create_jsonrpc_routes(handler, "/", callers, enable_v0_3_compat=old),
-            # Those for tenants go: who acts in which is found out before.
+            # Routes for tenants are removed: the tenant is determined earlier.
             *(
                 route
                 for route in create_rest_routes(handler, callers, enable_v0_3_compat=old)
@@ -92,7 +92,7 @@ class App:
         self._sdk: Asgi = cast("Asgi", app)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request; whatever goes wrong is said in the binding's words."""
+        """Serve one request; errors use the format of the binding."""
         place = place_of(scope["path"])
         asked = _Asked()
         try:
@@ -112,7 +112,7 @@ class App:
             stops = self._is_stop(session, place, asked, len(body))
             self._charge(session, stops=stops)
             caller = Caller(session, self._cards.base(scope))
-            # The SDK handles a request in a few ms, a long one in many: they take turns.
+            # The SDK needs a few ms per request, more for a long one: they take turns.
             for _ in range(1 + asked.values // _STEP):
                 await self._client_api.turns.place((session.principal.identity, stops))
             inner = {
@@ -131,16 +131,16 @@ class App:
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
 
     def _is_stop(self, session: Session, place: Place, asked: _Asked, size: int) -> bool:
-        """Tell whether a request stops something: it queues behind no other of its caller."""
+        """Return whether a request stops something; it then skips its caller's queue."""
         if size > SHORT:
             return False
         request = as_request(place, asked.call.method, asked.plain)
         return request is not None and self._client_api.is_stop(session, request)
 
     def _charge(self, session: Session, *, stops: bool) -> None:
-        """Count a request.
+        """Charge a request to the quota.
 
-        :raises RateLimited: a quota does not allow it now, and it stops nothing.
+        :raises RateLimited: the quota is exceeded, and the request does not stop anything.
         """
         try:
             self._client_api.charge(session)
@@ -149,9 +149,9 @@ class App:
                 raise
 
     async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
-        """Return how long a body the caller may send, and why it is not served, if so.
+        """Return the maximum body length for the caller, and why the request is refused, if so.
 
-        The body of who is not served is read for the id of the request.
+        The body of a refused request is read for the request's id.
         """
         try:
             token = bearer(header(scope, b"authorization"))
@@ -163,7 +163,7 @@ class App:
 
 
 class _Malformed(BadRequest):
-    """A fault that the SDK would let pass."""
+    """An error that the SDK would not detect."""
 
     def __init__(self, trouble: Trouble, id_: str | int | None = None) -> None:
         super().__init__(trouble.message)
@@ -180,7 +180,7 @@ def _check_type(scope: Scope) -> None:
 
 
 def _check_state(scope: Scope, place: Place, call: _Call) -> None:
-    """Refuse a filter that is no state: the SDK takes it for none."""
+    """Refuse a filter with an unknown state, which the SDK would ignore."""
     named: str | int | None = None
     if call.method == "ListTasks":
         named = call.params.status
@@ -197,9 +197,9 @@ def _http(place: Place, trouble: Trouble) -> int:
 
 
 def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
-    """Look who and what is meant; what is not JSON goes no further.
+    """Determine caller and tenant; refuse what is not JSON.
 
-    The SDK takes too much: it would keep a `NaN` with the task, and never be able to write it out.
+    The SDK is too lenient: it would store a `NaN` with the task, and could never encode it.
     """
     if not body and place.binding == "rest":
         return _Asked()
@@ -217,16 +217,16 @@ def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
     except msgspec.ValidationError:
         return _Asked(plain=plain, values=values)
     if "/" in call.method and (header(scope, b"a2a-version") or b"").startswith(b"1"):
-        # The names of 0.3: they mean nothing in the version that is asked for.
+        # Method names of 0.3 are not valid in the requested version.
         trouble = Trouble(200, "UNIMPLEMENTED", "METHOD_NOT_FOUND", -32601, "Method not found")
         raise _Malformed(trouble, call.id)
     return _Asked(call, plain, values)
 
 
 def _check_values(plain: Any) -> int:
-    """Count the values that the SDK has to take in.
+    """Count the values that the SDK has to process.
 
-    :raises PayloadTooLarge: they are more than it takes in within a turn of the loop.
+    :raises PayloadTooLarge: there are more than it can process in one turn of the loop.
     """
     count = count_values(plain, VALUES)
     if count > VALUES:
@@ -246,7 +246,7 @@ def _tenant(place: Place, call: _Call) -> str | None:
 
 
 async def _not_here(request: Request, error: Exception) -> Response:
-    """Say in JSON what the router would say in words."""
+    """Return as JSON what the router would return as text."""
     answers: list[Any] = []
 
     async def send(message: Any) -> None:
@@ -264,7 +264,7 @@ async def _not_here(request: Request, error: Exception) -> Response:
 
 
 class _Exchange:
-    """One request as the SDK gets it: the body at once, then the client's leaving or our end."""
+    """One request as the SDK sees it: the whole body at once, then the disconnect."""
 
     def __init__(
         self, client_api: ClientApi, scope: Scope, receive: Receive, send: Send, body: bytes
@@ -276,17 +276,17 @@ class _Exchange:
         self._body: bytes | None = body
         self._over = asyncio.Event()
         self._open = False
-        """The response was begun and has not ended."""
+        """Whether the response has started and not ended."""
 
     async def run(self, app: Asgi) -> None:
-        """Have the SDK answer; a stream ends with the proof of its client, or with the gateway."""
+        """Let the SDK serve; a stream ends with the client's credentials or the gateway."""
         closing: set[Any] = self._scope.get("extensions", {}).get("rcp.closing", set())
         keep = self._client_api.until_end(self._scope[CALLER].session, self._expired)
         closing.add(self._over.set)
         try:
             await app(self._scope, self._next, self._passed)
             if self._open and self._over.is_set():
-                # The SDK takes our end for the client's, and leaves the response as it is.
+                # The SDK treats this like a disconnect, and leaves the response incomplete.
                 await self._send({"type": "http.response.body", "body": b"", "more_body": False})
         finally:
             closing.discard(self._over.set)

@@ -1,4 +1,4 @@
-"""Who calls: from a request to the session in whose name the agent acts, and to the SDK's context."""
+"""The caller: from a request to the session that the agent acts for, and the SDK's context."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from rcp_kernel.api import Principal, Session
 __all__ = ["CALLER", "Caller", "Callers", "Contexts", "caller_of", "owner_of", "owner_text"]
 
 CALLER = "rcp.caller"
-"""The key under which a request's scope and the SDK's context have the caller."""
+"""Key of the caller in a request's scope and in the SDK's context."""
 
 
 class Caller(msgspec.Struct, frozen=True, eq=False):
-    """A client with its session, and the address that it came to."""
+    """A client with its session, and the URL that it used."""
 
     session: Session
     base: str
-    """The URL of the gateway as this client sees it, without a slash at its end."""
+    """The gateway's URL as this client sees it, without a trailing slash."""
     since: float = msgspec.field(default_factory=time.monotonic)
-    """When its request came in."""
+    """When the request arrived."""
 
     @property
     def principal(self) -> Principal:
-        """Who it is."""
+        """Its identity."""
         return self.session.principal
 
     @property
     def tenant(self) -> str | None:
-        """In which tenant it acts."""
+        """The tenant that it acts in."""
         return self.session.tenant
 
 
@@ -58,10 +58,10 @@ class _Named(User):
 
 
 class Callers(ServerCallContextBuilder):
-    """Makes the SDK's context of a request whose caller is known already."""
+    """Builds the SDK's context of a request whose caller is authenticated."""
 
     def build(self, request: Request) -> ServerCallContext:
-        """Make the context; the protocol's version may come as a parameter of the URL too."""
+        """Build the context; the protocol version may also be a URL parameter."""
         caller: Caller = request.scope[CALLER]
         headers = dict(request.headers)
         if VERSION_HEADER.lower() not in headers:
@@ -83,18 +83,18 @@ def caller_of(context: ServerCallContext) -> Caller:
 
 
 def owner_text(session: Session) -> str:
-    """Return whose tasks a session's are: a principal's, by the proof that vouches, in a tenant."""
+    """Return the owner of a session's tasks: a principal, by its credentials, in a tenant."""
     name, proof = session.principal.identity
     return msgspec.json.encode([session.tenant, proof, name]).decode()
 
 
 def owner_of(context: ServerCallContext) -> str:
-    """Return whose tasks a call is about."""
+    """Return the owner of the tasks of a call."""
     return owner_text(caller_of(context).session)
 
 
 class Contexts(SimpleRequestContextBuilder):
-    """Has a message that names only its task go on in that task's context."""
+    """Continues a message that names only its task in that task's context."""
 
     def __init__(self, tasks: TaskStore) -> None:
         super().__init__()
@@ -108,9 +108,9 @@ class Contexts(SimpleRequestContextBuilder):
         context_id: str | None = None,
         task: Task | None = None,
     ) -> RequestContext:
-        """Make the context of one execution."""
+        """Build the context of one execution."""
         if task_id is not None and context_id is None:
-            # The SDK would make up a new one, and the task would seem to be somebody else's.
+            # The SDK would create a new one, and the task would appear to have another owner.
             known = await self._tasks.get(task_id, context)
             context_id = None if known is None else known.context_id
         return await super().build(context, params, task_id, context_id, task)

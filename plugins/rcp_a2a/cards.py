@@ -1,4 +1,4 @@
-"""Agent cards: what the agent can do for whom, where it is reached, and how one proves oneself."""
+"""Agent cards: the skills available to a caller, the URLs, and the authentication schemes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = ["INPUT_MODES", "OUTPUT_MODES", "Cards"]
 
 INPUT_MODES = ("application/json", "text/plain")
 OUTPUT_MODES = ("application/json", "text/plain")
-_KEPT = 64  # cards that are kept ready
+_KEPT = 64  # number of cached cards
 _HOST = re.compile(r"[A-Za-z0-9.\-_\[\]:]+\Z")
 _DESCRIPTION = (
     "Robots behind one gateway. Send a plan or a single command. The gateway checks all of it "
@@ -47,10 +47,10 @@ _DESCRIPTION = (
 
 
 class Cards:
-    """Makes cards, and serves the public ones."""
+    """Builds cards, and serves the public ones."""
 
     def __init__(self, config: A2aConfig, client_api: ClientApi) -> None:
-        """Read the key, if there is one.
+        """Read the signing key, if there is one.
 
         :raises ConfigError: it cannot be read.
         """
@@ -60,7 +60,7 @@ class Cards:
         self._ready: dict[tuple[Any, ...], tuple[bytes, bytes]] = {}
 
     def base(self, scope: Scope) -> str:
-        """Return the gateway's URL as a client sees it, without a slash at its end."""
+        """Return the gateway's URL as a client sees it, without a trailing slash."""
         if self._config.url is not None:
             return self._config.url.rstrip("/")
         host = (header(scope, b"host") or b"").decode("latin-1")
@@ -71,7 +71,7 @@ class Cards:
     # -- serving -------------------------------------------------------------------------------
 
     async def serve(self, scope: Scope, send: Send, place: Place) -> None:
-        """Answer with a public card, or with the keys that verify it."""
+        """Serve a public card, or the keys that verify it."""
         if scope["method"] not in ("GET", "HEAD"):
             await refuse(send, NOT_TAKEN, "rest")
             return
@@ -103,13 +103,13 @@ class Cards:
             if len(self._ready) >= _KEPT:
                 self._ready.pop(next(iter(self._ready)))
             card = self._make(base, session, tenant)
-            # The tag is of what the card says: some algorithms sign differently every time.
+            # The tag covers the unsigned content: some algorithms sign differently every time.
             tag = hashlib.sha256(card.SerializeToString(deterministic=True)).hexdigest()[:32]
             self._ready[key] = msgspec.json.encode(self._written(card, base)), tag.encode()
         return self._ready[key]
 
     def _stranger(self, tenant: str | None) -> Session | None:
-        """Return what those have who prove nothing; nothing for a tenant that is not theirs."""
+        """Return the rights without authentication; none in a tenant that is not open to them."""
         if not self._client_api.proofs.anonymous:
             return None
         try:
@@ -118,23 +118,23 @@ class Cards:
             return None
 
     def _written(self, card: AgentCard, base: str) -> dict[str, Any]:
-        """Write a card as JSON, signed; what 0.3 says otherwise stands beside, if nothing is signed.
+        """Encode a card as JSON, signed; fields of 0.3 are added only if it is not signed.
 
-        A verifier that takes the document as it is would find the other words not signed.
+        A verifier that checks the whole document would find those fields unsigned.
         """
         if self._key is not None:
             self._key.sign(card, f"{base}{PREFIX}{JWKS}")
             return MessageToDict(card)
         return agent_card_to_dict(card) if self._config.compatible else MessageToDict(card)
 
-    # -- making --------------------------------------------------------------------------------
+    # -- building ------------------------------------------------------------------------------
 
     def plain(self) -> AgentCard:
-        """Make the card that the SDK checks requests by; it is shown to nobody."""
+        """Build the card that the SDK uses to check requests; it is not served."""
         return self._make("http://localhost", None, None)
 
     async def extended(self, _card: AgentCard, context: ServerCallContext) -> AgentCard:
-        """Make the card of what a caller may do."""
+        """Build the card with what a caller may do."""
         caller = caller_of(context)
         card = self._make(caller.base, caller.session, caller.tenant)
         if self._key is not None:
@@ -203,4 +203,4 @@ class Cards:
             card.security_schemes[name].CopyFrom(scheme)
             card.security_requirements.append(SecurityRequirement(schemes={name: StringList()}))
         if proofs.anonymous and schemes:
-            card.security_requirements.append(SecurityRequirement())  # or nothing at all
+            card.security_requirements.append(SecurityRequirement())  # or anonymous access

@@ -1,4 +1,4 @@
-"""What `[plugins.a2a]` may say."""
+"""The configuration of `[plugins.a2a]`."""
 
 from __future__ import annotations
 
@@ -11,57 +11,57 @@ __all__ = ["A2aConfig", "Provider", "PushConfig"]
 
 
 class Provider(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Who answers for the agent, as its card says."""
+    """The provider of the agent, for its card."""
 
     organization: Annotated[str, Meta(min_length=1)]
     url: Annotated[str, Meta(min_length=1)]
 
 
 class PushConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Notifications of tasks to addresses that clients name. Times in seconds."""
+    """Task notifications to addresses given by clients. Times in seconds."""
 
     enabled: bool = True
     http: bool = False
-    """Whether addresses without TLS are taken."""
+    """Whether addresses without TLS are allowed."""
     ca: str | None = None
-    """A PEM file of CAs that are trusted beside those that everybody trusts."""
+    """A PEM file with CAs to trust in addition to the system's."""
     private: tuple[str, ...] = ()
-    """Networks (`10.0.5.0/24`) that are no part of the internet and may be called all the same."""
+    """Private networks (`10.0.5.0/24`) that may be called."""
     per_task: Annotated[int, Meta(ge=1, le=100)] = 8
-    """Addresses that one task may name."""
+    """Maximum number of addresses per task."""
     queue: Annotated[int, Meta(ge=1)] = 1000
-    """Notifications that wait at most, of all tasks; the oldest give way."""
+    """Maximum number of queued notifications, over all tasks; the oldest are dropped."""
     attempts: Annotated[int, Meta(ge=1, le=20)] = 5
     timeout: Annotated[float, Meta(gt=0, le=60)] = 10.0
-    """Of one attempt."""
+    """Time-out of one attempt."""
     backoff: Annotated[float, Meta(gt=0, le=60)] = 0.5
-    """Before the second attempt; doubled before each further one."""
+    """Delay before the second attempt; doubled before each further one."""
 
 
 class A2aConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The agent that speaks A2A. Times in seconds."""
+    """The agent. Times in seconds."""
 
     name: str | None = None
-    """Of the agent; the gateway's own if not given."""
+    """Name of the agent; default: the gateway's."""
     description: str | None = None
     url: Annotated[str, Meta(pattern="^https?://[^/?#]+(/[^?#]*)?$")] | None = None
-    """Where the gateway is found from outside; else what the request's `Host` says."""
+    """Public URL of the gateway; default: by the request's `Host`."""
     documentation: str | None = None
     provider: Provider | None = None
     card_key: str | None = None
-    """A private key as PEM (P-256, RSA or Ed25519), or its file: cards are signed with it."""
+    """A private key as PEM (P-256, RSA or Ed25519), or its file: signs the cards."""
     card_max_age: Annotated[int, Meta(ge=0)] = 60
-    """How long a card may be taken from a cache."""
+    """Time for which a card may be cached."""
     compatible: bool = True
-    """Whether clients of A2A 0.3 are served too."""
+    """Whether to serve clients of A2A 0.3 as well."""
     message: Annotated[int, Meta(ge=1024)] = 1_048_576
-    """Longest request, in bytes."""
+    """Maximum request size, in bytes."""
     tasks_size: Annotated[int, Meta(ge=1024)] = 33_554_432
-    """Bytes that the tasks of one principal in one tenant may take; the oldest that have ended give way."""
+    """Maximum bytes of tasks per principal and tenant; the oldest ended ones are dropped."""
     tasks: Annotated[int, Meta(ge=1)] = 1000
-    """That are kept of one principal in one tenant; the oldest that have ended give way."""
+    """Maximum number of tasks per principal and tenant; the oldest ended ones are dropped."""
     retention: Annotated[float, Meta(gt=0)] = 604_800.0
-    """How long a task is kept that has ended."""
+    """Time for which an ended task is kept."""
     input_timeout: Annotated[float, Meta(gt=0)] = 600.0
-    """How long a task waits for an answer; then it has failed."""
+    """Time for which a task waits for an answer before it fails."""
     push: PushConfig = PushConfig()

@@ -1,4 +1,4 @@
-"""The SDK's handler of requests, with what the specification asks for beyond it."""
+"""The SDK's request handler, with additional checks required by the specification."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from rcp_kernel.client_api import ClientApi
 __all__ = ["Handler"]
 
 
-_HISTORY = 64  # messages of a task that are told, the latest: each is written in one turn
+_HISTORY = 64  # latest messages of a task in a response: each is encoded in one turn
 _UNDER_WAY = (TaskState.TASK_STATE_SUBMITTED, TaskState.TASK_STATE_WORKING)
 
 
-# What the SDK calls after it has looked for required fields, value by value of the plan too: 5 ms
-# for 60 steps. `check_fields` does that without the plan.
+# The SDK checks required fields value by value, also within the plan: 5 ms for 60 steps.
+# `check_fields` omits the plan.
 _send = unwrap(DefaultRequestHandler.on_message_send)
 _send_stream = unwrap(DefaultRequestHandler.on_message_send_stream)
 
 
 class Handler(DefaultRequestHandler):
-    """Checks the form of messages before a task is made of them; tells of tasks what may be seen."""
+    """Checks messages before a task is created; hides from tasks what the caller may not see."""
 
     def __init__(self, client_api: ClientApi, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -65,7 +65,7 @@ class Handler(DefaultRequestHandler):
         return Mask(self._client_api, caller_of(context).session, own)
 
     async def _told(self, task: Task, context: ServerCallContext) -> Task:
-        # The one that is told may be without its history, and so without what was asked for.
+        # The returned task may lack its history, and thus the request.
         turns = self._client_api.turns
         await turns.wait(caller_of(context).principal.identity)
         whole: Any = await self.task_store.get(task.id, context)
@@ -124,7 +124,7 @@ class Handler(DefaultRequestHandler):
 
 
 def _asked(task: Task) -> list[Message]:
-    """Return what its client said, of a task that says far more itself."""
+    """Return the client's text, from a task that contains more."""
     return [message for message in task.history if message.role == Role.ROLE_USER]
 
 

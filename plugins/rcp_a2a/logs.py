@@ -1,4 +1,4 @@
-"""What the SDK logs: faults of clients are told to them, not to the operator."""
+"""Log filter for the SDK: client errors are reported to clients, not to the operator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _passes(record: logging.LogRecord) -> bool:
 
 @contextmanager
 def quieted() -> Generator[None]:
-    """Let whoever sends malformed requests fill no log while entered."""
+    """Suppress log records about malformed requests while entered."""
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     for logger in loggers:
         logger.addFilter(_passes)

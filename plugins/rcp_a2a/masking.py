@@ -1,4 +1,4 @@
-"""What is told of a task: nothing of what its caller may not see by now, whenever it was found out."""
+"""Hides from a task what its caller may no longer see."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Mask"]
 
 
 class Mask:
-    """Leaves out what is hidden from one caller; what the caller itself has named is no secret."""
+    """Hides what one caller may not see; paths that the caller named itself are not secret."""
 
     def __init__(
         self, client_api: ClientApi, session: Session, own: Iterable[Message] = ()
@@ -48,7 +48,7 @@ class Mask:
         return shown
 
     def event(self, event: Any) -> Any:
-        """Return an event as the caller may see it; None if it is not to be told at all."""
+        """Return an event as the caller may see it; None if it must not be sent at all."""
         if isinstance(event, Task):
             return self.task(event)
         if isinstance(event, TaskArtifactUpdateEvent):
@@ -71,7 +71,7 @@ class Mask:
 
     def _hides_artifact(self, artifact: Artifact) -> bool:
         names = _names(artifact)
-        # What is too long to be looked through is judged by the path that it is of.
+        # Long values are judged by their path only.
         return self._hides(names_in(artifact.name) if TOUCHES_EVERYTHING in names else names)
 
     def _hides_message(self, message: Message) -> bool:
@@ -92,5 +92,5 @@ def _names(part: Any) -> frozenset[str]:
 
 
 def _short(name: str) -> str:
-    """Return a name without its tenant, which a caller may leave out."""
+    """Return a path without its tenant, which a caller may omit."""
     return name.split("/", 3)[-1] if name.startswith("/tenant/") else name.replace(".", "/")

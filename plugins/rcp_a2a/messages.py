@@ -1,4 +1,4 @@
-"""Between the protocol's messages and plain data: what a client asks for, and what it is told."""
+"""Conversion between the protocol's messages and plain data."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ _DATA = "application/json"
 _TEXT = "text/plain"
 _EXACT = 2**53
 VALUES = 1024
-"""In one message or task as data: the SDK takes 10 µs for each, most of them in one turn."""
+"""Maximum values per message or task as data: the SDK needs 10 µs for each, mostly in one turn."""
 
 
 class TaskRequest(msgspec.Struct, frozen=True):
-    """What a message wants."""
+    """The content of a message."""
 
     body: Any
-    """A plan as `/system/plans` takes it, or the answer to a question."""
+    """A plan as for `/system/plans`, or the answer to a question."""
     dry_run: bool = False
     deadline: float | None = None
     words: bool = False
-    """Whether the client takes data only as text."""
+    """Whether the client accepts data only as text."""
 
 
 def check_fields(request: SendMessageRequest) -> None:
-    """Refuse a message that lacks a field; the data in it has none that could lack.
+    """Refuse a message that lacks a required field; its data has no such fields.
 
-    :raises InvalidParamsError: it lacks one.
+    :raises InvalidParamsError: a field is missing.
     """
     bare = SendMessageRequest()
     bare.CopyFrom(request)
@@ -67,10 +67,10 @@ def check_fields(request: SendMessageRequest) -> None:
 
 
 def check(message: Message) -> None:
-    """Refuse a message that is no plan by its form.
+    """Refuse a message that does not have the form of a plan.
 
-    :raises ContentTypeNotSupportedError: it has files, or another type than JSON and text.
-    :raises InvalidParamsError: it has several plans.
+    :raises ContentTypeNotSupportedError: it has files, or types other than JSON and text.
+    :raises InvalidParamsError: it contains several plans.
     """
     kinds = [part.WhichOneof("content") for part in message.parts]
     for part, kind in zip(message.parts, kinds, strict=True):
@@ -85,7 +85,7 @@ def check(message: Message) -> None:
 
 
 def asked(request: SendMessageRequest) -> TaskRequest:
-    """Read a message; where it has a data part, its text is for people."""
+    """Parse a message; if it has a data part, its text is for people only."""
     message = request.message
     options = {**plain(request.metadata), **plain(message.metadata)}
     data = [part.data for part in message.parts if part.WhichOneof("content") == "data"]
@@ -107,13 +107,13 @@ def asked(request: SendMessageRequest) -> TaskRequest:
 
 
 def _wants_text(modes: Iterable[str]) -> bool:
-    """Tell whether a client that says what it accepts accepts text, and no data."""
+    """Return whether a client that lists its accepted types accepts text, but no data."""
     accepted = {mode.partition(";")[0].strip().lower() for mode in modes}
     return _TEXT in accepted and not accepted & {_DATA, "application/*", "*/*"}
 
 
 def written(text: str) -> Any:
-    """Tell what kind of plan a text is: JSON, the symbolic plan of a planner, or commands."""
+    """Determine the kind of plan in a text: JSON, the symbolic plan of a planner, or commands."""
     stripped = text.strip()
     if stripped.startswith("{"):
         try:
@@ -127,7 +127,7 @@ def written(text: str) -> Any:
 
 
 def plain(value: Value | Struct | Any) -> Any:
-    """Make plain data of the protocol's, where every number is a float: whole ones are integers."""
+    """Convert the protocol's data, where every number is a float, to data with integers."""
     if isinstance(value, Struct):
         return {name: plain(item) for name, item in value.fields.items()}
     match value.WhichOneof("kind"):
@@ -147,12 +147,12 @@ def plain(value: Value | Struct | Any) -> Any:
 
 
 def told(reply: Reply) -> dict[str, Any]:
-    """Write a reply as the wire does, in plain data."""
+    """Encode a reply as on the wire, as plain data."""
     return msgspec.json.decode(encode_reply(reply, Encoding.JSON))
 
 
 def count_values(plain: Any, most: int) -> int:
-    """Count the values in plain data, up to one more than `most`."""
+    """Count the values in plain data, up to `most` + 1."""
     waiting: list[Any] = [plain]
     count = 0
     while waiting and count <= most:
@@ -166,17 +166,17 @@ def count_values(plain: Any, most: int) -> int:
 
 
 def data_part(value: Any, *, words: bool = False) -> Part:
-    """Make a part of plain data, or of the text that it is."""
+    """Build a part from plain data, or from the text that it is."""
     if words:
         return text_part(value, _TEXT)
     return Part(data=ParseDict(value, Value()), media_type=_DATA)
 
 
 def text_part(value: Any, media_type: str = _DATA) -> Part:
-    """Make a part of the JSON that plain data is: it costs nothing, however many values there are."""
+    """Build a part with plain data as JSON text, which is cheap for any number of values."""
     return Part(text=msgspec.json.encode(value).decode(), media_type=media_type)
 
 
 def stamp() -> str:
-    """Return the present time as the specification writes it: UTC, in milliseconds."""
+    """Return the present time in the specification's format: UTC, in milliseconds."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -1,4 +1,4 @@
-"""Where in the tree of URLs a request is: which tenant, which binding, what is asked."""
+"""The components of a request's URL: tenant, binding and path."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _REST = ("message:send", "message:stream", "tasks", "extendedAgentCard", "v1", "
 
 
 class Place(msgspec.Struct, frozen=True):
-    """A place below the prefix."""
+    """A location below the prefix."""
 
     tenant: str | None
     rest: str
-    """What comes after the tenant; `/` is the JSON-RPC endpoint."""
+    """The path after the tenant; `/` is the JSON-RPC endpoint."""
 
     @property
     def binding(self) -> Binding:
-        """The binding that is spoken there."""
+        """The binding at this location."""
         return "jsonrpc" if self.rest == "/" else "rest"
 
 
 def place_of(path: str) -> Place:
-    """Take a path apart; a first segment that means nothing else names a tenant."""
+    """Parse a path; an otherwise unknown first segment is a tenant."""
     if path == CARD:
         return Place(None, CARD)
     rest = path.removeprefix(PREFIX).rstrip("/")

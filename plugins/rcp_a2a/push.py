@@ -1,4 +1,4 @@
-"""Notifications: what a task says is posted to the addresses that its owner named."""
+"""Notifications: task updates are posted to the addresses that the owner has registered."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TEXT = 1024  # characters of a token or of credentials
 
 
 class Subscribers(InMemoryPushNotificationConfigStore):
-    """The addresses of each task, kept as long as the task is."""
+    """The addresses of each task, kept as long as the task."""
 
     def __init__(self, shelf: PluginStore, most: int) -> None:
         super().__init__(owner_of)
@@ -43,7 +43,7 @@ class Subscribers(InMemoryPushNotificationConfigStore):
         self._most = most
 
     def restore(self) -> None:
-        """Take over what earlier runs left."""
+        """Load the addresses of earlier runs."""
         for task_id, row in self._shelf.load().items():
             try:
                 configs = [TaskPushNotificationConfig.FromString(one) for one in row["configs"]]
@@ -58,9 +58,9 @@ class Subscribers(InMemoryPushNotificationConfigStore):
         notification_config: TaskPushNotificationConfig,
         context: ServerCallContext,
     ) -> TaskPushNotificationConfig:
-        """Add an address to a task, or replace the one of the same id.
+        """Add an address to a task, or replace the one with the same id.
 
-        :raises InvalidParamsError: it is malformed, or there are too many.
+        :raises InvalidParamsError: it is invalid, or there are too many.
         """
         _check(notification_config)
         known = await self.get_info(task_id, context)
@@ -74,12 +74,12 @@ class Subscribers(InMemoryPushNotificationConfigStore):
     async def delete_info(
         self, task_id: str, context: ServerCallContext, config_id: str | None = None
     ) -> None:
-        """Take an address from a task."""
+        """Remove an address from a task."""
         await super().delete_info(task_id, context, config_id)
         self._keep(task_id, owner_of(context))
 
     def forget(self, task_id: str) -> None:
-        """Let go of the addresses of a task that is gone."""
+        """Remove the addresses of a deleted task."""
         for infos in self._push_notification_infos.values():
             infos.pop(task_id, None)
         self._shelf.put(task_id, None)
@@ -120,10 +120,10 @@ class _Waiting(msgspec.Struct, frozen=True):
 
 
 class Notifier(PushNotificationSender):
-    """Posts in order for each address, in the background; a full queue loses its oldest."""
+    """Posts in order per address, in the background; a full queue drops its oldest."""
 
     def __init__(self, config: PushConfig, addresses: Addresses, subscribers: Subscribers) -> None:
-        """Read the CAs.
+        """Load the CAs.
 
         :raises ConfigError: they cannot be read.
         """
@@ -138,7 +138,7 @@ class Notifier(PushNotificationSender):
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
-        """Post while entered."""
+        """Post notifications while entered."""
         client = httpx.AsyncClient(
             timeout=self._config.timeout,
             follow_redirects=False,
@@ -156,7 +156,7 @@ class Notifier(PushNotificationSender):
                 await asyncio.gather(*self._workers.values(), return_exceptions=True)
 
     async def send_notification(self, task_id: str, event: PushNotificationEvent) -> None:
-        """Queue what a task says for each of its addresses; returns at once."""
+        """Queue a task's update for each of its addresses; returns at once."""
         configs = await self._subscribers.get_info_for_dispatch(task_id)
         if not configs or self._client is None:
             return
@@ -208,9 +208,9 @@ class Notifier(PushNotificationSender):
         log.warning("push_given_up", task=task, attempts=self._config.attempts)
 
     async def _post(self, one: _Waiting) -> str | None:
-        """Post once; return why it has to be tried again, if it has to.
+        """Post once; return why to retry, or None.
 
-        :raises Unfit: the address is not one that is called, or it refused for good.
+        :raises Unfit: the address is not allowed, or it refused permanently.
         """
         assert self._client is not None
         judged = await self._addresses.judge(one.config.url)

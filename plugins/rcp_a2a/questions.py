@@ -1,4 +1,4 @@
-"""What a task asks its client for when its plan cannot go on, and what an answer makes of the plan."""
+"""The questions of a task whose plan cannot continue, and the effect of the answers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
 Node = dict[str, Any]
 Lines = Callable[[str], list[Node]]
 LINES: ServiceKey[Lines] = ServiceKey("plans.lines")
-"""Of the feature that runs plans: translates commands, one a line, into steps."""
+"""Service of the feature that runs plans: translates commands, one per line, into steps."""
 Decision = Literal["approve", "reject"]
 _DECISIONS: dict[str, Decision] = {
     "approve": "approve",
@@ -40,23 +40,23 @@ class Question(msgspec.Struct, frozen=True):
     """What is missing."""
 
     text: str
-    """For people."""
+    """Text for people."""
     approval: str | None = None
-    """Id of the approval that the plan wants."""
+    """Id of the approval that the plan requires."""
     missing: tuple[Node, ...] = ()
-    """Parameters: `step`, `path`, and a JSON Pointer into the step's value."""
+    """Missing parameters: `step`, `path`, and a JSON Pointer into the step's value."""
     details: Node = {}
 
     @property
     def plain(self) -> Node:
-        """The question as data."""
+        """Return the question as data."""
         if self.approval is not None:
             return {"question": "approval", "decisions": ["approve", "reject"], **self.details}
         return {"question": "parameters", "missing": list(self.missing)}
 
 
 def question_of(facts: Node) -> Question | None:
-    """Return what a client may be asked so that a refused plan goes on."""
+    """Return the question whose answer would let a refused plan continue."""
     error: Node = facts.get("error") or {}
     details: Node = error.get("details") or {}
     if error.get("code") == "approval_required" and isinstance(details.get("approval"), str):
@@ -72,7 +72,7 @@ def question_of(facts: Node) -> Question | None:
 
 
 def with_schemas(question: Question, schema: Callable[[str], Any]) -> Question:
-    """Return a question that says what its parameters have to fit."""
+    """Return a question with the schemas of its parameters."""
     missing = tuple({**m, "schema": schema(m["path"])} for m in question.missing)
     return msgspec.structs.replace(question, missing=missing)
 
@@ -90,7 +90,7 @@ def _missing(fault: Node) -> Node | None:
 
 
 def is_plan(answer: TaskRequest) -> bool:
-    """Tell whether an answer is a plan by itself; free text is none."""
+    """Return whether an answer is itself a plan; free text is not."""
     body = answer.body
     if not isinstance(body, dict) or not _NOTATIONS & body.keys():
         return False
@@ -99,7 +99,7 @@ def is_plan(answer: TaskRequest) -> bool:
 
 
 def decision_of(answer: TaskRequest) -> Decision | None:
-    """Return how an answer decides on an approval; None if it says something else."""
+    """Return the decision on an approval; None if the answer contains none."""
     body = answer.body
     if isinstance(body, dict):
         named: Any = body.get("decision")
@@ -113,10 +113,10 @@ def decision_of(answer: TaskRequest) -> Decision | None:
 def mended(
     plan: TaskRequest, question: Question, answer: TaskRequest, lines: Lines
 ) -> TaskRequest | None:
-    """Return the plan with what an answer gives: a whole plan, or the parameters that lack.
+    """Return the plan completed by an answer: a whole plan, or the missing parameters.
 
-    Parameters come by the id of their step, or alone if only one step lacks any. None: the answer
-    gives neither.
+    Parameters are given by the id of their step, or alone if only one step lacks any. None: the
+    answer contains neither.
     """
     if is_plan(answer):
         return answer
@@ -138,7 +138,7 @@ def mended(
 
 
 def _value(body: Any) -> Any:
-    """Read a text that is no plan: JSON, or nothing."""
+    """Parse a text that is not a plan: as JSON, or not at all."""
     if isinstance(body, dict) and body.keys() == {"lines"}:
         try:
             return msgspec.json.decode(body["lines"])
@@ -148,18 +148,18 @@ def _value(body: Any) -> Any:
 
 
 def _with_steps(body: Any, lines: Lines) -> Node | None:
-    """Return a copy of a plan written in steps; None if it cannot be."""
+    """Return a copy of a plan as a list of steps; None if that is not possible."""
     plan: Any = msgspec.json.decode(msgspec.json.encode(body))
     if not isinstance(plan, dict):
         return None
     if "lines" in plan:
-        # Their ids are their places, which the gateway gives them anew.
+        # Without ids: the gateway numbers them again by position.
         return {"steps": [{**step, "id": None} for step in lines(str(plan["lines"]))]}
     return plan if isinstance(plan.get("steps"), list) else None
 
 
 def _every(steps: list[Any], place: str) -> Iterator[tuple[str, Node]]:
-    """Go through all steps with their ids, as the gateway numbers them."""
+    """Iterate over all steps with their ids, as the gateway numbers them."""
     for number, step in enumerate(steps, 1):
         if not isinstance(step, dict):
             continue

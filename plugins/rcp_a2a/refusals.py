@@ -1,4 +1,4 @@
-"""Refusals before the SDK is asked, in the words of each binding."""
+"""Errors before the SDK is called, in the format of each binding."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Trouble(msgspec.Struct, frozen=True):
 
     http: int
     status: str
-    """A code of google.rpc.Code."""
+    """Code of google.rpc.Code."""
     reason: str
     rpc: int
-    """The code of JSON-RPC; those of this gateway's own begin at -32050."""
+    """JSON-RPC error code; those of this gateway start at -32050."""
     message: str
     metadata: dict[str, str] = {}
 
@@ -48,7 +48,7 @@ NOT_TAKEN = Trouble(
 
 
 def trouble_of(error: RcpError, http: int | None = None) -> Trouble:
-    """Say an error of the gateway in the protocol's words."""
+    """Convert an error of the gateway to the protocol's."""
     status, rpc = _BY_HTTP.get(http or error.http, ("INTERNAL", -32603))
     facts = {"code": error.code}
     if error.remedy is not None:
@@ -64,7 +64,7 @@ async def refuse(
     *,
     wait: float | None = None,
 ) -> None:
-    """Answer a request that goes no further."""
+    """Respond to a refused request."""
     info = {
         "@type": _INFO,
         "reason": trouble.reason,

@@ -1,4 +1,4 @@
-"""One task as it runs: the replies of its plan's command, told as status updates and artifacts."""
+"""One running task: the replies of its plan's command as status updates and artifacts."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ from rcp_kernel.wire import Reply, Request
 __all__ = ["Run"]
 
 log = structlog.get_logger("rcp.a2a")
-_PROGRESS = 256  # values of a step's progress that are told
-_PACE = 0.2  # s between two updates that only tell of progress
+_PROGRESS = 256  # values of a step's progress that are included
+_PACE = 0.2  # s between updates with progress only
 _STEP_ENDED = frozenset(("completed", "recovered", "failed", "skipped", "cancelled"))
 _FINAL = {
     "completed": TaskState.TASK_STATE_COMPLETED,
@@ -57,7 +57,7 @@ _FINAL = {
 
 
 class Run:
-    """A plan under way."""
+    """A plan being executed."""
 
     def __init__(
         self, client_api: ClientApi, task: Task, patience: float, forget: Callable[[str], object]
@@ -67,7 +67,7 @@ class Run:
         self._forget = forget
         self.task = task
         self.question: Question | None = None
-        """What the client was asked for, while the task waits for it."""
+        """The pending question to the client."""
         self._plan: TaskRequest
         self._session: Session
         self._lapse: asyncio.TimerHandle | None = None
@@ -78,18 +78,18 @@ class Run:
         self._replies: deque[Reply] = deque()
         self._arrived = asyncio.Event()
         self._known = asyncio.Event()
-        """The gateway has said something: a robot may move before it does."""
+        """Whether the gateway has replied: a robot may move before it does."""
         self._urgent = asyncio.Event()
-        """There is more to tell than progress."""
+        """Whether there is more to report than progress."""
         self._states: dict[str, str] = {}
         self._room = VALUES
-        """Values that the artifacts of the task may still have as data."""
+        """Values that the task's artifacts may still contain as data."""
         self._updater: TaskUpdater
 
     # -- the gateway's side --------------------------------------------------------------------
 
     def start(self, caller: Caller, plan: TaskRequest, approval: str | None = None) -> None:
-        """Have the gateway check the plan and begin it."""
+        """Submit the plan to the gateway, which checks and starts it."""
         self._plan, self._session = plan, caller.session
         request = HeldRequest(
             since=caller.since,
@@ -104,7 +104,7 @@ class Run:
         self._client_api.submit(caller.session, request, self._take)
 
     def answer(self, caller: Caller, answer: TaskRequest) -> str | None:
-        """Go on with what a client answered; return what is still to be told if that is no use."""
+        """Continue with a client's answer; return an explanation if it is not usable."""
         question = self.question
         assert question is not None
         if question.approval is not None and not is_plan(answer):
@@ -112,7 +112,7 @@ class Run:
         lines = self._client_api.service(LINES) or (lambda _text: [])
         plan = mended(self._plan, question, answer, lines)
         if plan is None:
-            return "That is neither a plan nor what is missing. " + question.text
+            return "The answer is neither a plan nor the missing parameters. " + question.text
         self._resume()
         self.start(caller, plan)
         return None
@@ -128,9 +128,9 @@ class Run:
         except Forbidden as error:
             if decision == "reject":
                 return error.message
-            # It is for somebody else to decide; who has done so by now lets the plan pass.
+            # Somebody else decides; if they have approved, the plan proceeds.
         except UnknownPath:
-            pass  # it has lapsed: the plan asks anew
+            pass  # it has expired: the plan requests a new one
         except RcpError as error:
             return error.message
         self._resume()
@@ -148,14 +148,14 @@ class Run:
         self._known.set()
         last = self._replies[-1] if self._replies else None
         if last is not None and _passing(last) and _passing(reply) and _step(last) == _step(reply):
-            self._replies.pop()  # the newest progress wins for a task that is behind
+            self._replies.pop()  # newer progress replaces older for a slow client
         self._replies.append(reply)
         self._arrived.set()
         if not _passing(reply):
             self._urgent.set()
 
     async def cancel(self, caller: Caller) -> None:
-        """Have the plan's running steps cancelled; returns once the robots have confirmed it."""
+        """Cancel the plan's running steps; returns once the robots have confirmed it."""
         self.cancelled = True
         if self.question is not None:
             self._resume()
@@ -170,11 +170,11 @@ class Run:
     # -- the client's side ---------------------------------------------------------------------
 
     def listen(self, queue: EventQueue) -> None:
-        """Have everything told to a queue from now on."""
+        """Send updates to a queue from now on."""
         self._updater = TaskUpdater(queue, self.task.id, self.task.context_id)
 
     async def attend(self) -> None:
-        """Tell what happens until the plan has ended, or the client is asked for something."""
+        """Send updates until the plan has ended or there is a question to the client."""
         final = False
         while not final:
             await self._arrived.wait()
@@ -214,7 +214,7 @@ class Run:
             await self._artifact(id_, step)
             data["artifact"] = f"step-{id_}"
         if self._states.get(id_) == state:
-            # Progress alone goes into the metadata, where the newest replaces the one before.
+            # Progress goes into the metadata only, where the newest replaces the previous.
             if count_values(step, _PROGRESS) > _PROGRESS:
                 del step["feedback"]
             metadata = {"step": step, "progress": facts.get("progress")}
@@ -254,13 +254,13 @@ class Run:
         await self._end(state, text, facts.get("error"))
 
     def _schema(self, path: str) -> Any:
-        """Return the schema of what a path takes, as its caller may see it."""
+        """Return the input schema of a path, as its caller may see it."""
         page = at_once(self._client_api.discover(self._session, path, Query(limit=1)))
         schemas = page["resources"][0]["schemas"] if page["resources"] else {}
         return schemas.get("input") or schemas.get("value")
 
     async def ask(self, question: Question, text: str) -> None:
-        """Ask the client, who may take some time for the answer."""
+        """Ask the client, whose answer may take a while."""
         self.question = question
         loop = asyncio.get_running_loop()
         self._lapse = loop.call_later(self._patience, self._lapsed)
@@ -268,7 +268,7 @@ class Run:
         await self._status(TaskState.TASK_STATE_INPUT_REQUIRED, message)
 
     async def ask_again(self, text: str) -> None:
-        """Tell a client that its answer is of no use."""
+        """Tell a client that its answer is not usable."""
         question = self.question
         assert question is not None
         self._resume()
@@ -288,7 +288,7 @@ class Run:
         await self._updater.update_status(state, message, stamp(), **more)
 
     def _data(self, value: Any) -> Part:
-        """Make a part of data; of its JSON if the task would have too many values."""
+        """Build a data part, or a text part with JSON if the task would have too many values."""
         count = count_values(value, self._room)
         if count > self._room:
             return text_part(value)
@@ -303,7 +303,7 @@ class Run:
 
 
 def _passing(reply: Reply) -> bool:
-    """Tell whether a reply is of progress only."""
+    """Return whether a reply contains progress only."""
     return reply.status == "in_progress" and _state(reply) not in _STEP_ENDED
 
 
@@ -318,7 +318,7 @@ def _step(reply: Reply) -> Any:
 def _line(id_: str, step: dict[str, Any]) -> str:
     what = " ".join(str(step[key]) for key in ("do", "path") if step.get(key))
     why = step.get("message") or (step.get("error") or {}).get("message")
-    ended = step.get("state") == "completed"  # what is said of that says no more
+    ended = step.get("state") == "completed"  # the text for this code is less specific
     return f"Step {id_}, {what}: {step.get('state')}" + (f", {why}" if why and not ended else "")
 
 

@@ -1,4 +1,4 @@
-"""The key that signs cards: read once, its public half told at the gateway's own address."""
+"""The key that signs cards: read once; its public half is served by the gateway."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ __all__ = ["CardKey"]
 
 _REMEDY = "set [plugins.a2a] card_key to a P-256, RSA or Ed25519 private key as PEM, or to its file"
 _NAMED = {"EC": ("crv", "kty", "x", "y"), "RSA": ("e", "kty", "n"), "OKP": ("crv", "kty", "x")}
-"""The members of a key that make its thumbprint: RFC 7638, 3.2."""
+"""The members of a key that its thumbprint covers: RFC 7638, 3.2."""
 
 
 class CardKey:
     """A private key, with its algorithm and id."""
 
     def __init__(self, given: str) -> None:
-        """Read a key from PEM, or from the file that has it.
+        """Read a key from PEM, or from its file.
 
-        :raises ConfigError: there is none, or none of a kind that signs here.
+        :raises ConfigError: there is no key, or its type is not supported.
         """
         self._key, self.algorithm, made = _read(given)
         named = {name: made[name] for name in _NAMED[made["kty"]]}
         digest = hashlib.sha256(msgspec.json.encode(named, order="sorted")).digest()
         self.id = base64.urlsafe_b64encode(digest).rstrip(b"=").decode()
         self.jwks = {"keys": [{**made, "kid": self.id, "alg": self.algorithm, "use": "sig"}]}
-        """What verifies the signatures, for everybody."""
+        """The public key that verifies the signatures."""
 
     def sign(self, card: AgentCard, jwks: str) -> None:
-        """Add the signature of a card; `jwks` is where the public half is found."""
+        """Sign a card; `jwks` is the URL of the public key."""
         head: Any = {"kid": self.id, "alg": self.algorithm, "typ": "JOSE", "jku": jwks}
         create_agent_card_signer(self._key, head)(card)
 

@@ -1,4 +1,4 @@
-"""Skills of the agent's card: plans, the emergency stop, and each action and service of a tenant."""
+"""The skills of the agent's card: plans, the emergency stop, and a tenant's actions and services."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["PLAN", "STOP", "skills_of"]
 
 Node = dict[str, Any]
 _PAGE = 1000
-_SHOWN = 8  # parameters in a description
+_SHOWN = 8  # parameters listed in a description
 
 PLAN = AgentSkill(
     id="plan",
@@ -50,12 +50,12 @@ STOP = AgentSkill(
         '{"steps": [{"do": "execute", "path": "/system/estop", "value": {}}]}',
     ],
 )
-_STOPPING = ("/system/plans", "/system/estop")  # who stops by a task runs a plan
+_STOPPING = ("/system/plans", "/system/estop")  # stopping by a task runs a plan
 _MAY = Query(op="execute", limit=1)
 
 
 def skills_of(client_api: ClientApi, session: Session | None) -> list[AgentSkill]:
-    """List what a session may execute in its tenant; without one, what reveals nothing."""
+    """List what a session may execute in its tenant; without a session, only general skills."""
     if session is None or session.tenant is None:
         return [PLAN]
     root = f"/tenant/{session.tenant}"
@@ -101,7 +101,7 @@ def _line(path: str, value: Any) -> str:
 
 
 def _parameters(schema: Node | None) -> str:
-    """Write the parameters of an input in words: names, units and bounds."""
+    """Describe the parameters of an input: names, units and bounds."""
     defs: Node = (schema or {}).get("$defs", {})
     node = _followed(schema or {}, defs)
     fields: Node = node.get("properties") or {}
@@ -121,7 +121,7 @@ def _parameters(schema: Node | None) -> str:
 
 
 def _followed(schema: Node, defs: Node) -> Node:
-    """Follow references, and leave out that something may be null."""
+    """Resolve references, and drop alternatives for null."""
     options = [one for one in schema.get("anyOf", ()) if one.get("type") != "null"]
     if len(options) == 1:
         return _followed(options[0], defs)

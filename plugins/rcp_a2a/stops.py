@@ -1,4 +1,4 @@
-"""Whether a request stops something, as far as its plain data tells before the SDK has read it."""
+"""Whether a request stops something, from its plain data before the SDK parses it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["PLANS", "SHORT", "as_request"]
 PLANS = "/system/plans"
 _CANCEL = ("CancelTask", "tasks/cancel")
 SHORT = 4096
-"""Bytes of a request that stops something; a longer one takes its turn."""
+"""Maximum bytes of a prioritised request that stops something; longer ones take their turn."""
 
 
 def as_request(place: Place, method: str, plain: Any) -> Request | None:
-    """Return what a call asks of the gateway if that could be a stop, else None."""
+    """Return the gateway request of a call if it could be a stop, otherwise None."""
     if method in _CANCEL or place.rest.endswith(":cancel"):
         return Request(type="cancel")
     params = plain.get("params") if is_map(plain) and place.binding == "jsonrpc" else plain

@@ -1,4 +1,4 @@
-"""Tasks, in memory and in the gateway's store: whose they are, and for how long."""
+"""Tasks, in memory and in the gateway's store, with their owners and their lifetime."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ ENDED = frozenset(
         TaskState.TASK_STATE_REJECTED,
     )
 )
-_PAGE = 98_304  # bytes of the tasks of one page, unless a single one is longer
+_PAGE = 98_304  # bytes of tasks per page, unless a single one is larger
 _S = 1_000_000_000  # ns
 _CUT_OFF = "the gateway was restarted during the task; it commanded the robot to halt"
 
 
 class Tasks(InMemoryTaskStore):
-    """The SDK's store, whose every task is also kept on a shelf."""
+    """The SDK's task store; every task is also written to the gateway's store."""
 
     def __init__(self, shelf: PluginStore, config: A2aConfig) -> None:
         super().__init__(owner_of)
@@ -51,16 +51,16 @@ class Tasks(InMemoryTaskStore):
         self._size = config.tasks_size
         self._retention = int(config.retention * _S)
         self._sizes: dict[str, dict[str, int]] = {}
-        """Bytes of each task by its owner: to weigh all of them takes too long for every save."""
+        """Size of each task in bytes, by owner: computing all for every save takes too long."""
         self.forgotten: list[Callable[[str], None]] = []
-        """Told the id of each task that is let go of."""
+        """Called with the id of each task that is dropped."""
 
     @property
     def _owners(self) -> dict[str, dict[str, Task]]:
         return self._impl.tasks
 
     def restore(self) -> None:
-        """Take over what earlier runs left; what they were at has failed."""
+        """Load the tasks of earlier runs; those that were running have failed."""
         for key, row in self._shelf.load().items():
             if (task := _read(key, row)) is None:
                 self._shelf.put(key, None)
@@ -75,7 +75,7 @@ class Tasks(InMemoryTaskStore):
             self._make_room(owner)
 
     async def save(self, task: Task, context: ServerCallContext) -> None:
-        """Keep a task as it is now."""
+        """Save a task in its present state."""
         owner = owner_of(context)
         fresh = task.id not in self._owners.get(owner, {})
         await super().save(task, context)
@@ -84,7 +84,7 @@ class Tasks(InMemoryTaskStore):
             self._make_room(owner)
 
     async def list(self, params: ListTasksRequest, context: ServerCallContext) -> ListTasksResponse:
-        """List tasks: fewer than the page may have if they would be too long together."""
+        """List tasks; fewer than the page size if they would be too large together."""
         page = await self._impl.list(params, context)
         sizes, length = self._sizes.get(owner_of(context), {}), 0
         for number, task in enumerate(page.tasks):
@@ -97,7 +97,7 @@ class Tasks(InMemoryTaskStore):
         return page
 
     async def delete(self, task_id: str, context: ServerCallContext) -> None:
-        """Let go of a task."""
+        """Delete a task."""
         await super().delete(task_id, context)
         self._forget(owner_of(context), task_id)
 
@@ -116,7 +116,7 @@ class Tasks(InMemoryTaskStore):
             told(task_id)
 
     def _make_room(self, owner: str) -> None:
-        """Let go of what ended too long ago, and of the oldest where there is too much."""
+        """Drop tasks that ended too long ago, and the oldest beyond the limits."""
         known = self._owners[owner]
         ended = [task for task in known.values() if task.status.state in ENDED]
         ended.sort(key=_when)

@@ -19,7 +19,7 @@ __all__ = ["DashboardConfig", "open_dashboard", "rcp_adapters"]
 async def open_dashboard(
     config: DashboardConfig, client_api: ClientApi
 ) -> AsyncGenerator[dict[str, Any]]:
-    """Offer the pages and the API to the listener while entered."""
+    """Mount the pages and the API in the listener while entered."""
     from rcp_dashboard.api import PREFIX, Api
     from rcp_dashboard.pages import STATIC, Pages
 
@@ -41,5 +41,5 @@ async def open_dashboard(
 
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
-    """Offer the dashboard."""
+    """Provide the dashboard."""
     return [AdapterKind("dashboard", DashboardConfig, open_dashboard, __doc__ or "")]

@@ -1,4 +1,4 @@
-"""/dashboard/api: telemetry, cameras and layouts, each call with what it takes and answers."""
+"""/dashboard/api: telemetry, cameras and layouts, with the parameters and responses of all calls."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _QUALITY = query("quality", _INTEGER, "Quality of JPEGs converted from raw pixel
 
 
 class Services:
-    """What the handlers use."""
+    """The handlers' collaborators."""
 
     def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
         self.client_api = client_api
@@ -45,7 +45,7 @@ class Services:
 
 
 class Values(Controller):
-    """What is drawn."""
+    """The values to draw."""
 
     tags = ("dashboard",)
 
@@ -89,7 +89,7 @@ class Values(Controller):
     async def latest(
         self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
     ) -> ASGIApp:
-        """Answer with what the resources have now."""
+        """Answer with the current values of resources."""
         return response(200, await services.telemetry.latest(asked), headers=_NO_STORE)
 
     @get(
@@ -99,7 +99,7 @@ class Values(Controller):
     async def camera(
         self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
     ) -> ASGIApp:
-        """Answer with a picture."""
+        """Answer with an image."""
         return await services.cameras.snapshot(asked)
 
     @get(
@@ -115,7 +115,7 @@ class Values(Controller):
     async def stream(
         self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
     ) -> ASGIApp:
-        """Send pictures; they go past Litestar, straight to the listener."""
+        """Stream images, bypassing Litestar."""
 
         async def send_them(_scope: Any, receive: Any, send: Any) -> None:
             await services.cameras.stream(asked, receive, send)
@@ -124,7 +124,7 @@ class Values(Controller):
 
 
 class Layout(Controller):
-    """How a user has laid the pages out."""
+    """The layout of a user's pages."""
 
     path = "/layout"
     tags = ("dashboard",)
@@ -143,8 +143,8 @@ class Layout(Controller):
         asked: NamedDependency[DashboardRequest],
         services: NamedDependency[Services],
     ) -> ASGIApp:
-        """Keep the layout."""
-        # The listener sees to it that the body comes to an end.
+        """Save the layout."""
+        # The listener limits the time for receiving the body.
         data = await read_body(request.receive, services.layout_size, None)
         services.layouts.put(asked.principal, data)
         return response(204, headers=_NO_STORE)
@@ -153,13 +153,13 @@ class Layout(Controller):
     async def forget(
         self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
     ) -> ASGIApp:
-        """Forget the layout."""
+        """Delete the layout."""
         services.layouts.delete(asked.principal)
         return response(204, headers=_NO_STORE)
 
 
 class Api:
-    """Serves the calls, and describes them."""
+    """Serves and describes the calls."""
 
     def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
         self._client_api = client_api
@@ -179,7 +179,7 @@ class Api:
         return self._services
 
     async def openapi(self, _: Session) -> dict[str, Any]:
-        """Describe the calls; they are the same for everybody."""
+        """Describe the calls; they are the same for every caller."""
         return {"paths": self.app.paths()}
 
     def _refuse(self, scope: Scope, error: RcpError) -> Refusal:
@@ -187,7 +187,7 @@ class Api:
         return envelope(scope, error)._replace(headers=tuple(_NO_STORE))
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
         self._services.telemetry.close()
         self._services.cameras.close()
 

@@ -1,4 +1,4 @@
-"""Cameras: one picture, or a stream of them (multipart/x-mixed-replace) with the newest always next."""
+"""Cameras: a single image, or a stream (multipart/x-mixed-replace) that always sends the newest."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from rcp_web.application import response
 __all__ = ["STALLED", "Cameras"]
 
 STALLED = 30.0
-"""s that a client may take nothing: who sleeps would keep others from the streams that there may be."""
+"""s for which a client may stop reading; idle clients would block the limited streams."""
 _NO_STORE = (b"cache-control", b"no-store")
 _PART = b"--frame\r\ncontent-type: %b\r\ncontent-length: %d\r\nx-rcp-timestamp: %b\r\n\r\n%b\r\n"
 
 
 class _Seen(msgspec.Struct):
-    """A reply or an update, as far as it matters here."""
+    """The needed fields of a reply or an update."""
 
     type: str
     body: Any = None
@@ -46,7 +46,7 @@ _decode = msgspec.msgpack.Decoder(_Seen).decode
 
 
 class Body(Protocol):
-    """The listener's way past ASGI: `scope["extensions"]["rcp.stream"]`."""
+    """The listener's bypass of ASGI: `scope["extensions"]["rcp.stream"]`."""
 
     writable: bool
     drained: Callable[[], None] | None
@@ -56,12 +56,12 @@ class Body(Protocol):
         ...
 
     def abort(self) -> None:
-        """Cut the connection."""
+        """Close the connection at once."""
         ...
 
 
 class Cameras:
-    """Answers questions for pictures."""
+    """Serves images."""
 
     def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
         self._client_api = client_api
@@ -73,9 +73,9 @@ class Cameras:
         return await self._client_api.loop.run_in_executor(self._pool, picture, value, quality)
 
     async def snapshot(self, query: DashboardRequest) -> ASGIApp:
-        """Return the answer with the newest picture; `x-rcp-age` says how old it is, in s.
+        """Return a response with the newest image; `x-rcp-age` is its age in s.
 
-        :raises RcpError: the caller may not have it, or it is none.
+        :raises RcpError: the caller may not read it, or it is not an image.
         """
         quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
         request = Request(type="read", path=query.path())
@@ -92,9 +92,9 @@ class Cameras:
         return response(200, made.data, made.media, headers)
 
     async def stream(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
-        """Send pictures until the client leaves or may not have them any more.
+        """Send images until the client leaves or loses its rights.
 
-        :raises RcpError: nothing was sent yet, and nothing will be.
+        :raises RcpError: refused; nothing was sent.
         """
         quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
         rate = query.number("rate", 0.01, 120)
@@ -129,12 +129,12 @@ class Cameras:
             self._streams -= 1
 
     def close(self) -> None:
-        """Let go of the threads."""
+        """Stop the threads."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
 class Stream:
-    """One endless response: a picture is taken when the last one was, so that none piles up."""
+    """One endless response: the next image is collected once the last was sent, so none pile up."""
 
     def __init__(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
         extensions = query.scope["extensions"]
@@ -145,10 +145,10 @@ class Stream:
         self._woken = asyncio.Event()
         self._ended = False
         self._taken: float | None = None
-        """Since when the client takes nothing, by the loop's clock."""
+        """Since when the client has not been reading, by the loop's clock."""
 
     def wake(self) -> None:
-        """Look again: there is a picture, or room for one."""
+        """Continue: there is an image, or room for one."""
         self._woken.set()
 
     def finish(self) -> None:
@@ -157,15 +157,15 @@ class Stream:
         self._woken.set()
 
     async def run(self, connection: Connection, make: Callable[[Any], Any]) -> None:
-        """Send what the connection brings."""
+        """Send the images of the connection."""
         media = b"multipart/x-mixed-replace; boundary=frame"
         headers: Headers = [
             (b"content-type", media),
             _NO_STORE,
-            (b"x-accel-buffering", b"no"),  # nginx would hold pictures back
+            (b"x-accel-buffering", b"no"),  # nginx would buffer images
         ]
         await self._send({"type": "http.response.start", "status": 200, "headers": headers})
-        self._out.write(b"\r\n")  # the head goes out, before there is a picture
+        self._out.write(b"\r\n")  # sends the head, before there is an image
         self._out.drained = self.wake
         self._closing.add(self.finish)
         watch = asyncio.ensure_future(self._watch())
@@ -181,7 +181,7 @@ class Stream:
         await self._send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _moves(self) -> bool:
-        """Wait to be woken; cut a client off that has taken nothing for long, and tell so by False."""
+        """Wait to be woken; return False after disconnecting a client that does not read."""
         now = asyncio.get_running_loop().time
         if self._out.writable:
             self._taken = None
@@ -206,7 +206,7 @@ class Stream:
             try:
                 made = await make(newest.body)
             except RcpError:
-                self.finish()  # what it is it will be: the snapshot says why
+                self.finish()  # it will not become an image: the snapshot reports why
                 return
             stamp = newest.timestamp.encode()
             if not self._ended:
@@ -217,7 +217,7 @@ class Stream:
             self.finish()
 
     async def _watch(self) -> None:
-        """Take notice of the client's leaving."""
+        """Wait for the client to disconnect."""
         message: Any = await self._receive()
         while message["type"] != "http.disconnect":
             message = await self._receive()

@@ -1,4 +1,4 @@
-"""The table `[plugins.dashboard]`."""
+"""The configuration of `[plugins.dashboard]`."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ __all__ = ["DashboardConfig"]
 
 
 class DashboardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the telemetry may cost."""
+    """Limits on the dashboard's telemetry."""
 
     samples: Annotated[int, Meta(ge=16, le=1_000_000)] = 20_000
-    """Kept of each field that somebody draws; 16 bytes each."""
+    """Samples kept per drawn field; 16 bytes each."""
     fields: Annotated[int, Meta(ge=1)] = 64
-    """That one client may have kept at once."""
+    """Maximum number of fields per client."""
     all_fields: Annotated[int, Meta(ge=1)] = 512
-    """Of all clients together."""
+    """Maximum number of fields of all clients."""
     idle: Annotated[float, Meta(gt=0)] = 30.0
-    """s after the last question until a field is not kept any more."""
+    """s after the last request until a field is no longer recorded."""
     jpeg_quality: Annotated[int, Meta(ge=1, le=100)] = 75
-    """Of raw images that become JPEG."""
+    """Quality of JPEGs converted from raw images."""
     streams: Annotated[int, Meta(ge=1)] = 16
-    """Camera streams at once."""
+    """Maximum number of camera streams."""
     layout_size: Annotated[int, Meta(ge=1024)] = 262_144
-    """Bytes of one user's layout."""
+    """Maximum size of a user's layout, in bytes."""
     layouts: Annotated[int, Meta(ge=1)] = 1000
-    """Users that may have one."""
+    """Maximum number of stored layouts."""

@@ -1,4 +1,4 @@
-"""Fewer points that draw the same line. Pure functions over indices: the caller keeps the samples."""
+"""Down-sampling for plots. Pure functions that return indices."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ __all__ = ["METHODS", "lttb", "minmax"]
 
 
 def minmax(_: Sequence[float], values: Sequence[float], points: int) -> list[int]:
-    """Choose the ends, and of each of equally many samples between them the least and the greatest.
+    """Choose the ends, and the minimum and maximum of each of equally sized buckets between them.
 
-    No extreme is lost. `values` are finite, `points` at least 4; at most so many indices come,
-    in order.
+    No extreme is lost. `values` are finite, `points` is at least 4; returns at most that many
+    indices, in order.
     """
     count = len(values)
     if count <= points:
@@ -28,9 +28,9 @@ def minmax(_: Sequence[float], values: Sequence[float], points: int) -> list[int
 
 
 def lttb(times: Sequence[float], values: Sequence[float], points: int) -> list[int]:
-    """Choose by the largest triangles (Steinarsson 2013): fewer points than `minmax`, smoother.
+    """Choose by largest triangles (LTTB, Steinarsson 2013): fewer points than `minmax`, smoother.
 
-    Of each bucket the sample that makes the largest triangle with the one chosen before it and
+    From each bucket it takes the sample with the largest triangle between the previous choice and
     the mean of the next bucket.
     """
     count = len(values)
@@ -57,7 +57,7 @@ METHODS = {"minmax": minmax, "lttb": lttb}
 
 
 def _buckets(count: int, buckets: int) -> list[tuple[int, int]]:
-    """Share what is between the ends out to buckets; none is empty."""
+    """Split the samples between the ends into buckets; none is empty."""
     inner = count - 2
     edges = [1 + inner * place // buckets for place in range(buckets + 1)]
     return list(itertools.pairwise(edges))

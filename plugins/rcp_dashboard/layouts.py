@@ -1,4 +1,4 @@
-"""How users have laid their pages out: one document each, that only the page understands."""
+"""The users' page layouts: one document each, which only the page interprets."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Layouts:
         return found
 
     def put(self, principal: Principal, data: bytes) -> None:
-        """Keep a user's layout in place of the last one.
+        """Store a user's layout, replacing the previous one.
 
-        :raises Forbidden: nobody in particular asks.
+        :raises Forbidden: the caller is anonymous.
         :raises BadRequest: it is not JSON.
-        :raises QueueFull: as many users have one as may.
+        :raises QueueFull: the number of layouts has reached the limit.
         """
         key = _key(principal)
         try:
@@ -52,9 +52,9 @@ class Layouts:
         self._shelf.put(key, data)
 
     def delete(self, principal: Principal) -> None:
-        """Forget a user's layout.
+        """Delete a user's layout.
 
-        :raises Forbidden: nobody in particular asks.
+        :raises Forbidden: the caller is anonymous.
         """
         key = _key(principal)
         if self._found.pop(key, None) is not None:

@@ -1,4 +1,4 @@
-"""The built pages, from memory: files whose names carry their hash stay with the browser for good."""
+"""The built pages, served from memory; files with a hash in their name are cached forever."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ without <code>RCP_DASHBOARD=off</code> has them. Then start the gateway again.</
 
 
 class File(msgspec.Struct, frozen=True):
-    """One file, with what is said about it."""
+    """One file, with its headers."""
 
     body: bytes
     packed: bytes | None
-    """The same, compressed with gzip when it was built."""
+    """The content, compressed with gzip at build time."""
     media: bytes
     etag: bytes
     cache: tuple[bytes, bytes]
 
     @classmethod
     def of(cls, body: bytes, name: str, packed: bytes | None = None) -> File:
-        """Describe what is sent under a name."""
+        """Build the entry of a file name."""
         media = mimetypes.guess_type(name)[0] or "application/octet-stream"
         if media.startswith("text/") or name.endswith((".js", ".json", ".svg")):
             media += "; charset=utf-8"
@@ -65,12 +65,12 @@ class File(msgspec.Struct, frozen=True):
 
 
 class Pages:
-    """The files by their paths, each a route of the application."""
+    """The files by path, each a route of the application."""
 
     def __init__(self, static: Path) -> None:
         files = dict(_load(static))
         self.built = "/index.html" in files
-        """Whether the pages are there at all."""
+        """Whether the pages were built."""
         if not self.built:
             log.warning("dashboard_not_built", remedy="make dashboard")
         files["/"] = files.pop("/index.html", None) or File.of(_UNBUILT, "/index.html")
@@ -83,13 +83,13 @@ class Pages:
         self.app = Application([page], remedy="The dashboard is at `/`.")
 
     def facts(self) -> dict[str, Any]:
-        """Tell of them in `/system/status`."""
+        """Return the part of `/system/status`."""
         return {} if self.built else {"detail": "the pages were not built: run `make dashboard`"}
 
 
 def _answer(scope: Scope, file: File) -> ASGIApp:
     root = scope.get("root_path", "").encode()
-    if root and scope["raw_path"] == root:  # what is relative would begin one level too high
+    if root and scope["raw_path"] == root:  # relative links would resolve one level too high
         return response(308, headers=[(b"location", root + b"/"), *_SAFE])
     headers = [*_SAFE, file.cache, _VARY, (b"etag", file.etag)]
     known = header(scope, b"if-none-match") or b""

@@ -1,4 +1,4 @@
-"""From a camera's value to what a browser shows: files as they are, raw pixels as JPEG."""
+"""From a camera's value to an image for browsers: files unchanged, raw pixels as JPEG."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
 
 __all__ = ["Picture", "picture"]
 
-_EDGE = 65_500  # pixels that libjpeg takes on a side
+_EDGE = 65_500  # pixels, libjpeg's limit per side
 _FILES = ((b"\xff\xd8\xff", b"image/jpeg"), (b"\x89PNG\r\n\x1a\n", b"image/png"))
 _LAYOUTS = {
     "rgb8": ("RGB", 3),
@@ -23,9 +23,9 @@ _LAYOUTS = {
     "mono8": ("GRAY", 1),
     "8uc1": ("GRAY", 1),
 }
-"""Colours and bytes of a pixel, by the words that ROS and others have for them."""
+"""Colours and bytes per pixel, by the encoding names of ROS and others."""
 _MEASURES = {"16uc1": "u2", "mono16": "u2", "32fc1": "f4"}
-"""Pictures of one number a pixel, most of them depths."""
+"""Encodings with one number per pixel, mostly depths."""
 
 
 class Picture(msgspec.Struct, frozen=True):
@@ -36,12 +36,12 @@ class Picture(msgspec.Struct, frozen=True):
 
 
 def picture(value: Any, quality: int) -> Picture:
-    """Make a file of a value: bytes, or an object with `data`, raw ones with `width` and `height`.
+    """Convert a value to an image file: bytes, or an object with `data`, for raw pixels with size.
 
-    Takes milliseconds for raw pixels: not on the event loop.
+    Takes milliseconds for raw pixels, so not on the event loop.
 
-    :raises DeviceRejected: it is no image, or one of a kind that no JPEG is made of.
-    :raises AdapterUnavailable: the library that makes JPEGs is not installed.
+    :raises DeviceRejected: it is not an image, or cannot be converted to JPEG.
+    :raises AdapterUnavailable: the library for JPEG is not installed.
     """
     data = value.get("data") if isinstance(value, Mapping) else value
     if isinstance(data, (bytes, bytearray, memoryview)):
@@ -97,7 +97,7 @@ def _compress(value: Mapping[str, Any], data: bytes, quality: int) -> bytes:
 
 
 def _greys(measured: Any, *, near: bool) -> Any:
-    """Spread numbers over all greys, depths with the near ones bright; what is none stays black."""
+    """Scale numbers to greys, near depths bright; invalid ones are black."""
     import numpy as np
 
     found = measured.astype(np.float32)

@@ -1,4 +1,4 @@
-"""One question to the API: its caller, and its parameters, read strictly."""
+"""One request to the API: its caller, and its parameters, parsed strictly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Known = TypeVar("_Known", bound=str)
 
 
 class DashboardRequest:
-    """The request; `identify` first."""
+    """The request; call `identify` first."""
 
     principal: Principal
     session: Session
@@ -33,11 +33,11 @@ class DashboardRequest:
             self.tenant = named.decode("latin-1")
 
     async def identify(self, client_api: ClientApi) -> None:
-        """Find out who asks, and count the question.
+        """Authenticate the caller, and charge the request.
 
-        :raises Unauthenticated: the token is not good, or there has to be one.
-        :raises Forbidden: the caller does not act in the tenant that it names.
-        :raises RateLimited: a quota does not allow it now.
+        :raises Unauthenticated: the token is invalid, or required and missing.
+        :raises Forbidden: the caller has no rights in the requested tenant.
+        :raises RateLimited: a quota is exceeded.
         """
         token = bearer(header(self.scope, b"authorization"))
         self.principal = await client_api.identify(token, self.peer)
@@ -45,7 +45,7 @@ class DashboardRequest:
         client_api.charge(self.session)
 
     def allow(self, *names: str) -> None:
-        """Refuse parameters that are not known here.
+        """Refuse unknown parameters.
 
         :raises BadRequest: there is one.
         """
@@ -57,21 +57,21 @@ class DashboardRequest:
                 )
 
     def several(self, name: str) -> list[str]:
-        """Return a parameter that may be given again and again."""
+        """Return a repeatable parameter."""
         return self._query.get(name, [])
 
     def text(self, name: str) -> str | None:
-        """Return a parameter that may be given once.
+        """Return a parameter that may occur once.
 
-        :raises BadRequest: it is given twice.
+        :raises BadRequest: it occurs twice.
         """
         values = self._query.get(name)
         return None if values is None else single(name, values)
 
     def path(self, *, pattern: bool = False) -> str:
-        """Return the resource that is meant.
+        """Return the requested resource.
 
-        :raises BadRequest: none is named, or several.
+        :raises BadRequest: none is given, or several.
         """
         path = self.text("path")
         if not path or ("*" in path and not pattern):
@@ -82,7 +82,7 @@ class DashboardRequest:
     def number(self, name: str, least: float, most: float) -> float | None:
         """Return a number within bounds.
 
-        :raises BadRequest: it is none.
+        :raises BadRequest: it is not one.
         """
         text = self.text(name)
         if text is None:
@@ -100,7 +100,7 @@ class DashboardRequest:
     def whole(self, name: str, least: int, most: int, default: int) -> int:
         """Return a whole number within bounds.
 
-        :raises BadRequest: it is none.
+        :raises BadRequest: it is not one.
         """
         found = self.number(name, least, most)
         if found is not None and not found.is_integer():
@@ -108,9 +108,9 @@ class DashboardRequest:
         return default if found is None else int(found)
 
     def time(self, name: str) -> float | None:
-        """Return a time in s since the epoch, given so or as ISO 8601.
+        """Return a time in s since the epoch, given as such or as ISO 8601.
 
-        :raises BadRequest: it is none.
+        :raises BadRequest: it is neither.
         """
         text = self.text(name)
         if text is None:
@@ -121,9 +121,9 @@ class DashboardRequest:
             return parse_time(text) / 1e9
 
     def word(self, name: str, known: tuple[_Known, ...]) -> _Known:
-        """Return one of some words; without the parameter the first.
+        """Return one of several words; default: the first.
 
-        :raises BadRequest: it is another.
+        :raises BadRequest: it is none of them.
         """
         text = self.text(name)
         if text is None:

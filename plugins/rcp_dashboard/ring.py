@@ -1,4 +1,4 @@
-"""The samples of one watched field: times and values side by side, the oldest given up first."""
+"""The samples of one watched field: times and values side by side; the oldest are dropped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Ring"]
 
 
 class Ring:
-    """A bounded run of samples; it takes memory as it fills."""
+    """A bounded sequence of samples; memory is allocated as it fills."""
 
     __slots__ = ("_last", "_next", "_ordered", "_size", "_times", "_values", "skipped")
 
@@ -18,18 +18,18 @@ class Ring:
         self._times = array("d")
         self._values = array("d")
         self._next = 0
-        """Where the next sample goes once the ring is full."""
+        """Index of the next sample once the ring is full."""
         self._last = float("-inf")
         self._ordered = True
         """Whether the robot's clock has never gone back."""
         self.skipped = 0
-        """Samples in which the field was no finite number."""
+        """Number of samples whose field was not a finite number."""
 
     def __len__(self) -> int:
         return len(self._times)
 
     def add(self, time: float, value: float) -> None:
-        """Take a sample; `time` in s since the epoch."""
+        """Add a sample; `time` in s since the epoch."""
         if time < self._last:
             self._ordered = False
         self._last = time
@@ -47,7 +47,7 @@ class Ring:
     ) -> tuple[list[float], list[float]]:
         """Return times and values in order of arrival, of the `length` s that end at `until`.
 
-        Without `until` they end with the newest sample, whatever the robot's clock says.
+        Without `until` they end with the newest sample, regardless of the robot's clock.
         """
         times = [*self._times[self._next :], *self._times[: self._next]]
         values = [*self._values[self._next :], *self._values[: self._next]]

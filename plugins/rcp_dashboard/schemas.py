@@ -1,4 +1,4 @@
-"""What the calls of the API answer, for the OpenAPI document."""
+"""The responses of the API, for the OpenAPI document."""
 
 from __future__ import annotations
 
@@ -84,5 +84,5 @@ NONE: Node = {"204": {"description": "Done."}, "default": _REFUSED}
 
 
 def answer(text: str, content: Node) -> Node:
-    """Return the responses of a call that answers with some content."""
+    """Return the responses of a call with this content."""
     return {"200": {"description": text, "content": content}, "default": _REFUSED}

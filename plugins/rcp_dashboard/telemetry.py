@@ -1,4 +1,4 @@
-"""Series and snapshots: what a page draws, in the form that it draws it from."""
+"""Series and snapshots, in the form that pages draw."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from rcp_kernel.wire import Request, encode_reply
 
 __all__ = ["Telemetry"]
 
-_FIELDS = 16  # of one question
-_POINTS = 5000  # of one series
+_FIELDS = 16  # per request
+_POINTS = 5000  # per series
 
 
 class Telemetry:
-    """Answers questions for values."""
+    """Serves values."""
 
     def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
         self._client_api = client_api
@@ -31,9 +31,9 @@ class Telemetry:
         self._samples = config.samples
 
     async def series(self, query: DashboardRequest) -> bytes:
-        """Return fields of one resource over time, with so many points as can be drawn.
+        """Return fields of one resource over time, with at most the number of points to draw.
 
-        :raises RcpError: the caller may not have it, or a field is no number.
+        :raises RcpError: the caller may not read it, or a field is not a number.
         """
         path = query.path()
         fields = query.several("field") or [""]
@@ -67,11 +67,11 @@ class Telemetry:
         return msgspec.json.encode(body)
 
     async def latest(self, query: DashboardRequest) -> bytes:
-        """Return the present value of every resource that matches, long ones left out.
+        """Return the present value of every matching resource, without long ones.
 
-        What does not fit in one page is `truncated`, and the `cursor` leads to the rest.
+        If they do not fit in one page, it is `truncated`, and `cursor` leads to the rest.
 
-        :raises RcpError: the caller may not have it.
+        :raises RcpError: the caller may not read them.
         """
         longest = query.whole("max_bytes", 1, 1 << 24, 4096)
         request = Request(type="read", path=query.path(pattern=True))
@@ -88,7 +88,7 @@ class Telemetry:
         return msgspec.json.encode(found)
 
     def close(self) -> None:
-        """Let go of everything that is watched."""
+        """Stop all recordings."""
         self._watchers.close()
 
 

@@ -1,7 +1,7 @@
-"""What is kept for those who draw: rings, filled by subscriptions with the asker's own rights.
+"""The recorded fields: rings, filled by subscriptions with the requester's own rights.
 
-Each client has a connection like any other, over which the gateway decides what it may see; it
-is opened at the first question and closed when nobody has asked for a while.
+Each client has a connection like any other, so the gateway decides what it may see; it is opened at
+the first request and closed after a time without any.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ __all__ = ["Watcher", "Watchers", "checked"]
 Key = tuple[str, str]
 """Path and field."""
 Owner = tuple[Principal, str | None, Peer]
-_BURST = 1024  # samples that may come in one turn of the loop, and all be kept
-_REPLAYED = 10_000  # samples of the gateway's own ring that a new one begins with
+_BURST = 1024  # samples that may arrive in one turn of the loop without loss
+_REPLAYED = 10_000  # samples of the gateway's own ring that a new one starts with
 
 
 class _Message(msgspec.Struct):
-    """What comes over the connection, as far as it matters here."""
+    """The needed fields of a message."""
 
     type: str
     id: str = ""
@@ -55,10 +55,10 @@ class Watched:
         self.field = Field(field)
         self.ring = Ring(size)
         self.requested_at = requested_at
-        """When somebody last wanted it, by the loop's clock."""
+        """Time of the last request, by the loop's clock."""
 
     def take(self, message: _Message) -> None:
-        """Keep the field of an update."""
+        """Record the field of an update."""
         value = self.field.one(message.body)
         if isinstance(value, (int, float)):
             number = float(value)
@@ -69,7 +69,7 @@ class Watched:
 
 
 class Watcher:
-    """What one client has watched."""
+    """The recorded fields of one client."""
 
     def __init__(
         self,
@@ -89,14 +89,14 @@ class Watcher:
 
     @property
     def ended(self) -> bool:
-        """Whether the gateway has ended the session: the proof is not good any more."""
+        """Whether the gateway has ended the session because the credentials expired."""
         return self._connection.closed or self._connection.expelled
 
     async def ring(self, path: str, field: str) -> Ring:
-        """Return the ring of a field; from the first question on it is filled.
+        """Return the ring of a field; recording starts with the first request.
 
-        :raises RcpError: the gateway does not let this client have it.
-        :raises QueueFull: it has as many as it may, or all clients together have.
+        :raises RcpError: the gateway refuses the subscription.
+        :raises QueueFull: the client, or all clients together, have reached the limit.
         """
         now = self._client_api.loop.time()
         found = self.watched.get((path, field))
@@ -130,7 +130,7 @@ class Watcher:
         except RcpError:
             self._forget((path, field))
             raise
-        self._take()  # what the ring of the resource had is there already
+        self._take()  # the resource's ring has been copied
         return made
 
     def _take(self) -> None:
@@ -157,7 +157,7 @@ class Watcher:
             self._by_id.pop(watched.id, None)
 
     def sweep(self, before: float) -> None:
-        """Let go of what nobody has asked for since."""
+        """Stop recording fields that were not requested for a while."""
         for key, watched in list(self.watched.items()):
             if watched.requested_at < before:
                 self._forget(key)
@@ -165,14 +165,14 @@ class Watcher:
                 self._client_api.submit(self._connection.session, request, _nobody)
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Stop all recordings."""
         self.watched.clear()
         self._by_id.clear()
         self._connection.close()
 
 
 class Watchers:
-    """Those of all clients."""
+    """The watchers of all clients."""
 
     def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
         self._client_api = client_api
@@ -183,8 +183,8 @@ class Watchers:
     def of(self, principal: Principal, tenant: str | None, peer: Peer) -> Watcher:
         """Return the watcher of a client.
 
-        :raises QueueFull: the gateway holds too many sessions.
-        :raises Forbidden: the client does not act in that tenant.
+        :raises QueueFull: the gateway has too many sessions.
+        :raises Forbidden: the client has no rights in that tenant.
         """
         owner = principal, tenant, peer
         found = self._found.get(owner)
@@ -219,7 +219,7 @@ class Watchers:
             self._timer = self._client_api.loop.call_later(self._config.idle / 2, self._sweep)
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Stop all recordings."""
         if self._timer is not None:
             self._timer.cancel()
         for watcher in self._found.values():
@@ -228,13 +228,13 @@ class Watchers:
 
 
 def _nobody(_: Reply) -> None:
-    """Take a reply that nobody waits for."""
+    """Ignore a reply."""
 
 
 def checked(reply: Reply) -> Reply:
     """Return a reply that is not a refusal.
 
-    :raises RcpError: the reply is an error; raised as the error that it contains.
+    :raises RcpError: the reply is an error, which is raised.
     """
     described = reply.error
     if described is None:

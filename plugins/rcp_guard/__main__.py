@@ -11,11 +11,11 @@ import socket
 
 from rcp_guard.guard import Guard
 
-_PRIORITY = -10  # niceness, where it is allowed
+_PRIORITY = -10  # niceness, where permitted
 
 
 def main() -> None:
-    """Guard the gateway at the other end of a socket."""
+    """Guard the gateway at the other end of the socket."""
     parser = argparse.ArgumentParser(prog="rcp_guard", description=__doc__)
     parser.add_argument("--fd", type=int, required=True, help="socket to the gateway")
     parser.add_argument("--after", type=float, default=0.5, help="seconds without a heartbeat")
@@ -24,13 +24,13 @@ def main() -> None:
     with contextlib.suppress(OSError):
         os.nice(_PRIORITY)
     guard = Guard(socket.socket(fileno=asked.fd), after=asked.after, bound=asked.bound)
-    # A service manager signals all processes of a service: the gateway's own end is what counts.
+    # A service manager signals all processes of a service: only the gateway's own end counts.
     for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGTSTP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), guard.end)
     gc.freeze()
     guard.run()
-    # Threads of middleware that do not end must not keep the process.
+    # Middleware threads that do not end must not keep the process alive.
     os._exit(0)
 
 

@@ -1,4 +1,4 @@
-"""Lines to and from the gateway over a socket, of which no call ever waits."""
+"""Lines to and from the gateway over a socket; no call blocks."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 __all__ = ["Channel"]
 
-_MOST = 65536  # bytes that wait for a gateway that does not read, before reports are left out
+_MOST = 65536  # bytes queued for a gateway that does not read, before reports are dropped
 
 
 class Channel:
-    """The guard's end; `send` is for any thread, the rest for one."""
+    """The guard's end of the socket; `send` is thread-safe, the rest is not."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -30,7 +30,7 @@ class Channel:
         return self._socket.fileno()
 
     def receive(self) -> list[dict[str, Any]]:
-        """Return what has come; a heartbeat is an empty object."""
+        """Return the received messages; a heartbeat is an empty object."""
         parts = [self._partial]
         while not self.ended:
             try:
@@ -45,7 +45,7 @@ class Channel:
         return [message for line in lines if (message := _decode(line)) is not None]
 
     def send(self, message: dict[str, Any]) -> None:
-        """Send a report, or leave it out if the gateway does not read."""
+        """Send a report, or drop it if the gateway does not read."""
         with self._lock:
             if len(self._waiting) < _MOST:
                 self._waiting += json.dumps(message).encode() + b"\n"

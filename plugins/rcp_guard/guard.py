@@ -1,4 +1,4 @@
-"""The guard at work: one loop that hears the gateway and switches transmitters on and off."""
+"""The main loop of the guard: reads the gateway's messages and switches transmitters on and off."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rcp_guard.watch import Watch
 
 __all__ = ["Guard"]
 
-_ALIVE = 1.0  # s between two signs of life to the gateway
-_JOIN = 0.5  # s that senders have to close
+_ALIVE = 1.0  # s between messages to the gateway that the guard is alive
+_JOIN = 0.5  # s for senders to close
 _LOUD = {"failed": "warning", "missing": "warning"}
 
 
 class Guard:
-    """Watches one gateway until it has gone."""
+    """Guards one gateway until it is gone."""
 
     def __init__(self, connection: socket.socket, *, after: float, bound: float) -> None:
         self._channel = Channel(connection)
@@ -36,11 +36,11 @@ class Guard:
         self._alive = 0.0
 
     def end(self, *_: object) -> None:
-        """Take note of a signal: a gateway that lives decides alone when its guard ends."""
+        """Handle a signal: while the gateway lives, it alone decides when its guard ends."""
         self._watch.end()
 
     def run(self) -> None:
-        """Guard until the gateway says goodbye, or is gone and its robots were told to stop."""
+        """Run until the gateway says goodbye, or is gone and its robots were stopped."""
         wait = 0.0
         while not self._bye and not self._watch.over:
             self._listen(wait)
@@ -57,7 +57,7 @@ class Guard:
         self._journal.close(_JOIN)
 
     def _listen(self, wait: float) -> None:
-        """Hear the gateway; judged is only once everything that had come was read."""
+        """Read all pending messages before judging."""
         watch, channel = self._watch, self._channel
         if channel.ended:
             time.sleep(min(wait, 0.05))
@@ -86,7 +86,7 @@ class Guard:
                 AttributeError,
                 TypeError,
                 ValueError,
-            ) as error:  # the others count all the same
+            ) as error:  # the others are used all the same
                 self._report(name, "missing", f"malformed plan: {error!r}")
                 continue
             held[name] = transmitter
@@ -103,7 +103,7 @@ class Guard:
         self._journal.note("error", f"guard_{event}", groups=groups, reason=reason)
 
     def _yield(self) -> None:
-        """Leave plans to the guard of the next gateway, once that has taken them over."""
+        """Leave plans to the guard of the next gateway, once it has taken them over."""
         held = self._transmitters
         if self._heirs is None:
             self._heirs = Heirs({name: one.plan for name, one in held.items()})

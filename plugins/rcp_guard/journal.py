@@ -1,4 +1,4 @@
-"""The guard's log: JSON lines on standard error, written by a thread that may be kept waiting."""
+"""The guard's log: JSON lines on standard error, written by a thread that may block."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STDERR = 2
 
 
 class Journal:
-    """Takes records at once; a reader of standard error that stands still delays nothing."""
+    """Accepts records without blocking, even if nothing reads standard error."""
 
     def __init__(self) -> None:
         self._records: queue.Queue[bytes | None] = queue.Queue(1000)
@@ -23,13 +23,13 @@ class Journal:
         self._thread.start()
 
     def note(self, level: str, event: str, **facts: Any) -> None:
-        """Log one record; left out if too many wait."""
+        """Log one record; dropped if too many are queued."""
         stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
         head = {"timestamp": stamp, "level": level, "logger": "rcp.guard", "event": event}
         self._put(json.dumps(head | facts).encode() + b"\n")
 
     def close(self, timeout: float) -> None:
-        """Write what waits, within a bound."""
+        """Write the queued records, within a time limit."""
         self._put(None)
         self._thread.join(timeout)
 
@@ -43,5 +43,5 @@ class Journal:
         while (record := self._records.get()) is not None:
             try:
                 os.write(_STDERR, record)
-            except OSError:  # nobody reads it: there is no other place to say so
+            except OSError:  # nothing reads standard error, and there is no other output
                 continue

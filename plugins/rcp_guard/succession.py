@@ -1,8 +1,8 @@
-"""Hand a plan over to the guard of the next gateway, so that an old one does not stop its robots.
+"""Hands a plan over to the next gateway's guard, so that an old guard does not stop its robots.
 
-A guard whose gateway is gone listens on one socket for each plan; the name says what the plan sends,
-so only a guard with that very plan finds it. Linux only (abstract sockets): elsewhere an old guard
-goes on to the end of its bound.
+A guard whose gateway is gone listens on one socket per plan, named after the plan's content, so
+only a guard with the same plan finds it. Linux only (abstract sockets): elsewhere an old guard
+continues to its time limit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: unix(7)
 
 
 class Heirs:
-    """Waits for guards that have the same plans, and a gateway that lives."""
+    """Waits for guards that have the same plans, and a running gateway."""
 
     def __init__(self, plans: dict[str, dict[str, Any]]) -> None:
         self._sockets: dict[str, socket.socket] = {}
@@ -34,7 +34,7 @@ class Heirs:
                 self._sockets[name] = heard
 
     def taken(self) -> list[str]:
-        """Return the plans that another guard of the same user has taken over since."""
+        """Return the plans that another guard of the same user has taken over."""
         found = [name for name, heard in self._sockets.items() if _claimed(heard)]
         for name in found:
             self._sockets.pop(name).close()
@@ -42,7 +42,7 @@ class Heirs:
 
 
 def claim(plan: dict[str, Any]) -> None:
-    """Tell an old guard, if there is one, that this one looks after a plan now."""
+    """Tell an old guard, if there is one, that this guard has taken over a plan."""
     with (
         contextlib.suppress(OSError, AttributeError),
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as told,

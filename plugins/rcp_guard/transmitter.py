@@ -1,4 +1,4 @@
-"""One plan: its sender, opened before it is needed, and the thread that sends with it."""
+"""One plan: its sender, opened in advance, and the thread that uses it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["Transmitter"]
 
 _FIRST_RETRY = 0.1  # s
 _LAST_RETRY = 5.0  # s
-_MISSING = 30.0  # s: somebody may install what is missing
-_TRIES = 3  # transmissions that failed one after the other, after which the sender is opened anew
-_LOOK = 0.5  # s between two looks who is there to hear a stop
+_MISSING = 30.0  # s: the missing library may be installed meanwhile
+_TRIES = 3  # consecutive failures after which the sender is reopened
+_LOOK = 0.5  # s between checks for receivers
 Report = Callable[[str, str, str], None]
 
 
 class Transmitter:
-    """Sends a plan at its period while it is told to, for as long as the plan lasts."""
+    """Sends a plan at its period while switched on, up to the plan's duration."""
 
     def __init__(self, name: str, plan: dict[str, Any], report: Report) -> None:
         self.name = name
@@ -32,7 +32,7 @@ class Transmitter:
         lasts = plan.get("lasts")
         self._lasts = math.inf if lasts is None else float(lasts)
         self._first: float | None = None
-        """When it was first sent since it was switched on."""
+        """Time of the first transmission since it was switched on."""
         self._report = report
         self._told = ("", "")
         self._changed = threading.Condition()
@@ -46,11 +46,11 @@ class Transmitter:
         return self._told[0] == "ready"
 
     def start(self) -> None:
-        """Begin to open the sender."""
+        """Start to open the sender."""
         self._thread.start()
 
     def switch(self, *, on: bool) -> None:
-        """Have it send, now and until switched off; never waits for the sender."""
+        """Start or stop sending; never waits for the sender."""
         with self._changed:
             if self._on != on:
                 self._on = on
@@ -58,7 +58,7 @@ class Transmitter:
                 self._changed.notify_all()
 
     def close(self) -> None:
-        """Let the thread end; does not wait for it."""
+        """Tell the thread to end; does not wait for it."""
         with self._changed:
             self._closed = True
             self._on = False
@@ -70,7 +70,7 @@ class Transmitter:
 
     @property
     def _due(self) -> bool:
-        """Whether it is to be sent now."""
+        """Whether it should be sent now."""
         if not self._on or self._first is None:
             return self._on
         return time.monotonic() - self._first < self._lasts
@@ -87,7 +87,7 @@ class Transmitter:
                 continue
             except Exception as error:
                 self._tell("failed", f"{type(error).__name__}: {error}")
-                # A stop that is due is tried again at once.
+                # A failed stop is retried at once.
                 self._wait(_FIRST_RETRY if self._due else pause)
                 pause = min(pause * 2, _LAST_RETRY)
                 continue
@@ -127,7 +127,7 @@ class Transmitter:
                 self._first = time.monotonic()
 
     def _idle(self, sender: Sender) -> None:
-        """Wait until a stop is due; meanwhile look who is there to hear it."""
+        """Wait until a stop is due; meanwhile check for receivers."""
         while not (self._due or self._closed):
             lacking = sender.lacks()
             self._tell("waiting" if lacking else "ready", lacking)
@@ -140,7 +140,7 @@ class Transmitter:
 
     def _tell(self, state: str, detail: str) -> None:
         if state == "opening" and self._told[0] == "failed":
-            return  # the reason is worth more than that it is tried again
+            return  # the reason is more useful than the state of a retry
         if (state, detail) != self._told:
             self._told = (state, detail)
             self._report(self.name, state, detail)

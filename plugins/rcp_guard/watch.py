@@ -1,4 +1,4 @@
-"""When to stop the robots, and for how long: the guard's decisions, without clocks or sockets."""
+"""When and for how long to stop the robots: the guard's decisions, without clocks or sockets."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 __all__ = ["Watch"]
 
-_HEALTHY = 3  # heartbeats in time, one after the other, after which the gateway is trusted again
-_LEAST = 1.0  # s that stops are sent at least, when the guard is told to end meanwhile
+_HEALTHY = 3  # consecutive heartbeats in time after which the gateway is trusted again
+_LEAST = 1.0  # s that stops are sent at least, if the guard is told to end meanwhile
 
 
 class Watch:
-    """Follow the gateway's heartbeats; times are seconds of any steady clock."""
+    """Follows the gateway's heartbeats; times are seconds of any monotonic clock."""
 
     def __init__(self, after: float, bound: float, now: float) -> None:
         self._after = after
@@ -24,16 +24,16 @@ class Watch:
         self.armed: frozenset[str] = frozenset()
         """The groups that may move."""
         self.stopping: frozenset[str] = frozenset()
-        """The groups that are being stopped now."""
+        """The groups being stopped."""
         self.reason = ""
-        """Why, or why no longer."""
+        """Why they are being stopped, or why no longer."""
         self.lost = False
-        """Whether the gateway has gone without a goodbye."""
+        """Whether the gateway is gone without a goodbye."""
         self.over = False
-        """Whether there is nothing left to do."""
+        """Whether the guard can end."""
 
     def hear(self, now: float, armed: Iterable[str] | None = None) -> None:
-        """Take a sign of life."""
+        """Handle a heartbeat."""
         in_time = now - self._last <= self._after
         self._good = self._good + 1 if in_time else 1
         self._last = now
@@ -42,7 +42,7 @@ class Watch:
             self.armed = frozenset(armed)
 
     def lose(self, now: float) -> None:
-        """Take note that the gateway has gone without a goodbye."""
+        """Handle a gateway that is gone without a goodbye."""
         if self.lost:
             return
         self.lost = True
@@ -50,19 +50,19 @@ class Watch:
             self._stop(now, "the gateway ended unexpectedly")
 
     def trusts(self, now: float) -> bool:
-        """Tell whether the gateway's heartbeat is there and has been for a while."""
+        """Return whether heartbeats arrive, and have for a while."""
         return not self.lost and self._good >= _HEALTHY and now - self._last <= self._after
 
     def may_yield(self, now: float) -> bool:
-        """Tell whether the stop was sent for long enough to leave the robot to another guard."""
+        """Return whether the stop was sent long enough to leave the robot to another guard."""
         return self.lost and now - self._since >= _LEAST
 
     def end(self) -> None:
-        """Take note that somebody wants the process to end: soon, once the gateway has gone."""
+        """Handle a request to end: soon, once the gateway is gone."""
         self._end = True
 
     def judge(self, now: float) -> float:
-        """Decide what is to be sent now; return the seconds until it has to be decided again."""
+        """Decide what to send now; return the seconds until the next decision."""
         if self.stopping:
             self._judge_stopping(now)
         elif self.armed and not self._spent and now - self._last > self._after:

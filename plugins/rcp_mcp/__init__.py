@@ -20,8 +20,8 @@ __all__ = ["McpConfig", "rcp_adapters"]
 async def _open(config: McpConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Open the adapter.
 
-    The SDK takes half a second to import: only who serves it pays for that, and the robots that
-    are being opened do not wait meanwhile.
+    The SDK takes half a second to import: only gateways that serve MCP need it, and it is imported
+    in a thread, so that robots can connect meanwhile.
     """
     loaded = await asyncio.to_thread(import_module, "rcp_mcp.server_lifespan")
     async with loaded.open_mcp(config, client_api) as facts:
@@ -30,5 +30,5 @@ async def _open(config: McpConfig, client_api: ClientApi) -> AsyncGenerator[dict
 
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
-    """Offer MCP."""
+    """Provide MCP."""
     return [AdapterKind("mcp", McpConfig, _open, __doc__ or "", needs=("mcp",))]

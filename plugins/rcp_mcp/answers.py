@@ -1,4 +1,4 @@
-"""Replies of the gateway as results of tools: structured, in words, with the way out."""
+"""Replies of the gateway as tool results: structured, and as text with the remedy."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from rcp_mcp.stops import ESTOP, Report
 __all__ = ["answered", "body_of", "failed", "plain_of", "refused", "replied"]
 
 _ROBOTS = frozenset(("device_rejected", "device_timeout"))
-"""Errors whose sentence the robot has written."""
+"""Errors whose message comes from the robot."""
 
 
 def body_of(reply: Reply) -> Any:
-    """Return a reply's body as plain data that JSON carries."""
+    """Return a reply's body as plain JSON data."""
     return None if reply.body is NO_BODY else plain_of(reply.body)
 
 
 def plain_of(body: Any) -> Any:
-    """Return a body as plain data that JSON carries."""
+    """Return a body as plain JSON data."""
     return msgspec.json.decode(encode_body(body, Encoding.JSON))
 
 
 def answered(facts: dict[str, Any], *blocks: Block) -> types.CallToolResult:
-    """Answer with facts, in words as well if there are no blocks that say them."""
+    """Return facts as a result, also as text unless content blocks are given."""
     said: list[Any] = list(blocks)
     if not said:
         said.append(types.TextContent(type="text", text=msgspec.json.encode(facts).decode()))
@@ -39,12 +39,12 @@ def answered(facts: dict[str, Any], *blocks: Block) -> types.CallToolResult:
 
 
 def refused(error: RcpError) -> types.CallToolResult:
-    """Answer with an error that the model can act on."""
+    """Return an error that the model can act on."""
     return failed(error_body(error), error.status)
 
 
 def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolResult:
-    """Answer with the contract's `error` object."""
+    """Return the contract's `error` object as a result."""
     code, message, remedy = error["code"], error["message"], error.get("remedy")
     untrusted = code in _ROBOTS
     said = f"{status}: {code}: "
@@ -63,7 +63,7 @@ def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolRe
 
 
 def replied(reply: Reply, config: McpConfig) -> types.CallToolResult:
-    """Answer with the final reply of a write or a command."""
+    """Return the final reply of a write or a command as a result."""
     if reply.path == ESTOP and not reply.dry_run:
         return _stopped(reply)
     if reply.error is not None:
@@ -88,7 +88,7 @@ def replied(reply: Reply, config: McpConfig) -> types.CallToolResult:
 
 
 def _stopped(reply: Reply) -> types.CallToolResult:
-    """Answer with the final reply of an emergency stop: who is at rest, and who is not."""
+    """Return the final reply of an emergency stop: which robots are at rest, and which are not."""
     error = reply.error
     if error is None:
         report = Report.of(body_of(reply))

@@ -1,8 +1,8 @@
-"""Questions to the person at the client: may this command pass?
+"""Approval of commands by the person at the client.
 
-The gateway's rules say which commands want approval, and whose person may give it at his own client
-(`approve_own`). The model has no part in it: the question goes to the client, the answer is the
-client's, and the state in between is sealed for this caller, tool and arguments.
+The gateway's rules say which commands require approval, and who may approve at their own client
+(`approve_own`). The model is not involved: the client asks the person, and the state in between is
+sealed for this caller, tool and arguments.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from rcp_mcp.offers import Context
 __all__ = ["ApprovalTools"]
 
 _KEY = "approval"
-_SHOWN = 400  # characters of a command's value
+_SHOWN = 400  # characters of a command's value in the question
 
 
 class ApprovalTools:
-    """What asks, and takes the answer."""
+    """Asks for approval, and handles the response."""
 
     def __init__(self, client_api: ClientApi) -> None:
         self._client_api = client_api
 
     def returned(self, ctx: Context, session: Session, request: Request) -> None:
-        """Take the answer that a repeated call brings along.
+        """Handle the response that a repeated call carries.
 
-        :raises Forbidden: the person said no, or may not say yes.
+        :raises Forbidden: the person refused, or may not approve.
         """
         params = ctx.params or {}
         state, answers = params.get("requestState"), params.get("inputResponses")
@@ -49,9 +49,9 @@ class ApprovalTools:
     async def asked(
         self, ctx: Context, session: Session, request: Request, reply: Reply
     ) -> types.InputRequiredResult | bool:
-        """Ask, if there is somebody to ask; True says that the same request may be sent again.
+        """Ask if the client supports it; True means that the same request may be sent again.
 
-        :raises Forbidden: the person said no.
+        :raises Forbidden: the person refused.
         """
         error = reply.error or {}
         path, id_ = reply.path or "", (error.get("details") or {}).get("approval")
@@ -78,7 +78,7 @@ class ApprovalTools:
             )
         try:
             found = await ctx.session.elicit_form(message, schema, ctx.request_id)
-        except MCPError:  # the client cannot after all: the refusal says what else there is
+        except MCPError:  # the client cannot ask after all; the refusal lists the alternatives
             return False
         self._decide(session, request, id_, found.model_dump())
         return request.approval is not None

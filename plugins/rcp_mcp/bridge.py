@@ -1,7 +1,7 @@
-"""Between stdio and a gateway's endpoint: every message goes through as it is.
+"""Bridge between stdio and a gateway's endpoint; messages pass unchanged.
 
-The transports on both sides are the SDK's. What is added is what HTTP wants in headers, and an
-answer where the gateway cannot be reached.
+Both sides use the SDK's transports. The bridge adds the headers that HTTP requires, and replies
+when the gateway cannot be reached.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ __all__ = ["bridge"]
 _VERSION = "io.modelcontextprotocol/protocolVersion"
 _SESSION = "mcp-session-id"
 _INITIALIZED = b'{"jsonrpc":"2.0","method":"notifications/initialized"}'
-_PATIENCE = httpx2.Timeout(30.0, read=3600.0)  # s; the gateway says something every 15
+_PATIENCE = httpx2.Timeout(30.0, read=3600.0)  # s; the gateway sends something every 15
 
 
 async def bridge(url: str, headers: dict[str, str], cacert: str | None = None) -> None:
-    """Carry messages both ways until stdin ends."""
+    """Forward messages in both directions until stdin closes."""
     trust = ssl.create_default_context()
     if cacert is not None:
         trust.load_verify_locations(cacert)
@@ -37,7 +37,7 @@ async def bridge(url: str, headers: dict[str, str], cacert: str | None = None) -
             headers=headers, timeout=_PATIENCE, transport=_Reached(url, trust)
         ) as http,
         stdio_server() as (said, say),
-        say,  # closed before stdio is left, whose writer waits for that
+        say,  # closed before stdio, whose writer waits for it
         streamable_http_client(url, http_client=http) as (heard, send),
         anyio.create_task_group() as both,
     ):
@@ -58,15 +58,15 @@ async def bridge(url: str, headers: dict[str, str], cacert: str | None = None) -
 
 
 class _Versions:
-    """What HTTP wants to know of each message beside its body."""
+    """What HTTP needs to know of each message in addition to its body."""
 
     def __init__(self) -> None:
         self._initialize: Any = None
         self._agreed: str | None = None
-        """The version of a client that began with `initialize`."""
+        """Protocol version of a client that started with `initialize`."""
 
     def headers(self, message: SessionMessage) -> dict[str, str]:
-        """Return the headers of a message from the client."""
+        """Return the headers for a message from the client."""
         plain = message.message
         params: dict[str, Any] = getattr(plain, "params", None) or {}
         if isinstance(plain, JSONRPCRequest) and plain.method == "initialize":
@@ -84,7 +84,7 @@ class _Versions:
         return found
 
     def note(self, message: SessionMessage) -> None:
-        """Take the version from the answer to `initialize`."""
+        """Record the version from the response to `initialize`."""
         plain = message.message
         if isinstance(plain, JSONRPCResponse) and plain.id == self._initialize:
             agreed = plain.result.get("protocolVersion")
@@ -92,10 +92,10 @@ class _Versions:
 
 
 class _Reached(httpx2.AsyncHTTPTransport):
-    """Goes on where HTTP alone would not.
+    """An HTTP transport that recovers from failures.
 
-    It says why the gateway cannot be reached, so that the assistant may try again, and opens an
-    older client's session anew that a restart of the gateway has ended.
+    It reports why the gateway cannot be reached, so that the assistant can retry, and reopens an
+    older client's session that a restart of the gateway has ended.
     """
 
     def __init__(self, url: str, trust: ssl.SSLContext) -> None:
@@ -103,7 +103,7 @@ class _Reached(httpx2.AsyncHTTPTransport):
         self._url = url
         self._opening: httpx2.Request | None = None
         self._session: str | None = None
-        """The session that took the place of the one that the client's side knows."""
+        """The session that replaces the one known to the client."""
         self._reopening = anyio.Lock()
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
@@ -133,7 +133,7 @@ class _Reached(httpx2.AsyncHTTPTransport):
             )
 
     async def _reopened(self, lost: str) -> bool:
-        """Open a session as the client did; tell whether there is another one than was lost."""
+        """Open a session as the client did; return whether a new one is available."""
         async with self._reopening:
             opening = self._opening
             if opening is None or self._session not in (None, lost):

@@ -1,4 +1,4 @@
-"""Who calls: the session that the endpoint found for a request, and what its client can do."""
+"""The caller: the session of a request, and the capabilities of its client."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rcp_mcp.offers import Context
 __all__ = ["SESSION", "TASKS", "asks_people", "modern", "session_of", "takes_tasks"]
 
 SESSION = "rcp.session"
-"""Key of the request's scope under which the endpoint leaves the session."""
+"""Key in the request's scope under which the endpoint stores the session."""
 TASKS = "io.modelcontextprotocol/tasks"
 _FIRST_MODERN = "2026-07-28"
 
@@ -22,12 +22,12 @@ def session_of(ctx: Context) -> Session:
 
 
 def modern(ctx: Context) -> bool:
-    """Tell whether a client speaks a version without sessions."""
+    """Return whether a client uses a protocol version without sessions."""
     return ctx.protocol_version >= _FIRST_MODERN
 
 
 def asks_people(ctx: Context) -> bool:
-    """Tell whether the client shows questions to a person."""
+    """Return whether the client can ask its user (elicitation)."""
     capabilities = ctx.session.client_capabilities
     if capabilities is None or capabilities.elicitation is None:
         return False
@@ -36,7 +36,7 @@ def asks_people(ctx: Context) -> bool:
 
 
 def takes_tasks(ctx: Context) -> bool:
-    """Tell whether the client follows tasks."""
+    """Return whether the client supports tasks."""
     capabilities = ctx.session.client_capabilities
     extensions: dict[str, Any] | None = None if capabilities is None else capabilities.extensions
     return modern(ctx) and extensions is not None and TASKS in extensions

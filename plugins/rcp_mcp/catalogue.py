@@ -1,4 +1,4 @@
-"""What a caller may see of the tree, and the tools made of it; made anew when that changes."""
+"""The resources that a caller may see, and the tools made from them; updated with the tree."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rcp_mcp.typed import typed_tool
 __all__ = ["Catalogue", "Facts", "Typed", "matches"]
 
 Facts = dict[str, Any]
-_PAGE = 10  # resources that are read in one step
-_PLANS = "/system/plans"  # wants approval for the steps it has
+_PAGE = 10  # resources read per step
+_PLANS = "/system/plans"  # may require approval because of its steps
 
 
 class Typed(NamedTuple):
@@ -31,7 +31,7 @@ class Typed(NamedTuple):
 
 
 class _Seen:
-    """What one set of rights sees of one generation of the tree."""
+    """The view of one generation of the tree with one set of rights."""
 
     def __init__(self, generation: int) -> None:
         self.generation = generation
@@ -41,7 +41,7 @@ class _Seen:
 
 
 class Catalogue:
-    """The trees as callers see them."""
+    """The views of the tree, by caller."""
 
     def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
@@ -50,31 +50,31 @@ class Catalogue:
         self._reading = SharedWork[None](client_api.loop)
 
     async def prepare(self, session: Session) -> None:
-        """Read what a session may see in steps, so that nothing has to be read at once later."""
+        """Read a session's view in steps, so that later calls need not read all of it at once."""
         if self._current(session) is None:
             turns, owner = self._client_api.turns, session.principal.identity
             key = (self._client_api.generation(session), session.rights, session.tenant)
             await self._reading.result(key, lambda: turns.finish(owner, self._read(session)))
 
     def all(self, session: Session) -> list[Facts]:
-        """List what a session may see, in order of path."""
+        """List what a session may see, ordered by path."""
         return self._of(session).facts
 
     def find(self, session: Session, path: str) -> Facts | None:
-        """Return what a session may see at a path."""
+        """Return the resource at a path, if the session may see it."""
         return self._of(session).by_path.get(path)
 
     def tools(self, session: Session) -> dict[str, Typed]:
-        """Return the tools of what a session may execute, by name."""
+        """Return the tools for what a session may execute, by name."""
         return self._of(session).tools[session.tenant]
 
     def ready(self, session: Session) -> dict[str, Typed] | None:
-        """Return the tools as `tools` does if they have been read; else None."""
+        """Return the tools like `tools` if they have been read, otherwise None."""
         seen = self._current(session)
         return None if seen is None else seen.tools[session.tenant]
 
     def read_one(self, session: Session, path: str) -> dict[str, Typed]:
-        """Return the tool of a path, by its name, without reading all others."""
+        """Return the tool of a path, by its name, without reading the others."""
         tools: dict[str, Typed] = {}
         for one in at_once(self._client_api.discover(session, path, Query(limit=1)))["resources"]:
             self._add(session, one, tools)
@@ -95,7 +95,7 @@ class Catalogue:
         return seen
 
     def _read(self, session: Session) -> Generator[None]:
-        """Read what a session may see, and make its tools, in steps."""
+        """Read a session's view and build its tools, in steps."""
         seen = _Seen(self._client_api.generation(session))
         query: Query | None = Query(limit=_PAGE)
         tools: dict[str, Typed] = {}
@@ -124,6 +124,6 @@ class Catalogue:
 
 
 def matches(patterns: tuple[str, ...], path: str) -> bool:
-    """Tell whether a path is one of those that patterns of the configuration mean."""
+    """Return whether a path matches patterns of the configuration."""
     tenant = tenant_of(path)
     return any(text == "/**" or Pattern(text, tenant).matches(path) for text in patterns)

@@ -1,4 +1,4 @@
-"""`rcpd mcp`: a gateway for assistants that start their servers themselves and speak by stdio."""
+"""`rcpd mcp`: connects assistants that start their servers themselves and use stdio."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One command from its start to what its caller is told: progress, patience, cancellation."""
+"""One command from its start to the caller's result: progress, time limit, cancellation."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from rcp_kernel.wire import Reply, Request
 __all__ = ["Following", "Report"]
 
 Report = Callable[[float, str | None, Reply], Awaitable[None]]
-"""Tell the client: the part done, in words, and the reply that said it."""
+"""Report progress to the client: the fraction, a text, and the reply with it."""
 _STEP = 0.0001
 
 
 class Following:
-    """The replies of one command, the newest first to be told."""
+    """The replies of one command; the newest is reported first."""
 
     def __init__(self, client_api: ClientApi, session: Session) -> None:
         self._client_api = client_api
         self._session = session
         self._news = asyncio.Event()
         self.latest: Reply | None = None
-        """The newest reply; it is final when nothing more comes."""
+        """The newest reply; a final one is the last."""
         self.command: str | None = None
         self._told = 0.0
         self._unwanted = False
@@ -42,7 +42,7 @@ class Following:
 
     @property
     def final(self) -> Reply | None:
-        """The final reply, if it has come."""
+        """The final reply, if it has arrived."""
         return self.latest if self.latest is not None and self.latest.final else None
 
     async def begun(self) -> Reply:
@@ -52,7 +52,7 @@ class Following:
         return self.latest
 
     async def until(self, patience: float, pause: float, report: Report) -> Reply | None:
-        """Wait for the final reply, reporting newer ones every `pause` s; None if it takes longer."""
+        """Wait for the final reply, reporting progress every `pause` s; None if it takes longer."""
         loop = asyncio.get_running_loop()
         end = loop.time() + patience
         free = 0.0
@@ -72,7 +72,7 @@ class Following:
         return self.final
 
     async def _pause(self, seconds: float) -> None:
-        """Let newer feedback take the place of older, but never hold up the end."""
+        """Let newer feedback replace older, without delaying the final reply."""
         end = asyncio.get_running_loop().time() + seconds
         while self.final is None:
             self._news.clear()
@@ -83,13 +83,13 @@ class Following:
                 return
 
     def _progress(self, reply: Reply) -> float:
-        """Return a number that rises with each call, which clients insist on."""
+        """Return an increasing number for each call, as clients require."""
         part = reply.progress if reply.progress is not None else 0.0
         self._told = max(part, self._told + _STEP)
         return self._told
 
     def stop(self) -> None:
-        """Have the robot stop; called when nobody waits for the answer any more."""
+        """Stop the robot; called when the caller no longer waits for the result."""
         self._unwanted = self.command is None
         if self.command is not None and self.final is None:
             request = Request(type="cancel", command=self.command)

@@ -31,7 +31,7 @@ __all__ = ["CommandTools"]
 
 
 class _Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The options of a call that a tool takes beside its input."""
+    """The options that a tool accepts in addition to the command's input."""
 
     deadline: Annotated[float, Meta(gt=0, le=86_400)] | None = None
     wait: Annotated[float, Meta(ge=0, le=3600)] | None = None
@@ -99,7 +99,7 @@ class CommandTools:
     async def run(
         self, ctx: Context, session: Session, request: Request, wait: float | None
     ) -> Outcome:
-        """Run a command: to its end, or until the caller's patience is over."""
+        """Run a command until it ends or the caller's time limit expires."""
         self._approving.returned(ctx, session, request)
         found = await self._tried(ctx, session, request, wait)
         if isinstance(found, Reply) and found.error is not None:
@@ -113,7 +113,7 @@ class CommandTools:
     async def _tried(
         self, ctx: Context, session: Session, request: Request, wait: float | None
     ) -> Reply | Outcome:
-        """Send a request once; return its final reply, or what is told before that comes."""
+        """Send a request once; return its final reply, or an earlier result for the caller."""
         if request.type == "write":
             return await self.client_api.request(session, request)
         following = Following(self.client_api, session)
@@ -140,13 +140,13 @@ class CommandTools:
         return facts is not None and facts["kind"] == "action"
 
     def stops(self, session: Session, path: str | None) -> bool:
-        """Tell whether the robot stops when the call of a path is cancelled."""
+        """Return whether cancelling a call of a path stops the robot."""
         whole = _whole(session, path)
-        # A hold that is cancelled would leave the robot moving.
+        # Cancelling a hold would leave the robot moving.
         return not is_hold(whole) and not matches(self.config.keeps_going, whole)
 
     async def cancel(self, ctx: Context, session: Session, asked: Cancel) -> Outcome:
-        """Stop a command, or what runs on a path."""
+        """Cancel a command, or what runs on a path."""
         if (asked.command is None) == (asked.path is None):
             raise BadRequest(
                 "`cancel` needs either `command` or `path`",
@@ -160,7 +160,7 @@ class CommandTools:
 
 
 def _going_on(following: Following) -> types.CallToolResult:
-    """Answer that a command has not ended yet."""
+    """Return that a command is still running."""
     latest = following.latest
     facts: dict[str, Any] = {"status": "in_progress", "command": following.command}
     if latest is not None:
@@ -175,7 +175,7 @@ def _going_on(following: Following) -> types.CallToolResult:
 
 
 def _whole(session: Session, path: str | None) -> str:
-    """Return the full path that a caller means, or what he said if that is none."""
+    """Return the full path that the caller means, or the text itself if it is not a path."""
     try:
         return parse_path(path or "", session.tenant)
     except RcpError:
@@ -183,7 +183,7 @@ def _whole(session: Session, path: str | None) -> str:
 
 
 def _said(message: str | None, reply: Reply) -> str | None:
-    """Write feedback in words, marked if the robot's world has a word in it."""
+    """Return feedback as text, marked if it contains text from the robot."""
     body = body_of(reply)
     if body is None:
         return message
@@ -196,9 +196,9 @@ def _raw(plain: Any) -> Raw:
 
 
 def _input(typed: Typed, given: dict[str, Any]) -> Raw:
-    """Make a command's input of a call's arguments.
+    """Build a command's input from a call's arguments.
 
-    :raises BadRequest: there are arguments that the tool does not take.
+    :raises BadRequest: there are arguments that the tool does not accept.
     """
     taken = typed.arguments
     if not taken.wrapped:

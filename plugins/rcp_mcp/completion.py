@@ -1,4 +1,4 @@
-"""Completion of tenants and names, of those that the caller may see."""
+"""Completion of tenants and names that the caller may see."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rcp_mcp.catalogue import Catalogue
 
 __all__ = ["Completion"]
 
-_MOST = 100  # values that one answer may have
+_MOST = 100  # maximum number of values in a response
 
 
 class Completion:
@@ -24,7 +24,7 @@ class Completion:
     def complete(
         self, session: Session, params: types.CompleteRequestParams
     ) -> types.Completion | None:
-        """Return what goes on from what was typed; None if the reference is not ours."""
+        """Return the completions; None if the reference does not belong to this server."""
         begun = params.argument.value
         chosen = (params.context.arguments if params.context is not None else None) or {}
         paths = [one["path"] for one in self._catalogue.all(session)]
@@ -44,7 +44,7 @@ class Completion:
 
 
 def _robots(paths: Iterable[str]) -> Iterable[str]:
-    """Return the robots that stand one level deeper than what a tenant's only robot has."""
+    """Return the robots whose resources are one level deeper than those of a single robot."""
     for path in paths:
         parts = path.split("/")
         if parts[1] == "tenant" and len(parts) > 5:

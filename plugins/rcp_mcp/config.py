@@ -1,4 +1,4 @@
-"""What `[plugins.mcp]` may say."""
+"""The configuration of `[plugins.mcp]`."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ class McpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """The Model Context Protocol. Times in seconds."""
 
     path: Annotated[str, Meta(pattern=r"^/[A-Za-z0-9_./-]+$")] = "/mcp"
-    """Where it is served."""
+    """Path of the endpoint."""
     url: Annotated[str, Meta(pattern=r"^https?://")] | None = None
-    """The gateway's address as clients know it; without it they are told the one they called."""
+    """The gateway's URL as clients know it; default: the one of the request."""
     message: Annotated[int, Meta(ge=20_480)] = 1_048_576
-    """Longest request, in bytes; `[limits]` may say less."""
+    """Maximum request size, in bytes; `[limits]` may be lower."""
     tools: Patterns = ("/**",)
-    """Actions and services that have a tool of their own."""
+    """Actions and services that get their own tool."""
     keeps_going: Patterns = ()
-    """Actions that go on when the call that began them is cancelled; all others stop the robot."""
+    """Actions that continue when their call is cancelled; others stop the robot."""
     budget: Annotated[int, Meta(ge=200)] = 4000
-    """Tokens that one answer has about; longer ones are cut or summarised."""
+    """Approximate number of tokens per response; longer ones are cut or summarised."""
     image: Annotated[int, Meta(ge=1024)] = 1_000_000
-    """Bytes of the largest picture that is shown."""
+    """Maximum size of an image, in bytes."""
     wait: Annotated[float, Meta(gt=0, le=3600)] = 45.0
-    """A call answers after that long, while its command goes on."""
+    """Time after which a call returns while its command continues."""
     feedback: Annotated[float, Meta(gt=0, le=50)] = 4.0
-    """Progress notifications of one call a second, at most."""
+    """Maximum rate of progress notifications per call, per second."""
     sessions: Annotated[int, Meta(ge=1)] = 1000
-    """Of clients of the older versions, at a time."""
+    """Maximum number of sessions of clients with older protocol versions."""
     idle: Annotated[float, Meta(gt=0)] = 1800.0
-    """Until such a session without a request ends."""
+    """Time without a request after which such a session ends."""
 
 
 def check(config: McpConfig) -> None:
-    """Refuse patterns that are none.
+    """Refuse invalid patterns.
 
-    :raises ConfigError: with the key.
+    :raises ConfigError: names the key.
     """
     for key in ("tools", "keeps_going"):
         for pattern in getattr(config, key):

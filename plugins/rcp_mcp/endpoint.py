@@ -1,7 +1,7 @@
-"""The endpoint: who calls, where a token is to be had, and the SDK's handling of the rest.
+"""The endpoint: authentication, its metadata, and the hand-over to the SDK.
 
-Foreign names and origins were refused before: the listener checks `Host` and `Origin` of every
-request, against DNS rebinding too, by the rules of its own table.
+Foreign hosts and origins are refused earlier: the listener checks `Host` and `Origin` of every
+request, which also prevents DNS rebinding.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
 WELL_KNOWN = "/.well-known/oauth-protected-resource"
 _UNAUTHORIZED = -32001
 _REFUSED = -32600
-# Of one request, counted as `[limits] values` are: the SDK takes 1 µs for each at once.
+# values per request, counted like `[limits] values`: the SDK needs 1 µs for each in one step.
 _VALUES = 8192
 
 
@@ -63,7 +63,7 @@ class Endpoint:
         self._urgent = Urgent(catalogue)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request as its caller."""
+        """Serve one request on behalf of its caller."""
         try:
             session = await session_of(self._client_api, scope)
             self._check_length(session, scope)
@@ -73,23 +73,23 @@ class Endpoint:
             await _refuse(self._config, scope, send, told)
             return
         scope[SESSION] = session
-        # RFC 9110 5.5: the SDK compares values with the body that still have their white space.
+        # RFC 9110 5.5: the SDK compares header values including their white space.
         scope["headers"] = [(name, value.strip(b" \t")) for name, value in scope["headers"]]
         if not session.principal.anonymous:
             scope["user"] = _user(session)
         await self._serve(session, scope, receive, send)
 
     def _check_length(self, session: Session, scope: Scope) -> None:
-        """Refuse a request that is too long for its caller before it is read.
+        """Refuse a request that is too long for its caller before reading it.
 
-        :raises PayloadTooLarge: it says so itself.
-        :raises RateLimited: it may be long, and a quota does not allow one now.
+        :raises PayloadTooLarge: the announced length exceeds the limit.
+        :raises RateLimited: a quota does not allow a long request now.
         """
         limit = self._client_api.longest(session.principal)
         told = header(scope, b"content-length")
         if told is not None and told.isdigit():
             size = int(told)
-        else:  # nobody knows how long it becomes
+        else:  # the length is not known in advance
             size = limit if header(scope, b"transfer-encoding") is not None else 0
         if size > limit:
             raise too_large(limit)
@@ -97,7 +97,7 @@ class Endpoint:
             self._client_api.check_pace(session)
 
     async def _serve(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let the SDK answer, for as long as the caller's proof is good and the listener open."""
+        """Let the SDK serve, while the caller's credentials are valid and the listener is open."""
         begun = ended = False
 
         async def sent(message: Any) -> None:
@@ -124,7 +124,7 @@ class Endpoint:
             await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _paced(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
-        """Have requests take turns: the SDK handles one in a few ms, and one begins in each turn."""
+        """Let requests take turns: the SDK needs a few ms for each, and one starts per turn."""
         turns, owner = self._client_api.turns, session.principal.identity
         first: Any = await receive()  # it has the whole body
         body: bytes = first.get("body", b"")
@@ -149,14 +149,14 @@ class Endpoint:
 
 
 class Metadata:
-    """Where tokens for the endpoint come from: RFC 9728."""
+    """The protected resource metadata of the endpoint: RFC 9728."""
 
     def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
         self._client_api = client_api
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer; it is told to everybody."""
+        """Return the metadata; no authentication is required."""
         if scope["path"] not in (WELL_KNOWN, WELL_KNOWN + self._config.path):
             await respond(send, 404, b"{}")
             return
@@ -172,7 +172,7 @@ class Metadata:
 
 
 def _user(session: Session) -> AuthenticatedUser:
-    """Tell the SDK whose session it is, so that nobody else goes on with it."""
+    """Give the SDK the owner of the session, so that nobody else can use it."""
     principal = session.principal
     who = f"{principal.proof}:{principal.name}:{session.tenant}"
     return AuthenticatedUser(AccessToken(token="", client_id=who, scopes=[], subject=who))
@@ -192,7 +192,7 @@ async def _refuse(config: McpConfig, scope: Scope, send: Send, error: RcpError) 
 
 
 def _base(config: McpConfig, scope: Scope) -> str:
-    """Return the gateway's address: as configured, or as the client called it."""
+    """Return the gateway's URL: as configured, or as requested by the client."""
     if config.url is not None:
         return config.url.rstrip("/")
     host = (header(scope, b"host") or b"localhost").decode("latin-1")

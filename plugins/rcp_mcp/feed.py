@@ -1,4 +1,4 @@
-"""A subscription of this adapter: a connection of its own, for as long as somebody listens."""
+"""A subscription of this adapter, with its own connection."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 __all__ = ["ResourceFeed"]
 
-_HELD = 1000  # updates that wait for who listens
+_HELD = 1000  # updates queued for the consumer
 
 
 class ResourceFeed:
-    """Updates of some paths, in the order in which they came."""
+    """Updates of some paths, in the order of arrival."""
 
     def __init__(self, client_api: ClientApi, session: Session) -> None:
         self._client_api = client_api
         self._news = asyncio.Event()
         self._updates: deque[tuple[str, bytes]] = deque(maxlen=_HELD)
         self.ended = False
-        """Nothing comes any more: the session's proof is over, or nothing is subscribed."""
+        """Whether it has ended: the credentials expired, or nothing is subscribed."""
         self._connection = client_api.connect(
             session.principal,
             Encoding.JSON,
@@ -54,14 +54,14 @@ class ResourceFeed:
         return b""
 
     async def subscribe(self, paths: Sequence[str], **options: Any) -> Reply:
-        """Begin; a refusal is the reply's error."""
+        """Subscribe; a refusal is the reply's error."""
         body = {"paths": list(paths[1:]), **options}
         raw = msgspec.Raw(msgspec.json.encode(body))
         request = Request(type="subscribe", path=paths[0], body=raw)
         return await self._client_api.request(self._connection.session, request)
 
     async def next(self) -> list[tuple[str, bytes]]:
-        """Wait for updates; return the path of each and its envelope. None at all: it has ended."""
+        """Wait for updates; return the path and envelope of each. Empty once the feed has ended."""
         while not self._updates and not self.ended:
             self._news.clear()
             await self._news.wait()
@@ -70,5 +70,5 @@ class ResourceFeed:
         return taken
 
     def close(self) -> None:
-        """Let go."""
+        """Close the connection."""
         self._connection.close(resumable=False)

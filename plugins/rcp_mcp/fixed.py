@@ -1,4 +1,4 @@
-"""The tools that are always there: arguments as types, words, hints, schemas of their answers."""
+"""The fixed tools: argument types, descriptions, hints, and output schemas."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _KEY = "Idempotency key: a repeated call with the same key is not executed again
 
 
 class _Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of the arguments: no unknown ones."""
+    """Base of the arguments; unknown ones are refused."""
 
 
 class Discover(_Call, frozen=True):
-    """What to look for; everything is optional."""
+    """What to search for; all arguments are optional."""
 
     q: (
         Annotated[str, Meta(description="Words that must all occur in the path or description.")]
@@ -44,7 +44,7 @@ class Discover(_Call, frozen=True):
 
 
 class Read(_Call, frozen=True):
-    """Which value."""
+    """The value to read."""
 
     path: Annotated[str, Meta(description=_PATH + " A pattern reads several values.")]
     fields: (
@@ -62,7 +62,7 @@ class Read(_Call, frozen=True):
 
 
 class Write(_Call, frozen=True):
-    """Which value, and what it is to become."""
+    """The value to write."""
 
     path: Annotated[str, Meta(description=_PATH)]
     value: Any
@@ -87,7 +87,7 @@ class Write(_Call, frozen=True):
 
 
 class Execute(_Call, frozen=True):
-    """Which action or service, with its input."""
+    """The action or service to run, with its input."""
 
     path: Annotated[str, Meta(description="Such as `/action/move_to`.")]
     input: Any = None
@@ -99,20 +99,20 @@ class Execute(_Call, frozen=True):
 
 
 class Cancel(_Call, frozen=True):
-    """Which command: by its id, or whatever runs on a path."""
+    """The command to cancel: by its id, or whatever runs on a path."""
 
     command: str | None = None
     path: str | None = None
 
 
 class Status(_Call, frozen=True):
-    """Of the gateway, or of one command."""
+    """Status of the gateway, or of one command."""
 
     command: Annotated[str, Meta(description="Command id from the result of a call.")] | None = None
 
 
 class Watch(_Call, frozen=True):
-    """What to watch, and until when: so many samples or seconds, whichever comes first."""
+    """What to record: until the number of samples or the time is reached, whichever is first."""
 
     paths: Annotated[tuple[str, ...], Meta(min_length=1, max_length=20, description=_PATH)]
     samples: Annotated[int, Meta(ge=1, le=500)] = 10
@@ -135,12 +135,12 @@ class Watch(_Call, frozen=True):
 
 
 class Fixed(NamedTuple):
-    """One of these tools."""
+    """One fixed tool."""
 
     tool: types.Tool
     takes: ValueType
     needs: str | None
-    """The operation that the caller has to have somewhere."""
+    """The operation that the caller must be allowed somewhere."""
 
 
 def _answer(**properties: Any) -> dict[str, Any]:
@@ -273,4 +273,4 @@ FIXED: dict[str, Fixed] = {
         ),
     )
 }
-"""By name."""
+"""The fixed tools by name."""

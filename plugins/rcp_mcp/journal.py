@@ -1,7 +1,7 @@
-"""What the streams of one session have said, so that its client reads on after a cut.
+"""The past events of a session's streams, with which its client resumes after a disconnect.
 
-The SDK names streams by their requests alone, which sessions have in common: a journal that they
-shared would give one client what another was told.
+The SDK identifies streams by their requests only, which are not unique across sessions: a shared
+journal would give one client the events of another.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class Journal(EventStore):
         self._events: deque[_Event] = deque()
         self._bytes = 0
         self._backlog = backlog
-        weakref.finalize(self, backlog.close)  # the SDK forgets it without a word
+        weakref.finalize(self, backlog.close)  # the SDK discards it without a signal
 
     async def store_event(self, stream_id: StreamId, message: JSONRPCMessage | None) -> EventId:
-        """Keep one event, at the cost of the oldest; return its id."""
+        """Store one event, dropping the oldest if necessary; return its id."""
         size = 0 if message is None else len(message.model_dump_json())
         event = _Event(secrets.token_hex(8), stream_id, message, size)
         self._events.append(event)
@@ -58,7 +58,7 @@ class Journal(EventStore):
     async def replay_events_after(
         self, last_event_id: EventId, send_callback: EventCallback
     ) -> StreamId | None:
-        """Say again what came after an event on its stream; None if it is not known any more."""
+        """Replay the events after one on its stream; None if they are no longer available."""
         events = list(self._events)
         place = next((n for n, event in enumerate(events) if event.id == last_event_id), None)
         if place is None:
@@ -71,7 +71,7 @@ class Journal(EventStore):
 
 
 class Manager(StreamableHTTPSessionManager):
-    """Gives each session a journal of its own."""
+    """Gives each session its own journal."""
 
     def __init__(self, outbound: Outbound, *args: Any, **options: Any) -> None:
         self._outbound = outbound
@@ -79,9 +79,9 @@ class Manager(StreamableHTTPSessionManager):
 
     @property
     def event_store(self) -> EventStore | None:
-        """Make one; the SDK asks once for each session."""
+        """Return a new journal; the SDK reads this once per session."""
         return Journal(self._outbound.open())
 
     @event_store.setter
     def event_store(self, value: EventStore | None) -> None:
-        """Ignore what the base class sets."""
+        """Ignore the value that the base class sets."""

@@ -1,7 +1,8 @@
-"""News for those who listen: the tree has changed as they see it, a resource has a new value.
+"""Notifications: the tree has changed, or a resource has a new value.
 
-Clients of 2026-07-28 listen with one request; older ones subscribe within their session. What
-somebody may not see makes no news: changes are found in his own view of the tree.
+Clients of 2026-07-28 listen with one request; older ones subscribe within their session. Changes
+are detected in each caller's own view of the tree, so that nobody is notified of what they may not
+see.
 """
 
 from __future__ import annotations
@@ -33,15 +34,15 @@ from rcp_mcp.offers import Context
 __all__ = ["ListenerRegistry", "ResourceListener"]
 
 log = structlog.get_logger("rcp.mcp")
-_LOOK = 0.25  # s between looks at the tree
-_RATE = 1.0  # Hz at which news of one resource are told at most
+_LOOK = 0.25  # s between checks of the tree
+_RATE = 1.0  # Hz, maximum rate of notifications per resource
 _BACKLOG = 256  # events
 Emit = Callable[[ServerEvent], None]
 Open = Callable[[Emit], Callable[[], None]]
 
 
 class ResourceListener:
-    """One who listens."""
+    """One listening client."""
 
     def __init__(
         self,
@@ -61,7 +62,7 @@ class ResourceListener:
         self._listen()
 
     def look(self) -> None:
-        """Tell if the tree looks different now."""
+        """Notify the client if its view of the tree has changed."""
         generation = self._client_api.generation(self._session)
         if generation != self._generation:
             self._generation = generation
@@ -70,18 +71,18 @@ class ResourceListener:
             self._listen()
 
     def change(self, *, add: str | None = None, remove: str | None = None) -> None:
-        """Listen to one resource more, or less."""
+        """Add or remove a resource."""
         self.uris = (self.uris | {add} if add is not None else self.uris) - {remove or ""}
         self._listen()
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
 
     def _listen(self) -> None:
-        """Follow the resources that there are; those to come are found by the next change."""
+        """Subscribe to the existing resources; later ones are added at the next change."""
         self.close()
         paths: dict[str, str] = {}
         for uri in sorted(self.uris):
@@ -111,21 +112,21 @@ class ResourceListener:
 
 
 class _Bus:
-    """The news of one listener, as the SDK's handler takes them."""
+    """The notifications of one listener, in the form that the SDK's handler expects."""
 
     def __init__(self, open_: Open) -> None:
         self._open = open_
 
     async def publish(self, event: ServerEvent) -> None:
-        """Never called: there is nothing for all."""
+        """Never called: there are no notifications for all listeners."""
 
     def subscribe(self, listener: Emit) -> Callable[[], None]:
-        """Begin; return what ends it."""
+        """Start; return a function that stops it."""
         return self._open(listener)
 
 
 class ListenerRegistry:
-    """All who listen."""
+    """All listening clients."""
 
     def __init__(self, client_api: ClientApi, catalogue: Catalogue) -> None:
         self._client_api = client_api
@@ -157,12 +158,12 @@ class ListenerRegistry:
             self._handlers.discard(handler)
 
     async def greeted(self, ctx: Context, params: types.NotificationParams) -> None:
-        """Begin to tell a client of an older version, once it is ready."""
+        """Start to notify a client of an older version, once it is initialised."""
         connection: Any = ctx.session._connection  # noqa: SLF001  # pyright: ignore[reportPrivateUsage] - the SDK has no other way to a connection's end
         queue: asyncio.Queue[ServerEvent] = asyncio.Queue(_BACKLOG)
 
         def emit(event: ServerEvent) -> None:
-            with suppress(asyncio.QueueFull):  # it asks again anyway
+            with suppress(asyncio.QueueFull):  # the client reads the lists anyway
                 queue.put_nowait(event)
 
         ear = ResourceListener(self._client_api, self._catalogue, session_of(ctx), emit)
@@ -176,7 +177,7 @@ class ListenerRegistry:
     async def subscribe(
         self, ctx: Context, params: types.SubscribeRequestParams
     ) -> types.EmptyResult:
-        """Serve `resources/subscribe`; what cannot be seen is as silent as what is not there."""
+        """Serve `resources/subscribe`; hidden resources are treated like unknown ones."""
         self._change(ctx, add=params.uri)
         return types.EmptyResult()
 
@@ -206,7 +207,7 @@ class ListenerRegistry:
             self._looking = None
 
     async def _look(self) -> None:
-        """Look at the tree as each listener sees it, again and again while there is one."""
+        """Check the tree as each listener sees it, periodically while there are listeners."""
         while True:
             await asyncio.sleep(_LOOK)
             for ear in list(self._ears.values()):
@@ -223,7 +224,7 @@ class ListenerRegistry:
 
 
 async def _send(connection: Any, next_: Callable[[], Awaitable[ServerEvent]]) -> None:
-    """Send a client of an older version its news."""
+    """Send a client of an older version its notifications."""
     while True:
         event = await next_()
         if isinstance(event, ToolsListChanged):

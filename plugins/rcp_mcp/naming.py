@@ -1,7 +1,7 @@
-"""How paths of the tree are called in MCP: names of tools and URIs of resources.
+"""Names of the tree in MCP: tool names and resource URIs.
 
-Both depend on the path (and the tenant that the caller acts in) alone, so they stay the same
-whatever else there is.
+Both depend only on the path and the caller's tenant, so they do not change with the rest of the
+tree.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ __all__ = ["SCHEME", "path_of", "tool_name", "uri_of"]
 
 SCHEME = "rcp://"
 _PLAIN = re.compile(r"[A-Za-z0-9_]+\Z")
-_LONGEST = 64  # some models take no longer names of tools
+_LONGEST = 64  # some models do not accept longer tool names
 _OTHER = re.compile(r"[^A-Za-z0-9_]")
 
 
 def tool_name(path: str, tenant: str | None) -> str:
-    """Name the tool of an action or service: `/action/move_to` is `action-move_to`.
+    """Return the tool name of an action or service: `/action/move_to` is `action-move_to`.
 
-    Segments with dots or dashes, and long paths, end in a hash instead: no two paths are named
-    alike. Letters, digits, `_` and `-` are what every model takes.
+    Paths with dots or dashes in a segment, and long paths, end in a hash instead, so that names are
+    unique. Every model accepts letters, digits, `_` and `-`.
     """
     own = f"/tenant/{tenant}/"
     short = path[len(own) :] if tenant is not None and path.startswith(own) else path[1:]
@@ -43,7 +43,7 @@ def uri_of(path: str) -> str:
 
 
 def path_of(uri: str) -> str | None:
-    """Return the full path that a URI means, or None if it is not one of ours."""
+    """Return the full path of a URI, or None if it does not belong to this server."""
     if not uri.startswith(SCHEME):
         return None
     rest = uri[len(SCHEME) :]

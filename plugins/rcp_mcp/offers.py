@@ -1,7 +1,6 @@
-"""What the server of this package serves: a closed set of things, asked in order.
+"""Sources of tools, resources and prompts, tried in order.
 
-The tree of the robots is one such offer; whatever else a plugin wants to be seen beside it is
-another one, behind it.
+The robots' tree is one; a plugin can add others behind it.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ Context = ServerRequestContext[Any, Any]
 
 
 class Method(NamedTuple):
-    """A request that is none of the tools, resources and prompts."""
+    """A request besides those for tools, resources and prompts."""
 
     name: str
     params: type[BaseModel]
@@ -30,18 +29,18 @@ Outcome = types.CallToolResult | types.InputRequiredResult | dict[str, Any]
 
 
 class Offer:
-    """Nothing at all; a subclass offers what it has. None says: not mine, ask the next one."""
+    """An empty offer; subclasses override what they provide. None means: try the next one."""
 
     def methods(self) -> Sequence[Method]:
-        """List further requests that are served; asked once."""
+        """List additional requests to serve; called once."""
         return ()
 
     def extensions(self) -> Mapping[str, dict[str, Any]]:
-        """Name the extensions that are served, with their settings; asked once."""
+        """Return the supported extensions with their settings; called once."""
         return {}
 
     def headed(self, tool: str) -> Mapping[str, Any] | None:
-        """Return the input schema of a tool whose arguments travel in headers as well."""
+        """Return the input schema of a tool whose arguments are also sent as headers."""
         return None
 
     async def tools(self, ctx: Context) -> Sequence[types.Tool]:
@@ -57,7 +56,7 @@ class Offer:
         return ()
 
     async def templates(self, ctx: Context) -> Sequence[types.ResourceTemplate]:
-        """List how URIs are made."""
+        """List the resource templates."""
         return ()
 
     async def read(
@@ -73,7 +72,7 @@ class Offer:
     async def prompt(
         self, ctx: Context, params: types.GetPromptRequestParams
     ) -> types.GetPromptResult | types.InputRequiredResult | None:
-        """Write a prompt out."""
+        """Return a prompt."""
         return None
 
     async def complete(

@@ -1,4 +1,4 @@
-"""Pictures among values: what is one, and how a model is shown it."""
+"""Images within values: detection and conversion for models."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _PIXELS = 16_000_000
 
 
 class Picture(NamedTuple):
-    """A picture as base64."""
+    """An image as base64."""
 
     media: str
     data: str
 
     @property
     def size(self) -> int:
-        """About how many bytes it has."""
+        """Approximate size in bytes."""
         return len(self.data) * 3 // 4
 
 
 def taken_out(plain: Any) -> tuple[Any, list[Picture]]:
-    """Return a plain value with words in the place of its pictures, and these."""
+    """Return a plain value with its images replaced by text, and the images."""
     found: list[Picture] = []
     return _walk(plain, found), found
 
@@ -91,7 +91,7 @@ def _jpeg(pixels: bytes, width: int, height: int, layout: str) -> Picture | None
 
 
 def _png(pixels: bytes, width: int, height: int, layout: str) -> Picture:
-    """Write a PNG, where no library makes a JPEG."""
+    """Encode a PNG, if no library for JPEG is installed."""
     if layout.startswith("BGR"):
         swapped = bytearray(pixels)
         swapped[0 :: len(layout)], swapped[2 :: len(layout)] = (

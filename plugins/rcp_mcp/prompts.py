@@ -1,4 +1,4 @@
-"""Prompts for common jobs. They hold no facts of the tree, so they are the same for everybody."""
+"""Prompts for common tasks. They do not depend on the tree or the caller."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ PROMPTS = [
 
 
 def written(name: str, given: dict[str, str]) -> types.GetPromptResult | None:
-    """Write a prompt out; None if there is none of that name.
+    """Return a prompt; None if there is none of that name.
 
     :raises MCPError: an argument is missing.
     """

@@ -1,4 +1,4 @@
-"""The tools that only look: discover, read, status."""
+"""The read-only tools: discover, read, status."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from rcp_mcp.summary import PER_TOKEN, cut, size
 
 __all__ = ["ReadTools", "sampled"]
 
-_STEPS = 5  # of a command's history that are told
+_STEPS = 5  # entries of a command's history in a result
 _RUNNING = 20
-_HEAVY = 200_000  # bytes of JSON whose pictures and summaries are made beside the event loop
+_HEAVY = 200_000  # bytes of JSON above which images and summaries are made in a thread
 
 
 class ReadTools:
@@ -41,7 +41,7 @@ class ReadTools:
         self._catalogue = catalogue
 
     async def discover(self, ctx: Context, session: Session, asked: Discover) -> Outcome:
-        """List what matches, as much as there is room for, and where to go on."""
+        """List matching resources, as many as fit, with a cursor for the rest."""
         self._client_api.charge(session)
         query = Query(
             kind=None if asked.kind is None else Kind(asked.kind),
@@ -55,7 +55,7 @@ class ReadTools:
         typed = self._catalogue.tools(session)
         found = [_line(one, session.tenant, typed) for one in page["resources"]]
         kept = self._fitting(found)
-        if kept < len(found):  # the cursor of exactly those that are told
+        if kept < len(found):  # the cursor after the items that are included
             query = msgspec.structs.replace(query, limit=kept)
             page = await self._page(session, asked.path, query)
         facts: dict[str, Any] = {"resources": found[:kept]}
@@ -108,7 +108,7 @@ class ReadTools:
         )
 
     async def status(self, ctx: Context, session: Session, asked: Status) -> Outcome:
-        """Tell how the gateway is, or one command."""
+        """Return the status of the gateway, or of one command."""
         if asked.command is not None:
             command = self._client_api.command(session, asked.command).plain()
             command["history"] = command["history"][-_STEPS:]
@@ -148,10 +148,10 @@ def sampled(
     more: bool = False,
     **facts: Any,
 ) -> types.CallToolResult:
-    """Answer with samples, each of them with its part of the room there is.
+    """Return samples as a result, each with its share of the space.
 
-    Those of `pages` come in the order of their paths, so that a cursor leads to what is left out
-    here, and to what follows if there is `more`.
+    Those of `pages` are ordered by path, so that a cursor leads to the omitted ones, and to the
+    next page if there is `more`.
     """
     share = max(config.budget // max(len(samples), 1), 40)
     told: list[dict[str, Any]] = []
@@ -191,13 +191,13 @@ def sampled(
 
 
 def _renamed(item: dict[str, Any]) -> dict[str, Any]:
-    """Write an item of a read of many as `read` answers."""
+    """Convert an item of a multiple read to the form of `read`."""
     kept = ("path", "status", "timestamp", "state", "error")
     return {"value": item.get("body")} | {key: item[key] for key in kept if key in item}
 
 
 def _line(one: Facts, tenant: str | None, typed: dict[str, Any]) -> dict[str, Any]:
-    """Write one resource in few words, or with its schemas if these were asked for."""
+    """Describe one resource briefly, or with its schemas if requested."""
     line: dict[str, Any] = {
         "path": one["path"],
         "operations": one["operations"],

@@ -1,4 +1,4 @@
-"""Values as MCP resources: `rcp://<tenant>/<branch>/<name>`, whole, with pictures as pictures."""
+"""Values as MCP resources: `rcp://<tenant>/<branch>/<name>`, complete, with images as images."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class Resources:
         self._catalogue = catalogue
 
     def all(self, session: Session) -> list[types.Resource]:
-        """List them in order of path."""
+        """List them ordered by path."""
         return [_listed(one) for one in self._catalogue.all(session) if "read" in one["operations"]]
 
     def templates(self) -> list[types.ResourceTemplate]:
-        """List how their URIs are made."""
+        """List the resource templates."""
         made = [
             types.ResourceTemplate(
                 name=branch,
@@ -69,9 +69,9 @@ class Resources:
         return [*made, gateway]
 
     async def read(self, session: Session, uri: str) -> types.ReadResourceResult | None:
-        """Read one; None if there is none, or none that the caller may see.
+        """Read one; None if it does not exist or the caller may not see it.
 
-        :raises MCPError: it is there and cannot be read now.
+        :raises MCPError: it cannot be read now.
         """
         path = path_of(uri)
         if path is None:
@@ -85,7 +85,7 @@ class Resources:
                 f"{reply.error['code']}: {reply.message}",
                 {key: item for key, item in reply.error.items() if key != "trace_id"},
             )
-        # A raw picture becomes a JPEG, which takes a while.
+        # Converting a raw image to JPEG takes a while.
         value, pictures = await asyncio.to_thread(taken_out, body_of(reply))
         facts: dict[str, Any] = {
             "path": path,

@@ -1,4 +1,4 @@
-"""Schemas as tools need them: an object at the root, self-contained, units in words as well."""
+"""Schemas in the form that tools need: a self-contained object, with units as text."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ ERROR: dict[str, Any] = {
 
 
 class Arguments(NamedTuple):
-    """What a tool takes, and how that becomes the input of its command."""
+    """The arguments of a tool, and their conversion to the input of its command."""
 
     schema: dict[str, Any]
     wrapped: bool
-    """The input is not an object: it is the argument `value`."""
+    """Whether the input is not an object; then it is the argument `value`."""
     optional: bool
-    """Without arguments there is no input."""
+    """Whether a call without arguments has no input."""
     options: frozenset[str]
-    """Properties that are options of the call, not part of the input."""
+    """Properties that are options of the call and not part of the input."""
 
 
 def arguments(
     schema: dict[str, Any] | None, examples: list[Any], extra: dict[str, dict[str, Any]]
 ) -> Arguments:
-    """Make the input schema of a tool from that of a command; `extra` are options of the call.
+    """Build a tool's input schema from that of a command; `extra` are options of the call.
 
-    An option gives way to a field of the same name.
+    A field takes precedence over an option of the same name.
     """
     found, wrapped, optional = _object(schema)
     properties = found.get("properties", {})
@@ -53,7 +53,7 @@ def arguments(
 def result(
     schema: dict[str, Any] | None, feedback: dict[str, Any] | None = None, *, long: bool
 ) -> dict[str, Any]:
-    """Make the output schema of a command's tool; a `long` one may answer before it has ended."""
+    """Build the output schema of a command's tool; a `long` one may return before it has ended."""
     body, defs = _part(schema)
     properties: dict[str, Any] = {
         "status": {"enum": ["completed", "failed", "rejected", "cancelled", "in_progress"]},
@@ -79,7 +79,7 @@ def result(
 
 
 def worded(node: Any) -> Any:
-    """Write units into descriptions, where every model reads them."""
+    """Add units to descriptions, where every model reads them."""
     if is_list(node):
         return [worded(item) for item in node]
     if not is_map(node):
@@ -98,16 +98,16 @@ def worded(node: Any) -> Any:
 
 
 def _part(schema: dict[str, Any] | None) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Take a schema apart into what stands at its place, and its definitions for the root."""
+    """Split a schema into its own part and its definitions, which go to the root."""
     if schema is None:
         return {"type": "null"}, {}
     bare = {key: item for key, item in schema.items() if key not in ("$id", _DEFS)}
-    # A field without a value is left out or null: backends may answer either.
+    # A field without a value is omitted or null: backends may do either.
     return {"anyOf": [bare, {"type": "null"}]}, dict(schema.get(_DEFS, {}))
 
 
 def _object(schema: dict[str, Any] | None) -> tuple[dict[str, Any], bool, bool]:
-    """Return a schema whose root is an object, whether the value is wrapped in it, or optional."""
+    """Return a schema with an object at its root, and whether it is a wrapper, or optional."""
     if schema is None:
         return {"type": "object", "properties": {}}, False, True
     defs: dict[str, Any] = schema.get(_DEFS, {})
@@ -141,7 +141,7 @@ def _named(node: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _with(root: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any]:
-    """Give a root the definitions that it reaches, and no other."""
+    """Add to a root the definitions that it references, and no others."""
     used: dict[str, Any] = {}
     waiting: list[Any] = [root]
     while waiting:

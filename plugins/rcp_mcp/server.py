@@ -1,4 +1,4 @@
-"""The MCP server of a gateway: the SDK's low-level one, with handlers that ask the offers."""
+"""The MCP server of a gateway: the SDK's low-level server, with handlers that query the offers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from rcp_mcp.offers import Context, Offer
 __all__ = ["McpServer"]
 
 _PAGE = 250
-_NOT_FOUND = -32002  # what older versions say of an unknown resource
-_TTL = 2000  # ms that a list counts as fresh
+_NOT_FOUND = -32002  # error code of older versions for an unknown resource
+_TTL = 2000  # ms for which a list is fresh
 _INSTRUCTIONS = (
     "This gateway connects you to robots. Call `discover` first. Paths without a tenant refer to "
     "your own tenant. Schemas give the units of numbers. Actions move real machines: "
@@ -37,7 +37,7 @@ Params = types.PaginatedRequestParams | None
 
 
 class McpServer(Server[dict[str, Any]]):
-    """One for the whole endpoint; what it tells depends on who asks."""
+    """The server of the endpoint; its responses depend on the caller."""
 
     def __init__(self, name: str, offers: Sequence[Offer], listening: ListenerRegistry) -> None:
         self._offers = offers
@@ -75,7 +75,7 @@ class McpServer(Server[dict[str, Any]]):
         experimental_capabilities: dict[str, dict[str, Any]] | None = None,
         extensions: dict[str, dict[str, Any]] | None = None,
     ) -> InitializationOptions:
-        """Say that lists change, which the SDK does not by itself."""
+        """Declare that lists change, which the SDK does not do by itself."""
         changing = NotificationOptions(tools_changed=True, resources_changed=True)
         return super().create_initialization_options(
             notification_options or changing, experimental_capabilities, extensions
@@ -89,7 +89,7 @@ class McpServer(Server[dict[str, Any]]):
         *,
         protocol_version: str | None = None,
     ) -> types.ServerCapabilities:
-        """Say that prompts do not change."""
+        """Declare that prompts do not change."""
         found = super().get_capabilities(
             notification_options,
             experimental_capabilities,
@@ -170,9 +170,9 @@ async def _first(
 
 
 def _page(found: list[Item], params: Params) -> tuple[list[Item], str | None]:
-    """Cut one page out of a list; the cursor is the place where the next one begins.
+    """Return one page of a list; the cursor is the index of the next item.
 
-    :raises MCPError: the cursor is not one of ours.
+    :raises MCPError: the cursor is invalid.
     """
     cursor = None if params is None else params.cursor
     begin = 0

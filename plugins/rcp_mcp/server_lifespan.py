@@ -1,4 +1,4 @@
-"""The adapter at work: catalogue, server and endpoint, mounted in the listener."""
+"""The running adapter: catalogue, server and endpoint, mounted in the listener."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["open_mcp"]
 async def open_mcp(
     config: McpConfig, client_api: ClientApi, more: Sequence[Offer] = ()
 ) -> AsyncGenerator[dict[str, Any]]:
-    """Serve the tree, and what `more` offers behind it, through the listener while entered."""
+    """Serve the tree, followed by the offers in `more`, through the listener while entered."""
     check(config)
     catalogue = Catalogue(config, client_api)
     listening = ListenerRegistry(client_api, catalogue)

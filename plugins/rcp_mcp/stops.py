@@ -1,4 +1,4 @@
-"""The emergency stop as a model is told of it: what it can stop, and which robots are at rest."""
+"""The emergency stop for models: its scope, and which robots are at rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["ESTOP", "Report", "is_hold", "stop_arguments", "stop_result", "stop_
 
 ESTOP = "/system/estop"
 _HOLD = re.compile(r"/tenant/[^/]+/service/([^/]+/)?hold\Z")
-_SHOWN = 50  # robots that are named in words
+_SHOWN = 50  # maximum number of robots named in the text
 _SCOPE = (
     "What to stop: a robot by its backend's name (`rover-alpha`; one of several: "
     "`<backend>/<robot>`) or by its place (`/tenant/alpha/<robot>`), a group by its name, a tenant "
@@ -24,12 +24,12 @@ _NAMES = {"type": "array", "items": {"type": "string"}}
 
 
 def is_hold(path: str) -> bool:
-    """Tell whether a path is a robot's pause: rest without a latch."""
+    """Return whether a path is a robot's hold: rest without a latch."""
     return _HOLD.match(path) is not None
 
 
 def stop_words() -> str:
-    """Say what the tool of the emergency stop does."""
+    """Return the description of the emergency stop tool."""
     return (
         "Acts at once and stays latched until a person with the right resets it. `completed` "
         "means that every robot in scope is confirmed at rest (`at_rest`). `failed` with "
@@ -41,18 +41,18 @@ def stop_words() -> str:
 
 
 def stop_arguments(schema: dict[str, Any]) -> dict[str, Any]:
-    """Say in the tool's input schema what each argument means."""
+    """Describe each argument in the tool's input schema."""
     words = {"scope": _SCOPE, "reset": _RESET, "reason": _REASON}
     properties = {
         name: one | {"description": words[name]} if name in words else one
         for name, one in schema["properties"].items()
-        if name != "deadline"  # a stop is never given up
+        if name != "deadline"  # a stop has no time limit
     }
     return schema | {"properties": properties}
 
 
 def stop_result(schema: dict[str, Any]) -> dict[str, Any]:
-    """Add what a report says to the tool's output schema."""
+    """Add the parts of a report to the tool's output schema."""
     unconfirmed = {
         "type": "object",
         "properties": {
@@ -81,7 +81,7 @@ class Report(NamedTuple):
 
     @classmethod
     def of(cls, state: Any) -> Report:
-        """Read it off the e-stop's state, or off the `details` of its error."""
+        """Build it from the e-stop's state, or from the `details` of its error."""
         robots = state.get("robots") if is_map(state) else None
         rest: list[str] = []
         others: list[dict[str, Any]] = []
@@ -93,7 +93,7 @@ class Report(NamedTuple):
             if phase == "confirmed":
                 rest.append(str(name))
                 continue
-            # What does not say that it is at rest is not at rest.
+            # A robot without confirmation does not count as at rest.
             sent = "commanded" if phase == "commanded" else "requested"
             facts: dict[str, Any] = {"robot": str(name), "state": "moves again" if alarm else sent}
             if known.get("detail"):
@@ -103,11 +103,11 @@ class Report(NamedTuple):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the structured answer says."""
+        """The content of the structured result."""
         return {"at_rest": self.at_rest, "not_confirmed": self.not_confirmed}
 
     def words(self) -> str:
-        """Say it to a model; what a robot's backend gives as a reason stands between marks."""
+        """Return it as text for a model; reasons given by a backend are marked."""
         said: list[str] = []
         if self.at_rest:
             said.append(f"Confirmed at rest: {_named(self.at_rest)}.")

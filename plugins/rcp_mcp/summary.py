@@ -1,4 +1,4 @@
-"""Large values in few words: long lists become their length, ends and range."""
+"""Summaries of large values: long lists are replaced by their length, ends and range."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["PER_TOKEN", "cut", "size"]
 
-PER_TOKEN = 3  # bytes of JSON that a token stands for at least, numbers being dense
-_LEVELS = ((16, 400), (6, 120), (2, 40), (0, 16))  # items of a list or map, characters of a text
+PER_TOKEN = 3  # bytes of JSON per token, at least; numbers are dense
+_LEVELS = ((16, 400), (6, 120), (2, 40), (0, 16))  # list items, text length
 _DEEP = 12
 _BLOB = re.compile(r"[A-Za-z0-9+/]{64,}={0,2}\Z")
 
 
 def size(plain: Any) -> int:
-    """Return how many bytes a plain value has in JSON."""
+    """Return the size of a plain value as JSON, in bytes."""
     return len(msgspec.json.encode(plain))
 
 
 def cut(plain: Any, budget: int) -> Any:
-    """Return a summary of a plain value that has about `budget` tokens at most."""
+    """Return a summary of a plain value with at most about `budget` tokens."""
     found: Any = None
     for items, characters in _LEVELS:
         found = _cut(plain, items, characters, _DEEP)

@@ -1,8 +1,8 @@
-"""The extension for tasks: a long action is one, under the id of its command.
+"""The tasks extension: a long action is a task with the id of its command.
 
-Its state is the command's, so it survives the client, and a restart of the gateway: what that cut
-off has failed, and says so. A robot's refusal is a result that is an error; a task fails only
-where there is no result to tell.
+Its state is that of the command, so it survives the client and a restart of the gateway, after
+which interrupted commands have failed. A refusal by the robot is a result with an error; a task
+itself fails only without a result.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rcp_mcp.offers import Context, Method
 
 __all__ = ["Tasks"]
 
-_TTL = 3_600_000  # ms that a command is remembered at least, with few of them
+_TTL = 3_600_000  # ms for which a command is kept, unless there are many
 _POLL = 1000  # ms
 _CUT_OFF = "internal"
 
@@ -54,12 +54,12 @@ class Tasks:
         ]
 
     def created(self, ctx: Context, id_: str) -> dict[str, Any]:
-        """Answer a call with the task that it has begun."""
+        """Return the task that a call has started."""
         command = self._client_api.command(session_of(ctx), id_)
         return {"resultType": "task", **_base(command), "status": "working"}
 
     async def get(self, ctx: Context, params: _TaskParams) -> dict[str, Any]:
-        """Tell how far a task is; a result or error is told with it."""
+        """Return the state of a task, with its result or error."""
         command = self._found(ctx, params)
         facts = {"resultType": "complete", **_base(command)}
         if not command.final:
@@ -76,12 +76,12 @@ class Tasks:
         return {**facts, "status": "completed", "result": plain}
 
     async def update(self, ctx: Context, params: _UpdateParams) -> dict[str, Any]:
-        """Take answers; a task has no questions: those are asked before it begins."""
+        """Accept input; tasks never request any, because questions come before they start."""
         self._found(ctx, params)
         return {"resultType": "complete"}
 
     async def cancel(self, ctx: Context, params: _TaskParams) -> dict[str, Any]:
-        """Stop the robot; how the task ended is told by the next `tasks/get`."""
+        """Cancel the command; the next `tasks/get` returns the outcome."""
         command = self._found(ctx, params)
         if not command.final:
             request = Request(type="cancel", command=command.id)
@@ -93,7 +93,7 @@ class Tasks:
     def _found(self, ctx: Context, params: _TaskParams) -> Command:
         """Return the command of a task.
 
-        :raises MCPError: there is none that is the caller's, or the client takes no tasks.
+        :raises MCPError: the caller has no such task, or the client does not support tasks.
         """
         if not modern(ctx):
             raise MCPError(types.METHOD_NOT_FOUND, "Method not found", ctx.method)

@@ -1,4 +1,4 @@
-"""The robots' tree as an offer: fixed tools, one tool for each action and service, resources."""
+"""The robots' tree as an offer: fixed tools, a tool per action and service, resources."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Handler = Callable[[Context, Session, Any], Awaitable[Outcome]]
 def _taken(one: Fixed, arguments: dict[str, Any]) -> Any:
     """Check the arguments of a fixed tool.
 
-    :raises InvalidValue: they do not fit.
+    :raises InvalidValue: they do not match its schema.
     """
     try:
         return one.takes.convert(arguments, f"the arguments of {one.tool.name}")
@@ -46,7 +46,7 @@ def _taken(one: Fixed, arguments: dict[str, Any]) -> Any:
 
 
 class Tree(Offer):
-    """What the callers' rights show of the robots."""
+    """The part of the tree that a caller may see."""
 
     def __init__(self, config: McpConfig, client_api: ClientApi, commanding: CommandTools) -> None:
         self._client_api = client_api
@@ -68,7 +68,7 @@ class Tree(Offer):
 
     @property
     def catalogue(self) -> Catalogue:
-        """What callers may see."""
+        """The callers' views."""
         return self._catalogue
 
     def methods(self) -> Sequence[Method]:
@@ -80,14 +80,14 @@ class Tree(Offer):
         return {TASKS: {}}
 
     async def tools(self, ctx: Context) -> Sequence[types.Tool]:
-        """List the fixed tools that the caller can use at all, then those of actions and services."""
+        """List the fixed tools that the caller can use, then those of actions and services."""
         session = self._paying(ctx)
         held = {name for one in self._catalogue.all(session) for name in one["operations"]}
         found = [one.tool for one in FIXED.values() if one.needs is None or one.needs in held]
         return [*found, *(one.tool for one in self._catalogue.tools(session).values())]
 
     async def call(self, ctx: Context, params: types.CallToolRequestParams) -> Outcome | None:
-        """Call a tool; what goes wrong is an answer that the model can act on."""
+        """Call a tool; errors are results that the model can act on."""
         session = session_of(ctx)
         arguments = params.arguments or {}
         try:
@@ -110,35 +110,35 @@ class Tree(Offer):
         return self._resources.all(self._paying(ctx))
 
     async def templates(self, ctx: Context) -> Sequence[types.ResourceTemplate]:
-        """List how URIs are made."""
+        """List the resource templates."""
         return self._resources.templates()
 
     async def read(
         self, ctx: Context, params: types.ReadResourceRequestParams
     ) -> types.ReadResourceResult | None:
-        """Read a value as it is, whole."""
+        """Read a complete value."""
         return await self._resources.read(session_of(ctx), params.uri)
 
     async def prompts(self, ctx: Context) -> Sequence[types.Prompt]:
-        """List prompts for common jobs."""
+        """List the prompts for common tasks."""
         return PROMPTS
 
     async def prompt(
         self, ctx: Context, params: types.GetPromptRequestParams
     ) -> types.GetPromptResult | None:
-        """Write a prompt out."""
+        """Return a prompt."""
         return written(params.name, params.arguments or {})
 
     async def complete(
         self, ctx: Context, params: types.CompleteRequestParams
     ) -> types.Completion | None:
-        """Complete tenants and paths, of those that the caller may see."""
+        """Complete tenants and paths that the caller may see."""
         return self._completing.complete(self._paying(ctx), params)
 
     def _paying(self, ctx: Context) -> Session:
-        """Return the session of a request that no handler of the gateway counts.
+        """Return the session of a request, charging it to the quota.
 
-        :raises MCPError: a quota does not allow it now.
+        :raises MCPError: a quota is exceeded.
         """
         session = session_of(ctx)
         try:

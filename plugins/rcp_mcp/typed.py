@@ -1,4 +1,4 @@
-"""The tool of one action or service: its name, words, schemas and hints."""
+"""The tool of one action or service: its name, description, schemas and hints."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "description": "Id of the approval for exactly this command, from the refusal.",
     },
 }
-_DESCRIPTION = 900  # characters that a robot's own words may have
+_DESCRIPTION = 900  # maximum characters of a robot's own description
 
 
 def typed_tool(
     facts: dict[str, Any], tenant: str | None, config: McpConfig, *, stops: bool, asks: bool
 ) -> tuple[types.Tool, Arguments]:
-    """Make the tool of a resource that may be executed, from its entry in the catalogue.
+    """Build the tool of an executable resource, from its entry in the catalogue.
 
-    `stops` says what cancelling its call does, `asks` whether a person may have to approve it.
+    `stops`: what cancelling its call does; `asks`: whether a person may have to approve it.
     """
     schemas = facts.get("schemas", {})
     long = facts["kind"] == "action"
@@ -100,7 +100,7 @@ def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
 
 
 def _hints(facts: dict[str, Any]) -> types.ToolAnnotations:
-    """Say what a call does to the world, as far as the resource tells."""
+    """Return the hints about a call's effects, as far as the resource declares them."""
     meta = facts.get("meta", {})
     hints: dict[str, Any] = meta.get("hints", {}) if isinstance(meta, dict) else {}
     stop = facts["path"] == ESTOP or is_hold(facts["path"])

@@ -1,4 +1,4 @@
-"""Which requests stop something: they do not queue behind other requests of the same caller."""
+"""Requests that stop something: they do not queue behind other requests of the same caller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rcp_mcp.stops import ESTOP, is_hold
 
 __all__ = ["Urgent"]
 
-_SHORT = 4096  # bytes of a request that stops something: a longer one takes its turn
+_SHORT = 4096  # bytes, maximum size of a prioritised request; longer ones take their turn
 _CANCELS = frozenset(("notifications/cancelled", "tasks/cancel"))
 _HOLD = re.compile(r"service-(?:(?P<robot>[A-Za-z0-9_]+)-)?hold\Z")
 
@@ -37,13 +37,13 @@ _CALL = msgspec.json.Decoder(_Call)
 
 
 class Urgent:
-    """Tells by method, tool and path; what else a request says does not count."""
+    """Decides by method, tool and path only."""
 
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
 
     def stops(self, session: Session, body: bytes) -> bool:
-        """Tell whether a request cancels something, or brings a robot to rest."""
+        """Return whether a request cancels something or brings a robot to rest."""
         if len(body) > _SHORT:
             return False
         try:
@@ -63,14 +63,14 @@ class Urgent:
                 return self._is_stop_tool(session, name)
 
     def _is_stop_tool(self, session: Session, name: str) -> bool:
-        """Tell whether a tool stops robots; one that has to be read yet is looked for by its name."""
+        """Return whether a tool stops robots; one that is not read yet is looked up by its name."""
         tools = self._catalogue.ready(session)
         if tools is not None:
             return name in tools and _is_stop(tools[name].facts["path"])
         return self._read_stop(session, name) is not None
 
     def tool(self, session: Session, name: str) -> Typed | None:
-        """Return a tool; one that stops robots without waiting until all others are read."""
+        """Return a tool; one that stops robots is returned without reading all others."""
         if self._catalogue.ready(session) is None and (found := self._read_stop(session, name)):
             return found
         return self._catalogue.tools(session).get(name)
@@ -81,7 +81,7 @@ class Urgent:
 
 
 def _path_of(name: str) -> str | None:
-    """Return the path of a tool that stops robots, as far as its name tells."""
+    """Return the path of a tool that stops robots, as far as its name reveals it."""
     if name == "system-estop":
         return ESTOP
     match = _HOLD.match(name)

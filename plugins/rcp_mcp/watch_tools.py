@@ -1,4 +1,4 @@
-"""The tool `watch`: some samples or seconds of a subscription."""
+"""The tool `watch`: records a subscription for a number of samples or seconds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class WatchTools:
         self._client_api = client_api
 
     async def watch(self, ctx: Context, session: Session, asked: Watch) -> Outcome:
-        """Collect updates until there are enough, or the time is over."""
+        """Collect updates until the number of samples or the time is reached."""
         feed = ResourceFeed(self._client_api, session)
         try:
             options: dict[str, Any] = {"on": "change" if asked.on_change else "sample"}

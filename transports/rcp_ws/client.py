@@ -142,7 +142,7 @@ class WsClient:
         if not self._began:
             self._begin()
         try:
-            # Nobody's segments are reassembled.
+            # Segments are reassembled for authenticated clients only.
             if _SEGMENT not in data or self._patience is not None or not self._segment(data):
                 self._receive(data)
         except Exception as error:

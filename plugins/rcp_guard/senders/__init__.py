@@ -1,4 +1,4 @@
-"""What tells a robot to stop: opened before it is needed, by the names that plans use."""
+"""The senders of stops: opened in advance, by the names that plans use."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ _MODULES = {"can": "can_bus", "ros2": "ros2", "udp": "udp"}
 
 
 class MissingLibraryError(Exception):
-    """What a sender needs is not installed, or it cannot work as configured at all."""
+    """A required library is missing, or the sender cannot work as configured."""
 
 
 class Sender(Protocol):
-    """One plan's way to its robot; used by one thread."""
+    """The connection of one plan to its robot; used by one thread."""
 
     @property
     def unusable(self) -> str:
-        """What of the plan cannot be sent by this installation, while the rest can."""
+        """The parts of the plan that this installation cannot send."""
         ...
 
     def send(self) -> None:
-        """Tell the robot to stop, without waiting for it.
+        """Send the stop without waiting for the robot.
 
-        :raises Exception: it could not be sent; the sender is opened anew if that goes on.
+        :raises Exception: it could not be sent; after repeated failures the sender is reopened.
         """
         ...
 
     def lacks(self) -> str:
-        """Say who is not there to hear it, or nothing if all are, as far as that can be known."""
+        """Return which receivers are missing, as far as this can be known; empty if none."""
         ...
 
     def close(self) -> None:
-        """Let go of what was opened."""
+        """Close what was opened."""
         ...
 
 
 def open_sender(name: str, data: dict[str, Any]) -> Sender:
     """Open a sender.
 
-    :raises MissingLibraryError: it will not work without a change of installation or plan.
+    :raises MissingLibraryError: it requires a change of the installation or the plan.
     :raises Exception: it cannot be opened now.
     """
     module = _MODULES.get(name)

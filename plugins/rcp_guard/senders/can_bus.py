@@ -15,14 +15,14 @@ _UNSHARED = {
     "serial": "cannot be opened by two processes",
     "slcan": "cannot be opened by two processes",
 }
-"""Interfaces that a second process cannot send on beside the gateway."""
+"""Interfaces on which a second process cannot send beside the gateway."""
 _STREAMED = frozenset(("socketcand", "remote"))
-"""Interfaces over a connection that fills up, and stalls its server, unless somebody reads it."""
+"""Interfaces over a connection that must be read, or its server stalls."""
 _DRAIN = 1.0  # s
 
 
 class CanSender:
-    """Sends the frames of a plan, in their order."""
+    """Sends the frames of a plan, in order."""
 
     unusable = ""
 
@@ -34,7 +34,7 @@ class CanSender:
             threading.Thread(target=self._drain, name="can drain", daemon=True).start()
 
     def send(self) -> None:
-        """Send all frames; one that cannot be sent does not keep the others."""
+        """Send all frames; a failure does not prevent the others."""
         failure: Exception | None = None
         for frame in self._frames:
             try:
@@ -50,7 +50,7 @@ class CanSender:
                 self._bus.recv(_DRAIN)
 
     def lacks(self) -> str:
-        """Nobody answers here: it cannot be known."""
+        """Return nothing: CAN receivers cannot be detected."""
         return ""
 
     def close(self) -> None:
@@ -60,7 +60,7 @@ class CanSender:
 
 
 def open_sender(data: dict[str, Any]) -> CanSender:
-    """Open the bus and make the frames."""
+    """Open the bus and build the frames."""
     try:
         import can
     except ImportError as error:
@@ -73,12 +73,10 @@ def open_sender(data: dict[str, Any]) -> CanSender:
     interface = str(settings.get("interface"))
     if (why := _UNSHARED.get(interface)) is not None:
         raise MissingLibraryError(f"the CAN interface '{interface}' {why}")
-    if interface == "socketcand":  # or the second frame waits for the first one's acknowledgement
+    if interface == "socketcand":  # or Nagle delays the second frame
         settings.setdefault("tcp_tune", True)
     bus = can.Bus(**settings)
-    if (
-        interface == "socketcan"
-    ):  # nothing is read here: a filter that lets error frames of nobody in
+    if interface == "socketcan":  # nothing is read here: the filter matches no frame
         bus.set_filters([{"can_id": 0x1FFFFFFF, "can_mask": 0x1FFFFFFF, "extended": True}])
     return CanSender(bus, frames, drained=interface in _STREAMED)
 

@@ -1,7 +1,7 @@
-"""Messages, cancels and service calls of ROS 2, by a node of its own.
+"""ROS 2 messages, cancellations and service calls, by a separate node.
 
-Nothing is received, so nothing spins: what is published or called leaves from the thread that
-sends. The node's name begins with `rcp_guard`, by which others tell its publishers from strangers.
+Nothing is received, so nothing spins: the sending thread itself publishes and calls. The node's
+name starts with `rcp_guard`, by which others recognise its publishers.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from rcp_guard.senders import MissingLibraryError
 
 __all__ = ["open_sender"]
 
-_CALLS = 0.5  # s between two calls of the same service: each is work for the robot
+_CALLS = 0.5  # s between calls of the same service: each is work for the robot
 
 
 _nodes: dict[int | None, _Node] = {}
-_lock = threading.Lock()  # of the nodes: each plan has a thread of its own
+_lock = threading.Lock()  # of the nodes: each plan has its own thread
 
 
 class _Node:
-    """A node of one domain, shared by all plans there: each costs the machine a participant."""
+    """A node of one domain, shared by its plans: each node costs a DDS participant."""
 
     def __init__(self, domain: int | None) -> None:
         import rclpy
@@ -52,7 +52,7 @@ class _Node:
         )
 
     def leave(self) -> None:
-        """Leave the graph with the last user; held under the lock."""
+        """Leave the graph with the last user; call it with the lock held."""
         self.users -= 1
         if self.users == 0:
             del _nodes[self._domain]
@@ -62,7 +62,7 @@ class _Node:
 
 
 class Ros2Sender:
-    """Publishes, cancels and calls what a plan names."""
+    """Publishes, cancels and calls what a plan contains."""
 
     def __init__(self, shared: _Node, data: dict[str, Any]) -> None:
         self._shared = shared
@@ -78,7 +78,7 @@ class Ros2Sender:
             self._add(self._calls, _call, one)
 
     def _add(self, to: list[Any], make: Callable[[Any, Any], Any], one: Any) -> None:
-        """Make one part of the plan; one that cannot be made does not keep the others."""
+        """Build one part of the plan; a failure does not prevent the others."""
         try:
             to.append(make(self._shared.node, one))
         except (MissingLibraryError, KeyError, ValueError) as error:
@@ -92,13 +92,13 @@ class Ros2Sender:
     def check(self) -> None:
         """Refuse a plan of which nothing can be sent.
 
-        :raises MissingLibraryError: there is none.
+        :raises MissingLibraryError: none of its parts can be sent.
         """
         if not (self._publishers or self._calls):
             raise MissingLibraryError(self.unusable or "the plan is empty")
 
     def send(self) -> None:
-        """Publish everything; cancel and call what is there."""
+        """Publish everything; cancel and call on available servers."""
         for publisher, message in self._publishers:
             publisher.publish(message)
         if time.monotonic() - self._called >= _CALLS:
@@ -108,7 +108,7 @@ class Ros2Sender:
                     client.remove_pending_request(client.call_async(request))
 
     def lacks(self) -> str:
-        """Name the topics without a subscriber, and the services and actions without a server."""
+        """List the topics without a subscriber, and the services and actions without a server."""
         topics = [p.topic_name for p, _ in self._publishers if p.get_subscription_count() == 0]
         services = [c.srv_name for c, _ in self._calls if not c.service_is_ready()]
         missing = [f"no subscriber of {name}" for name in topics]
@@ -116,7 +116,7 @@ class Ros2Sender:
         return ", ".join([*self._unusable, *missing])
 
     def close(self) -> None:
-        """Take everything back."""
+        """Destroy everything."""
         node = self._shared.node
         with _lock:
             with contextlib.suppress(Exception):
@@ -128,7 +128,7 @@ class Ros2Sender:
 
 
 def open_sender(data: dict[str, Any]) -> Ros2Sender:
-    """Join the graph and make all publishers and clients."""
+    """Join the graph and create all publishers and clients."""
     os.environ.setdefault("ROS_LOG_DIR", tempfile.gettempdir())
     domain = data.get("domain_id")
     with _lock:
@@ -162,7 +162,7 @@ def _publisher(node: Any, one: dict[str, Any]) -> tuple[Any, bytes]:
 
     reliable = one.get("reliable", True)
     policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    # The newest only: a stop must not wait for a subscriber that acknowledges none.
+    # The newest only: a stop must not wait for a subscriber that does not acknowledge.
     quality = QoSProfile(depth=1, reliability=policy)
     publisher = node.create_publisher(_type(one["type"]), one["topic"], quality)
     return publisher, bytes.fromhex(one["data"])

@@ -27,11 +27,11 @@ class UdpSender:
     def _send(self, frame: bytes) -> None:
         try:
             self._socket.send(frame)
-        except ConnectionRefusedError:  # told of the last datagram; this one was not sent
+        except ConnectionRefusedError:  # reports an earlier datagram; this one was not sent
             self._socket.send(frame)
 
     def lacks(self) -> str:
-        """Nobody answers here: it cannot be known."""
+        """Return nothing: UDP receivers cannot be detected."""
         return ""
 
     def close(self) -> None:
@@ -40,7 +40,7 @@ class UdpSender:
 
 
 def open_sender(data: dict[str, Any]) -> UdpSender:
-    """Resolve the address and make the socket."""
+    """Resolve the address and create the socket."""
     try:
         host, port = data["to"]
         frames = [bytes.fromhex(frame) for frame in data["frames"]]
