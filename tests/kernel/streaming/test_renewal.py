@@ -69,9 +69,9 @@ async def test_a_reload_takes_thousands_of_paths_at_once_and_gives_them_in_steps
         assert linked(world) == odd  # no sample of the others may follow
         with judged(monkeypatch) as turns:
             world.server.kernel.reconfigure(parse(rules("/sensor/**"), "test"))
-            turns.append(0)  # those that it has are judged at once
+            turns.append(0)  # those that it has are judged at once, and a first step of the others
             await until(lambda: linked(world) == everything)
-        assert sum(turns[1:]) >= PATHS // 2
+        assert sum(turns[1:]) >= PATHS // 2 - AT_ONCE
         assert max(turns[1:]) <= AT_ONCE
 
 
@@ -99,9 +99,9 @@ async def test_a_subscription_to_thousands_of_paths_survives_a_restart_in_steps(
         said = (await client.ask(type="hello"))["body"]
         id_ = await subscribed(world, client)
     async with world_of(config, Many) as world:
-        client = world.client("driver-driver-driver")
         back = {key: said[key] for key in ("session", "resume_token")}
         with judged(monkeypatch) as turns:
+            client = world.client("driver-driver-driver")
             again = await client.ask(type="hello", body=back)
             assert again["body"]["session"] == said["session"]
             await until(lambda: len(linked(world)) == PATHS)
