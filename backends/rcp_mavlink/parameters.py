@@ -179,7 +179,7 @@ class Parameters:
 
 
 def _kept_type(listed: int, reported: int, value: float) -> int:
-    """Return the type of a parameter, from the list rather than a single value.
+    """Return the type of a parameter from its listed type and that of a later value.
 
     ArduPilot reports REAL32 for an integer that is set to the default that it already has.
     """

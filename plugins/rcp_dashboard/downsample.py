@@ -9,7 +9,7 @@ __all__ = ["METHODS", "lttb", "minmax"]
 
 
 def minmax(_: Sequence[float], values: Sequence[float], points: int) -> list[int]:
-    """Choose the ends, and the minimum and maximum of each of equally sized buckets between them.
+    """Choose the ends, and the minimum and maximum of each bucket between them.
 
     No extreme is lost. `values` are finite, `points` is at least 4; returns at most that many
     indices, in order.
