@@ -18,11 +18,11 @@ from conformance.wires import HttpClient, WebSocketClient
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.safety import commanded_values
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Client, MemoryClient, serve
 from rcp_kernel.types import Real
 from rcp_kernel.values import Encoding
+from rcp_motion_limits import commanded_values
 
 pytestmark = pytest.mark.anyio
 RATE, LEAST, MOST, LONGEST = 1.0, -2.0, 2.0, 30.0
