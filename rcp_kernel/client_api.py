@@ -34,9 +34,10 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Pattern
-from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
+from rcp_kernel.requests.replies import ReplyGate
+from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.connections import Connection, ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
@@ -118,7 +119,8 @@ class ClientApiParts:
     discovery: Discovery
     access: CommandAccess
     features: ServiceLookup
-    audit_writer: AuditWriter
+    replies: ReplyGate
+    events: RequestEvents
     counts: RequestCounts
     store: Store
     is_stop: Callable[[Session, Request], bool]
@@ -227,7 +229,7 @@ class ClientApi:
         try:
             return self._parts.identities.known(token, peer)
         except (Unauthenticated, Forbidden, RateLimited) as error:
-            self._parts.audit_writer.stranger(self.name, peer, error)
+            self._parts.events.stranger(self.name, peer, error)
             raise
 
     def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
@@ -255,7 +257,7 @@ class ClientApi:
         try:
             return await self._parts.identities.wait(token, peer)
         except (Unauthenticated, Forbidden, RateLimited) as error:
-            self._parts.audit_writer.stranger(self.name, peer, error)
+            self._parts.events.stranger(self.name, peer, error)
             raise
 
     def connect(
@@ -281,7 +283,7 @@ class ClientApi:
         try:
             session = self._parts.sessions.open(principal, self.name, tenant, peer)
         except Forbidden as error:
-            self._parts.audit_writer.stranger(self.name, peer, error, principal)
+            self._parts.events.stranger(self.name, peer, error, principal)
             raise
         connection = Connection(
             self._parts.connections, session, encoding, flush, peer, one_way=one_way
@@ -307,7 +309,7 @@ class ClientApi:
         try:
             return self._parts.sessions.stateless(principal, self.name, tenant, peer)
         except Forbidden as error:
-            self._parts.audit_writer.stranger(self.name, peer, error, principal)
+            self._parts.events.stranger(self.name, peer, error, principal)
             raise
 
     def submit(self, session: Session, request: Request, answer: Answer) -> None:
@@ -378,7 +380,7 @@ class ClientApi:
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""
-        held = self._parts.audit_writer.follower(answer)
+        held = self._parts.replies.follower(answer)
         command.followers.append(held)
 
         def stop() -> None:

@@ -11,8 +11,7 @@ import click
 
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import BadRequest, ConfigError
-from rcp_kernel.store.audit import decoded
-from rcp_kernel.store.chain import Head, parse_head, written
+from rcp_kernel.store.chain import Head, decoded, parse_head, written
 from rcp_kernel.store.file import FAULTS, open_read_only
 from rcpd.examination import examined, rows_of
 from rcpd.exits import FAILED, fail
@@ -109,7 +108,7 @@ def export(
         try:
             for seq, _, data in rows_of(base):
                 record = decoded(data)
-                if record is None:
+                if not record:
                     click.echo(f"rcpd: record {seq} cannot be read: verify", err=True)
                 elif _wanted(record, since, until, tenant, what):
                     click.echo(data)

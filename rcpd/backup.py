@@ -9,10 +9,11 @@ from contextlib import closing
 from pathlib import Path
 
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import GENESIS, Verdict
+from rcp_kernel.store.chain import GENESIS
 from rcp_kernel.store.damage import find_damage
 from rcp_kernel.store.file import HeadFile, open_read_only, store_errors
 from rcpd.examination import examined
+from rcpd.verification import Verdict
 
 __all__ = ["check_whole", "copied", "make_backup"]
 

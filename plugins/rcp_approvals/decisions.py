@@ -8,11 +8,11 @@ import msgspec
 
 from rcp_approvals.question import PATH, ApprovalRequest, ApprovalState, Question
 from rcp_approvals.questions import Questions
+from rcp_kernel.contract.digest import bounded, hashed
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.features.approval import Decision
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.audit import bounded, hashed
 from rcp_kernel.values import to_plain
 
 __all__ = ["Decisions"]

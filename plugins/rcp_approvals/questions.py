@@ -15,9 +15,8 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull
 from rcp_kernel.features import FeatureHost
-from rcp_kernel.features.approval import About
+from rcp_kernel.features.approval import ID, About
 from rcp_kernel.model import tenant_of
-from rcp_kernel.requests.audit_writer import ID
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request

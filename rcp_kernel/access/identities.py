@@ -11,7 +11,7 @@ import os
 from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import structlog
 
@@ -24,6 +24,7 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
 from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.identity import Grants, Keyring, Principal, check_time, fingerprint
 from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.errors import (
@@ -36,9 +37,6 @@ from rcp_kernel.errors import (
     Unauthenticated,
 )
 from rcp_kernel.store.store import Store
-
-if TYPE_CHECKING:
-    from rcp_kernel.store.audit import Audit
 
 __all__ = ["Identities", "check_proofs", "store_file"]
 
@@ -73,12 +71,12 @@ class Identities:
         self,
         settings: Settings,
         store: Store,
-        audit: Audit,
+        events: EventBus,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._settings = settings
         self._store = store
-        self._audit = audit
+        self._events = events
         self._loop = loop
         self._authenticators: dict[str, Authenticator] = {}
         self.on_change: list[Callable[[], None]] = []
@@ -133,7 +131,9 @@ class Identities:
         self._keyring = _keyring(self._settings.config, tokens)
         for outcome, token in news:
             log.info("token", name=token.name, id=token.id, outcome=outcome)
-            self._audit.note("token", principal=None, outcome=outcome, name=token.name, id=token.id)
+            self._events.note(
+                "token", principal=None, outcome=outcome, name=token.name, id=token.id
+            )
         self._review()
 
     def reconfigure(self, config: GatewayConfig) -> None:

@@ -30,6 +30,7 @@ from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi, ClientApiParts
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
@@ -37,11 +38,9 @@ from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
-from rcp_kernel.requests.audit_writer import AuditWriter, Recorded
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.disclosure import Disclosure
 from rcp_kernel.requests.discover import DiscoverHandler
 from rcp_kernel.requests.discovery import Discovery
 from rcp_kernel.requests.execute import ExecuteHandler
@@ -50,6 +49,8 @@ from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.read import ReadHandler
+from rcp_kernel.requests.replies import ReplyGate
+from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
 from rcp_kernel.requests.waiting import WaitingCommands
@@ -58,6 +59,7 @@ from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
@@ -68,8 +70,7 @@ from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.audit import Audit
-from rcp_kernel.store.retention import Retention
+from rcp_kernel.store.ledger import Ledger
 from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
@@ -105,11 +106,11 @@ class _Base:
 
 @dataclass(frozen=True, slots=True)
 class _Records:
-    """What survives the process."""
+    """What survives the process, and who is told what happens."""
 
     store: Store
-    audit: Audit
-    writer: AuditWriter
+    events: EventBus
+    safety_events: SafetyEvents
     history: History
 
 
@@ -146,6 +147,8 @@ class _Requests:
     resolver: Resolver
     admission: Admission
     keys: Keys
+    replies: ReplyGate
+    events: RequestEvents
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +158,6 @@ class _System:
     estop: Estop
     guard: GuardLink
     status: StatusReport
-    disclosure: Disclosure
     branch: System
 
 
@@ -177,13 +179,13 @@ def compose(
 ) -> Kernel:
     """Build a gateway that serves nobody yet and has no backends."""
     base = _base(config, loop)
-    records = _records(base, store)
+    records = _records(store)
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
     made = _features(base, records, motion, clients, features)
     requests = _requests(base, records, motion, made)
     system = _system(base, records, motion, clients, recent, made)
-    handlers = _handlers(base, records, motion, clients, requests, system, made)
+    handlers = _handlers(base, motion, clients, requests, system, made)
     return Kernel(
         settings=base.settings,
         shutdown=base.shutdown,
@@ -194,11 +196,8 @@ def compose(
         rules=base.rules,
         counts=base.counts,
         store=store,
-        audit=records.audit,
-        audit_writer=records.writer,
-        retention=Retention(records.audit, store, loop, config.audit),
+        event_bus=records.events,
         history=records.history,
-        disclosure=system.disclosure,
         events=base.events,
         deadman=motion.deadman,
         commands=motion.commands,
@@ -245,10 +244,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
     )
 
 
-def _records(base: _Base, store: Store) -> _Records:
-    audit = Audit(store, base.loop, base.settings.config.audit)
-    writer = AuditWriter(audit, store, base.settings, base.loop)
-    return _Records(store, audit, writer, History(store))
+def _records(store: Store) -> _Records:
+    events = EventBus()
+    return _Records(store, events, SafetyEvents(events), History(store))
 
 
 def _features(
@@ -268,7 +266,8 @@ def _features(
         ),
         changes=base.changes,
         store=records.store,
-        audit=records.audit,
+        events=records.events,
+        ledger=Ledger(records.store),
         visibility=base.visibility,
         place=base.inflight.place,
         sessions=clients.sessions,
@@ -279,6 +278,8 @@ def _features(
         loop=base.loop,
     )
     made = make(active, host)
+    records.events.on_event += made.event_listeners
+    motion.commands.on_step += made.command_listeners
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
     clients.accounting.ask(made.accounting)
@@ -297,9 +298,9 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         sending=base.events.stopping,
         at_rest=base.events.rested,
         untaken=partners.halt,
-        note=records.writer.dead_man,
+        note=records.safety_events.dead_man,
     )
-    commands = Commands(Recorded(records.writer, records.history), arming.arm, base.turns)
+    commands = Commands(records.history, arming.arm, base.turns)
     commands.remember(records.history.load())
     return _Motion(
         arming,
@@ -307,13 +308,13 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         deadman,
         commands,
         Latches(records.store),
-        StopController(base.loop, records.writer.stop_step),
+        StopController(base.loop, records.safety_events.stop_step),
     )
 
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.audit, loop)
+    identities = Identities(settings, records.store, records.events, loop)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     accounting = SessionAccounting(known, commands.running)
@@ -327,7 +328,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         accounting=accounting,
         commands=commands,
         resume=resume,
-        audit=records.audit,
+        events=records.events,
         links=base.links,
         outbound=outbound,
         loop=loop,
@@ -346,11 +347,13 @@ def _requests(
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
+    replies = ReplyGate(features.durabilities, base.settings, base.loop)
+    events = RequestEvents(records.events, replies)
     long_bodies = LongBodies(resolver, features.actions)
     admission = Admission(
         resolver,
         base.events,
-        records.writer,
+        replies,
         base.shutdown,
         motion.arming.check_thaw,
         features.guards,
@@ -362,7 +365,7 @@ def _requests(
             base.settings,
             base.turns,
             base.counts,
-            records.writer,
+            events,
             long_bodies,
             features.actions,
         ),
@@ -370,6 +373,8 @@ def _requests(
         resolver,
         admission,
         keys,
+        replies,
+        events,
     )
 
 
@@ -391,7 +396,7 @@ def _system(
         identities=clients.identities,
         settings=base.settings,
         halted=features.halted,
-        record=records.writer.estop,
+        record=records.safety_events.estop,
         loop=base.loop,
     )
     guard = GuardLink(
@@ -400,7 +405,7 @@ def _system(
         base.registry,
         motion.deadman,
         motion.commands,
-        records.audit,
+        records.events,
         base.shutdown,
         base.loop,
     )
@@ -422,14 +427,11 @@ def _system(
         metrics=features.metrics,
         loop=base.loop,
     )
-    disclosure = Disclosure(base.visibility, base.rules)
     branch = System(
         status,
         estop,
         access=clients.access,
         sessions=clients.sessions,
-        audit=records.audit,
-        disclosure=disclosure,
         latches=motion.latches,
         stops=motion.stops,
         registry=base.registry,
@@ -440,12 +442,11 @@ def _system(
         changes=base.changes,
         loop=base.loop,
     )
-    return _System(estop, guard, status, disclosure, branch)
+    return _System(estop, guard, status, branch)
 
 
 def _handlers(
     base: _Base,
-    records: _Records,
     motion: _Motion,
     clients: _Clients,
     requests: _Requests,
@@ -484,7 +485,8 @@ def _handlers(
         events=base.events,
         dry_run=features.dry_run,
         keys=requests.keys,
-        audit_writer=records.writer,
+        replies=requests.replies,
+        request_events=requests.events,
         turns=base.turns,
         loop=base.loop,
     )
@@ -495,12 +497,12 @@ def _handlers(
         clients.access,
         estop=system.estop,
         services=system.branch.services,
-        actions=_actions(base, records, motion, clients, requests, system, features),
+        actions=_actions(base, motion, clients, requests, system, features),
         dry_run=features.dry_run,
         keys=requests.keys,
         inflight=inflight,
         counts=base.counts,
-        audit_writer=records.writer,
+        replies=requests.replies,
         partners=motion.partners,
         deadman=motion.deadman,
         settings=base.settings,
@@ -520,7 +522,6 @@ def _handlers(
 
 def _actions(
     base: _Base,
-    records: _Records,
     motion: _Motion,
     clients: _Clients,
     requests: _Requests,
@@ -537,7 +538,7 @@ def _actions(
         registry=base.registry,
         services=features,
         personal=(system.branch.views, system.branch.filters),
-        audit_writer=records.writer,
+        events=requests.events,
         turns=base.turns,
         loop=base.loop,
     )
@@ -568,7 +569,7 @@ def _supervise(
         history=records.history,
         latches=motion.latches,
         stops=motion.stops,
-        audit_writer=records.writer,
+        events=records.safety_events,
         shutdown=base.shutdown,
         loop=base.loop,
     )
@@ -596,7 +597,7 @@ def _client_api(
         resume=clients.resume,
         subscribe=handlers.subscribe.restore,
         links=base.links,
-        follower=records.writer.follower,
+        follower=requests.replies.follower,
     )
     connections = ConnectionParts(
         handle=requests.router.handle,
@@ -605,7 +606,7 @@ def _client_api(
         handshake=handshake,
         sessions=clients.sessions,
         identities=clients.identities,
-        unwelcome=records.writer.unwelcome,
+        unwelcome=requests.events.unwelcome,
         counts=base.counts,
         outbound=clients.outbound,
         settings=base.settings,
@@ -626,7 +627,8 @@ def _client_api(
         discovery=discovery,
         access=clients.access,
         features=features,
-        audit_writer=records.writer,
+        replies=requests.replies,
+        events=requests.events,
         counts=base.counts,
         store=records.store,
         status=system.status,

@@ -9,6 +9,7 @@ from typing import Any
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns, Work
@@ -18,7 +19,7 @@ from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.backpressure import shed, waiting_bytes
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.audit import Audit
+from rcp_kernel.store.ledger import Ledger
 from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.store.store import Store
 from rcp_kernel.wire import Request
@@ -36,7 +37,8 @@ class GatewayFeatureHost:
         robots: Callable[[str], Robots],
         changes: ViewChanges,
         store: Store,
-        audit: Audit,
+        events: EventBus,
+        ledger: Ledger,
         visibility: Visibility,
         place: Callable[[Session, Request], object],
         sessions: SessionDirectory,
@@ -50,8 +52,9 @@ class GatewayFeatureHost:
         self.robots = robots(name)
         self._changes = changes
         self._store = store
-        self._audit = audit
-        self._visibility = visibility
+        self._events = events
+        self.ledger = ledger
+        self.visibility = visibility
         self._place = place
         self._shutdown = shutdown
         self._turns = turns
@@ -73,6 +76,10 @@ class GatewayFeatureHost:
         """Have the view's subscribers get it again."""
         self._changes.tell(path)
 
+    def publish(self, path: str, value: Any) -> None:
+        """Publish a sample of the feature's own."""
+        self._changes.tell(path, value)
+
     def store(self, table: str) -> PluginStore:
         """Return a table that is named after the feature."""
         return PluginStore(self._store, f"{self._name}.{table}")
@@ -89,21 +96,22 @@ class GatewayFeatureHost:
         outcome: str = "ok",
         **facts: Any,
     ) -> None:
-        """Write a record to the audit log."""
-        self._audit.note(
-            what,
+        """Tell of an event."""
+        event = Event(
+            what=what,
             principal=principal,
             session=session,
             tenant=tenant,
             path=path,
             touches=touches,
             outcome=outcome,
-            **facts,
+            facts=facts,
         )
+        self._events.tell(event)
 
     def sees_all(self, rights: Rights, paths: Iterable[str]) -> bool:
         """Tell whether somebody may see each of some paths."""
-        return self._visibility.sees_all(rights, paths)
+        return self.visibility.sees_all(rights, paths)
 
     def unread_bytes(self, session: Session) -> int:
         """Return about how many bytes wait for a session's client."""

@@ -13,12 +13,14 @@ from prometheus_client.core import Metric
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
+from rcp_kernel.contract.events import Hear
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (
     Accounting,
     Action,
     Call,
     CommandObserver,
+    Durability,
     Feature,
     FeatureHost,
     FeatureKind,
@@ -27,6 +29,7 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
+from rcp_kernel.sessions.command import CommandListener
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -117,6 +120,21 @@ class Features:
         """What finds the principals of tokens."""
         found = (feature.authenticator for _, feature in self._made)
         return [one for one in found if one is not None]
+
+    @property
+    def event_listeners(self) -> list[Hear]:
+        """What hears of events."""
+        return [one for _, f in self._made if (one := f.on_event) is not None]
+
+    @property
+    def command_listeners(self) -> list[CommandListener]:
+        """What hears the steps of commands."""
+        return [one for _, f in self._made if (one := f.on_command) is not None]
+
+    @property
+    def durabilities(self) -> list[Durability]:
+        """What replies have to wait for."""
+        return [one for _, f in self._made if (one := f.durability) is not None]
 
     @property
     def accounting(self) -> list[Accounting]:

@@ -18,11 +18,11 @@ import structlog
 
 from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.supervisor import BackendSupervisor
+from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.store.audit import Audit
 from rcp_kernel.tree.registry import Registry
 
 __all__ = ["GuardLink"]
@@ -44,7 +44,7 @@ class GuardLink:
         registry: Registry,
         deadman: Deadman,
         commands: Commands,
-        audit: Audit,
+        events: EventBus,
         shutdown: Shutdown,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -55,7 +55,7 @@ class GuardLink:
         self._registry = registry
         self._deadman = deadman
         self._commands = commands
-        self._audit = audit
+        self._events = events
         self._shutdown = shutdown
         self._loop = loop
         arming.process.on_report.append(self._told)
@@ -212,7 +212,7 @@ class GuardLink:
         """End what ran on a backend that the guard has stopped: nothing is to resume by itself."""
         if self._shutdown.begun:
             return
-        self._audit.note(
+        self._events.note(
             "guard", principal=None, tenant=supervisor.tenant, robots=[supervisor.name]
         )
         supervisor.whole.count_stop()

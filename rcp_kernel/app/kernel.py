@@ -17,20 +17,17 @@ from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.requests.admission import Admission
-from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.disclosure import Disclosure
 from rcp_kernel.requests.history import History
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.audit import Audit
-from rcp_kernel.store.retention import Retention
 from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
@@ -52,11 +49,8 @@ class Kernel:
     rules: Rules
     counts: RequestCounts
     store: Store
-    audit: Audit
-    audit_writer: AuditWriter
-    retention: Retention
+    event_bus: EventBus
     history: History
-    disclosure: Disclosure
     events: CommandEvents
     deadman: Deadman
     commands: Commands
@@ -90,7 +84,6 @@ class Kernel:
         self.hub.pattern_value = config.limits.pattern_value
         self.rules.configure(config.roles)
         self.identities.reconfigure(config)
-        self.retention.config = config.audit
         self.features.reconfigure(features)
         self.events.configure(self.features.observers)
         self.admission.configure()

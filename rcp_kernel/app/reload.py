@@ -36,11 +36,11 @@ async def reload(server: Server, path: Path) -> None:
         prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
     except StartupError as error:
         log.error("reload_refused", reason=str(error))
-        server.kernel.audit.note("reload", principal=None, outcome="refused")
+        server.kernel.event_bus.note("reload", principal=None, outcome="refused")
         return
     except Exception:
         log.exception("reload_failed", reason="a plugin or the gateway has a bug")
-        server.kernel.audit.note("reload", principal=None, outcome="failed")
+        server.kernel.event_bus.note("reload", principal=None, outcome="failed")
         return
     log_weak_keys(fresh.keys, str(path))
     fixed = _FIXED if "features" not in kept else (*_FIXED, "features")
@@ -64,7 +64,7 @@ async def apply(server: Server, prepared: Prepared) -> None:
     kernel.reconfigure(prepared.config, prepared.features)
     async with turn.lock:
         if turn.newest is not prepared:
-            kernel.audit.note("reload", principal=None, outcome="superseded")
+            kernel.event_bus.note("reload", principal=None, outcome="superseded")
             return
         new = prepared.config
         gone = [
@@ -72,13 +72,13 @@ async def apply(server: Server, prepared: Prepared) -> None:
         ]
         await retire(server, gone)
         if turn.newest is not prepared or kernel.shutdown.begun:
-            kernel.audit.note("reload", principal=None, outcome="superseded")
+            kernel.event_bus.note("reload", principal=None, outcome="superseded")
             return
         kept = {supervisor.config.name for supervisor in server.supervisors}
         for backend, table in zip(new.backends, prepared.backends, strict=True):
             if backend.name not in kept:
                 start_backend(server, prepared, backend, table)
-    kernel.audit.note(
+    kernel.event_bus.note(
         "reload", principal=None, backends=[supervisor.name for supervisor in server.supervisors]
     )
     log.info(

@@ -161,18 +161,15 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
 
 
 def _keep_record(stack: AsyncExitStack, kernel: Kernel) -> None:
-    audit = kernel.audit
-    audit.start(name=kernel.settings.config.name, version=gateway_version())
+    name = kernel.settings.config.name
+    kernel.event_bus.note("start", principal=None, name=name, version=gateway_version())
     for command in kernel.history.cut_off:
-        kernel.audit_writer.ended(command)
-    kernel.retention.start()
+        kernel.commands.tell(command, command.history[-1])
     kernel.resume.start()
 
     def stop() -> None:
-        kernel.retention.stop()
         kernel.resume.stop()
-        audit.close()
-        audit.note("stop", principal=None)
+        kernel.event_bus.note("stop", principal=None)
 
     stack.callback(stop)
 

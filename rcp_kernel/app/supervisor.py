@@ -24,11 +24,11 @@ from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
 from rcp_kernel.model import Resource, full_path
-from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.history import History
 from rcp_kernel.safety.hold import hold_resource
 from rcp_kernel.safety.loss import tell_cut_off
+from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.spi import Backend, BackendKind, BaseBackend, Publication, StopPlan
@@ -69,7 +69,7 @@ class BackendSupervisor:
         history: History,
         latches: Latches,
         stops: StopController,
-        audit_writer: AuditWriter,
+        events: SafetyEvents,
         shutdown: Shutdown,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -80,7 +80,7 @@ class BackendSupervisor:
         self._history = history
         self._latches = latches
         self._stops = stops
-        self._audit_writer = audit_writer
+        self._events = events
         self._shutdown = shutdown
         self._loop = loop
         self.name = config.name
@@ -372,7 +372,7 @@ class BackendSupervisor:
             else:
                 unit.lost = None
                 log.warning("recovered", backend=unit.name, command=lost, done=done)
-                self._audit_writer.recovered(unit, lost, done)
+                self._events.recovered(unit, lost, done)
 
     def _down(self, error: Exception) -> None:
         self._backend = None

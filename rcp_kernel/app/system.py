@@ -17,13 +17,11 @@ from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.requests.action_list import ActionList
 from rcp_kernel.requests.command_access import CommandAccess
-from rcp_kernel.requests.disclosure import PATH, Disclosure
 from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import Backend, BaseBackend, Progress
-from rcp_kernel.store.audit import Audit
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.latches import Latches
@@ -37,7 +35,6 @@ _POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _LOG = "/system/log"
 _SOON = 0.02  # s that changes of the e-stop are gathered
-_AUDIT = 1000  # records at hand for `history`
 
 
 class LogRecord(msgspec.Struct, frozen=True):
@@ -67,8 +64,6 @@ class System(BaseBackend):
         *,
         access: CommandAccess,
         sessions: Sessions,
-        audit: Audit,
-        disclosure: Disclosure,
         latches: Latches,
         stops: StopController,
         registry: Registry,
@@ -84,8 +79,6 @@ class System(BaseBackend):
         self._access = access
         self._sessions = sessions
         self._reader_status = reader_status
-        self._audit = audit
-        self._disclosure = disclosure
         self._registry = registry
         self._hub = hub
         self._loop = loop
@@ -101,7 +94,7 @@ class System(BaseBackend):
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
         }
         """Resources whose value depends on who asks, by path."""
-        self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
+        self.filters: dict[str, Filter] = {_LOG: self._shown}
         """Resources of whose samples everybody sees their own only, and what they see of them: by
         path, what returns None for a sample that is hidden."""
         self.services: dict[str, Service] = {}
@@ -109,7 +102,6 @@ class System(BaseBackend):
         for one in features:
             self._add(one)
         changes.on_change.append(self._changed)
-        self._open_audit(self.entries[PATH])
         hub.keep(self.entries[_LOG])
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
@@ -140,9 +132,9 @@ class System(BaseBackend):
             self.views[own.path] = view
             self._changed(own.path)
 
-    def _changed(self, path: str) -> None:
-        """Say that a feature's view has changed."""
-        self.entries[path].publish([], None)
+    def _changed(self, path: str, value: Any = ()) -> None:
+        """Publish a sample of a feature's; by default one that says that its view has changed."""
+        self.entries[path].publish(value, None)
 
     def _publish(self, name: str, value: Any) -> None:
         """Say that a view has changed."""
@@ -177,13 +169,6 @@ class System(BaseBackend):
 
     def fault(self, detail: str) -> None:
         """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
-
-    def _open_audit(self, entry: Entry) -> None:
-        audit = self._audit
-        self._hub.keep(entry)
-        for record in audit.past(_AUDIT):
-            entry.publish(record, None)
-        audit.on_record.append(lambda record: entry.publish(record, None))
 
     def _logged(self, record: dict[str, Any]) -> None:
         # Warnings come from any thread.
@@ -221,9 +206,7 @@ class System(BaseBackend):
     # -- views ---------------------------------------------------------------------------------
 
     def _health(self, session: Session) -> dict[str, Any]:
-        audit = self._audit
         report = self._status.plain(session.rights)
-        report["record"] = audit.state(head=self._disclosure.concerns(session, {}))
         return report | self._reader_status(session)
 
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
@@ -256,12 +239,6 @@ def _resources() -> list[Resource]:
             description="Log records of level warning and above.",
             value=LogRecord,
             history=100,
-        ),
-        Resource(
-            name="event/audit",
-            description="Records of commands, writes, refusals and logins in your tenants.",
-            value=dict[str, Any],
-            history=_AUDIT,
         ),
         Resource(
             name="sensor/sessions",

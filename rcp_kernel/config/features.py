@@ -6,7 +6,15 @@ from typing import Any
 
 __all__ = ["BUILTIN", "active_features"]
 
-BUILTIN: tuple[str, ...] = ("approvals", "jwt", "leases", "motion_limits", "plans", "quotas")
+BUILTIN: tuple[str, ...] = (
+    "approvals",
+    "audit",
+    "jwt",
+    "leases",
+    "motion_limits",
+    "plans",
+    "quotas",
+)
 """Active unless `[features] <name> = false` takes one out."""
 
 

@@ -37,7 +37,6 @@ from rcp_protocol.validation import fault_of
 
 __all__ = [
     "Anonymous",
-    "AuditConfig",
     "BackendConfig",
     "CertificateConfig",
     "GatewayConfig",
@@ -94,17 +93,6 @@ class StoreConfig(Table, frozen=True):
     path: str | None = None
 
 
-class AuditConfig(Table, frozen=True):
-    """How much of the record is kept."""
-
-    keep_days: Annotated[float, Meta(gt=0)] | None = 365.0
-    """Older records are deleted."""
-    keep_mb: Annotated[float, Meta(ge=1)] | None = 1024.0
-    """The oldest records are deleted while the store is larger."""
-    denials: Annotated[int, Meta(ge=1)] = 10
-    """Refusals per second and principal with a record each; further ones are summed up."""
-
-
 class GatewayConfig(Table, frozen=True):
     """The whole file."""
 
@@ -130,7 +118,8 @@ class GatewayConfig(Table, frozen=True):
     """The table that the feature's own type decodes."""
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
-    audit: AuditConfig = AuditConfig()
+    audit: dict[str, Any] = {}
+    """Decoded by the type of the feature, like `jwt`."""
 
     @property
     def active_features(self) -> dict[str, dict[str, Any] | None]:
@@ -145,6 +134,8 @@ class GatewayConfig(Table, frozen=True):
             used.add("approvals")
         if self.jwt:
             used.add("jwt")
+        if self.audit:
+            used.add("audit")
         if self.plans:
             used.add("plans")
         if self.safety.lease_required:

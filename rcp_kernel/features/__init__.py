@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.commands import CommandObserver
+from rcp_kernel.features.durability import Durability
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
@@ -23,6 +24,7 @@ __all__ = [
     "ActionRun",
     "Call",
     "CommandObserver",
+    "Durability",
     "Feature",
     "FeatureHost",
     "FeatureKind",

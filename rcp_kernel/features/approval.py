@@ -10,9 +10,11 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
-__all__ = ["APPROVALS", "About", "ApprovalService", "Decision", "NoApprovals"]
+__all__ = ["APPROVALS", "ID", "About", "ApprovalService", "Decision", "NoApprovals"]
 
 Decision = Literal["approve", "reject"]
+ID = "a-"
+"""What the ids of approvals begin with; what lets the steps of a plan pass begins otherwise."""
 
 
 class About(NamedTuple):

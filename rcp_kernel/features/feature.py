@@ -17,14 +17,17 @@ from prometheus_client.core import Metric
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.contract.events import Hear
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.description import Describe
+from rcp_kernel.features.durability import Durability
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.status import StatusPart
 from rcp_kernel.sessions.accounting import Accounting
+from rcp_kernel.sessions.command import CommandListener
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -52,6 +55,12 @@ class Feature:
     """Returns a part of `/system/status` for somebody, or for everybody (None)."""
     authenticator: Authenticator | None = None
     """Finds the principal of a bearer token."""
+    on_event: Hear | None = None
+    """Hears of writes, refusals, logins, e-stops, stops by the gateway itself, starts and reloads."""
+    on_command: CommandListener | None = None
+    """Hears each step of each command, plans included, before any client does."""
+    durability: Durability | None = None
+    """Has replies wait until what they confirm is kept, and refuses what could not be."""
     accounting: Accounting | None = None
     """Counts sessions with their requests, subscriptions and commands, and may refuse more of them."""
     reader_status: Callable[[Session], Mapping[str, Any]] | None = None

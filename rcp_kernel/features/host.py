@@ -8,12 +8,14 @@ from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
+from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.store.ledger import Ledger
 from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
 
@@ -64,6 +66,20 @@ class FeatureHost(Protocol):
         """Say that a view of the feature's may show something else now; subscribers get it."""
         ...
 
+    def publish(self, path: str, value: Any) -> None:
+        """Publish a sample of a resource of the feature's own; `SystemResource.shows` filters it."""
+        ...
+
+    @property
+    def visibility(self) -> Visibility:
+        """What of the tree and of its robots somebody may see."""
+        ...
+
+    @property
+    def ledger(self) -> Ledger:
+        """The tamper-evident log of the gateway's store."""
+        ...
+
     def store(self, table: str) -> PluginStore:
         """Return a table of the feature's own in the gateway's store."""
         ...
@@ -80,7 +96,7 @@ class FeatureHost(Protocol):
         outcome: str = "ok",
         **facts: Any,
     ) -> None:
-        """Write a record to the audit log; returns at once. Facts that are None are left out.
+        """Tell of an event, as the audit log records it; returns at once.
 
         Who may read it follows from `tenant` and `path`, or from all paths in `touches`.
         """

@@ -50,13 +50,13 @@ class SystemResource:
 
 
 class ViewChanges:
-    """Passes on that a view of a feature's has changed."""
+    """Passes on what features publish, and that their views have changed."""
 
     def __init__(self) -> None:
-        self.on_change: list[Callable[[str], None]] = []
-        """Called with the path of the view."""
+        self.on_change: list[Callable[[str, Any], None]] = []
+        """Called with the path, and the sample that is published there."""
 
-    def tell(self, path: str) -> None:
-        """Pass it on."""
+    def tell(self, path: str, value: Any = ()) -> None:
+        """Pass a sample on; by default one that only says that a view has changed."""
         for changed in self.on_change:
-            changed(path)
+            changed(path, value)

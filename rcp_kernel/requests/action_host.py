@@ -7,18 +7,18 @@ from collections.abc import Callable, Container
 from typing import Any, TypeVar
 
 from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.contract.digest import bounded, hashing
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.read import READ_OPTIONS
+from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Handler, Session
-from rcp_kernel.store.audit import bounded, hashing
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import Encoding, dump, to_plain
@@ -44,7 +44,7 @@ class GatewayActionHost:
         registry: Registry,
         services: ServiceLookup,
         personal: tuple[Container[str], ...],
-        audit_writer: AuditWriter,
+        events: RequestEvents,
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -55,7 +55,7 @@ class GatewayActionHost:
         self._services = services
         self._control = services.service(CONTROL) or NoControl()
         self._personal = personal
-        self._audit_writer = audit_writer
+        self._events = events
         self.send = handle
         self.cancel = commands.cancel
         self.conditions = conditions
@@ -114,7 +114,7 @@ class GatewayActionHost:
             told = await self.turns.finish(session.principal.identity, hashing(data))
         else:
             told = bounded(_plain(body))
-        self._audit_writer.looked(session, request, path, told, touches)
+        self._events.looked(session, request, path, told, touches)
 
 
 def _plain(body: Any) -> Any:

@@ -55,6 +55,7 @@ class PreparedRun:
             tenant=session.tenant,
             work=self.run,
             touches=self.run.touches,
+            request=request,
             request_id=request.id,
             custom=request.custom,
             timestamp=request.timestamp,

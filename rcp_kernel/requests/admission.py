@@ -14,7 +14,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
@@ -30,14 +30,14 @@ class Admission:
         self,
         resolver: Resolver,
         events: CommandEvents,
-        audit_writer: AuditWriter,
+        replies: ReplyGate,
         shutdown: Shutdown,
         check_thaw: Callable[[Entry], None],
         guards: Sequence[Guard],
     ) -> None:
         self._resolver = resolver
         self._events = events
-        self._audit_writer = audit_writer
+        self._replies = replies
         self._shutdown = shutdown
         self._check_thaw = check_thaw
         """Refuses what may have waited while the event loop stood still and its robot was stopped."""
@@ -67,7 +67,7 @@ class Admission:
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises AlreadyRunning: the same, and its robot is being brought to rest.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
-        :raises QueueFull: it could not be put on record.
+        :raises QueueFull: a feature could not keep what its reply confirms.
         :raises RcpError: a guard refuses that decides who has control, or how robots may move.
         """
         entry = call.entry
@@ -81,7 +81,7 @@ class Admission:
         if self.control and entry.tenant is not None:
             _ask(self.control, call)
         self._shutdown.check()
-        self._audit_writer.check()
+        self._replies.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         self._ask(self._early, call)

@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol
 
+import structlog
+
 from rcp_kernel.clock import now
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.metrics import Histogram
@@ -28,7 +30,13 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Kind
 from rcp_kernel.requests.finished import Finished
 from rcp_kernel.safety.loss import tell_loss
-from rcp_kernel.sessions.command import Command, Record, outcome_of, status_of
+from rcp_kernel.sessions.command import (
+    Command,
+    CommandListener,
+    Record,
+    outcome_of,
+    status_of,
+)
 from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -39,6 +47,8 @@ if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Session
 
 __all__ = ["CommandObserver", "Commands"]
+
+log = structlog.get_logger("rcp.commands")
 
 Confirm = Callable[[], Backend]
 """Returns the robot that takes a command, or refuses it by now."""
@@ -66,6 +76,7 @@ class Commands:
         self, keeper: CommandObserver, began: Callable[[Entry], None], turns: Turns
     ) -> None:
         """Note commands with `keeper`; `began` is told before one runs, and must cost nothing."""
+        self.on_step: list[CommandListener] = []
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
         self.counts: dict[tuple[str, str], int] = {}
@@ -316,7 +327,7 @@ class Commands:
             command.timer.cancel()
             command.timer = None
         self._note(command, record)
-        command.asker = command.work = None
+        command.asker = command.request = command.work = None
         command.followers.clear()
 
     def _note(self, command: Command, record: Record) -> None:
@@ -332,10 +343,19 @@ class Commands:
             self.seconds.observe((record.time - command.created) / 1e9)
         if record.status != "in_progress":
             self.keeper.save(command)
+        self.tell(command, record)
         if command.followers:
             reply = command.reply(record)
             for follower in list(command.followers):
                 follower(reply)
+
+    def tell(self, command: Command, record: Record) -> None:
+        """Tell a step to those who listen to all commands."""
+        for hear in self.on_step:
+            try:
+                hear(command, record)
+            except Exception:  # a listener's bug is not the command's
+                log.exception("command_listener_failed", command=command.id, path=command.path)
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End what runs on a path whose backend is gone, with the reason."""

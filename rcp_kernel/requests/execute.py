@@ -22,12 +22,12 @@ from rcp_kernel.features import Call, Service
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
-from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.exempt import is_exempt
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.waiting import WaitingCommand
 from rcp_kernel.requests.write import DryRun, dry_run_reply
 from rcp_kernel.safety.hold import Hold
@@ -84,7 +84,7 @@ class ExecuteHandler:
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
-        audit_writer: AuditWriter,
+        replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
         settings: Settings,
@@ -101,7 +101,7 @@ class ExecuteHandler:
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
-        self._audit_writer = audit_writer
+        self._replies = replies
         self._partners = partners
         self._deadman = deadman
         self._settings = settings
@@ -191,10 +191,9 @@ class ExecuteHandler:
             command = prepared.command(session, request, entry)
             command.followers.append(action.follow)
         if request.idempotency_key is not None:
-            command.ready = self._audit_writer.committed
+            command.ready = self._keys.committed
             command.followers.append(self._settling(session, request, entry.path))
         self._follow(session, request, command, answer, started)
-        self._audit_writer.started(session, request, command)
         self._keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
         count_command(session, command)
@@ -233,7 +232,6 @@ class ExecuteHandler:
         units = [entry.unit, *self._partners.of(entry)]
         command.work = Hold(units, self._commands, self._deadman)
         self._follow(session, request, command, answer, started)
-        self._audit_writer.started(session, request, command)
         timeout = self._timeout(request, entry)
         self._commands.start(
             command,
@@ -288,7 +286,7 @@ class ExecuteHandler:
         self._inflight.later(
             session,
             request,
-            self._audit_writer.hold_estop(answer),
+            self._replies.held_estop(answer),
             work,
             done,
             entry.resource.timeout or 6.0,
@@ -310,7 +308,7 @@ class ExecuteHandler:
         started = perf_counter()
         reply = self._served(service, session, request, entry, value)
         self._counts.conclude(session, reply, started)
-        self._audit_writer.held(answer, request)(reply)
+        self._replies.held(answer, request)(reply)
 
     def _served(
         self, service: Service, session: Session, request: Request, entry: Entry, value: Any
@@ -357,7 +355,7 @@ class ExecuteHandler:
     ) -> None:
         """Have the request answered by the command's replies, those of its past included."""
         key = self._inflight.claim(session, request)
-        answer = self._audit_writer.held(answer, request)
+        answer = self._replies.held(answer, request)
         if not session.stateless:
             session.commands[command.id] = command
             if len(session.commands) > 256:
@@ -432,6 +430,7 @@ def _command(call: Call) -> Command:
         principal=session.principal.name,
         proof=session.principal.proof,
         tenant=entry.tenant,
+        request=request,
         request_id=request.id,
         custom=request.custom,
         timestamp=request.timestamp,

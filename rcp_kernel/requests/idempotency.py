@@ -121,6 +121,13 @@ class Keys:
             if name in self._known:
                 self._drop(name)
 
+    async def committed(self) -> None:
+        """Wait until the keys noted so far are kept."""
+        if not self._store.idle:
+            done = self._loop.create_future()
+            self._store.settled(lambda: done.done() or done.set_result(None))
+            await done
+
     def _drop(self, name: str) -> None:
         self._bytes -= self._known.pop(name).size
         self._store.put(_TABLE, name, None)

@@ -7,13 +7,13 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.contract.digest import hashing
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.structure import LONG
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.audit import hashing
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ValueType
 from rcp_kernel.wire import Request

@@ -18,9 +18,9 @@ from rcp_kernel.contract.structure import LONG, check_structure
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
-from rcp_kernel.requests.audit_writer import ACTS, DENIALS, AuditWriter
 from rcp_kernel.requests.exempt import is_exempt
 from rcp_kernel.requests.long_bodies import LongBodies
+from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request, failure
@@ -49,7 +49,7 @@ class RequestRouter:
         settings: Settings,
         turns: Turns,
         counts: RequestCounts,
-        audit_writer: AuditWriter,
+        events: RequestEvents,
         long_bodies: LongBodies,
         actions: Container[str],
     ) -> None:
@@ -57,7 +57,7 @@ class RequestRouter:
         self._settings = settings
         self._turns = turns
         self._counts = counts
-        self._audit_writer = audit_writer
+        self._events = events
         self._long_bodies = long_bodies
         self._actions = actions
         self._routes: dict[str, Route] = {"ping": _ping, "hello": _hello}
@@ -176,10 +176,8 @@ class RequestRouter:
         path = told.path or _full(request.path, session.tenant)
         reply = failure(told, request.type, request.id, path)
         reply.custom = request.custom
-        if told.code in DENIALS or request.type in ACTS:
-            hide = (request.path or "") in self._actions
-            answer = self._audit_writer.refused(session, request, reply, answer, hide=hide)
-        return reply, answer
+        hide = (request.path or "") in self._actions
+        return reply, self._events.refused(session, request, reply, answer, hide=hide)
 
 
 def _ping(_session: Session, request: Request, _answer: Answer) -> Reply:

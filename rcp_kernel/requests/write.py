@@ -20,9 +20,10 @@ from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.admission import Admission
-from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.replies import ReplyGate
+from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
@@ -55,7 +56,8 @@ class WriteHandler:
         events: CommandEvents,
         dry_run: DryRun,
         keys: Keys,
-        audit_writer: AuditWriter,
+        replies: ReplyGate,
+        request_events: RequestEvents,
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -66,7 +68,8 @@ class WriteHandler:
         self._events = events
         self._dry_run = dry_run
         self._keys = keys
-        self._audit_writer = audit_writer
+        self._replies = replies
+        self._request_events = request_events
         self._turns = turns
         self._loop = loop
 
@@ -76,7 +79,7 @@ class WriteHandler:
         value = request.decode_body(entry.value_type, entry.label)
         first = self._keys.find(session, request, entry.path)
         if isinstance(first, asyncio.Future):
-            held = self._audit_writer.held(answer, request, entry)
+            held = self._replies.held(answer, request, entry)
             self._repeat(first, session, request, entry, held)
             return None
         call = Call(session, request, entry, value)
@@ -86,7 +89,7 @@ class WriteHandler:
         if request.dry_run:
             facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
-        noted = self._audit_writer.written(session, request, entry, answer)
+        noted = self._request_events.written(session, request, entry, answer)
         if request.idempotency_key is not None:
             noted = self._noting(session, request, entry, noted)
         try:
@@ -119,7 +122,7 @@ class WriteHandler:
     async def _bring_into_force(self, call: Call, window: float | None, stops: int) -> Sample:
         request, entry, value = call.request, call.entry, call.value
         if request.idempotency_key is not None:
-            await self._audit_writer.committed()
+            await self._keys.committed()
         with self._deadman.in_flight(entry), permitted(entry.unit, stops):
             try:
                 if entry.path in self._deadman.leaving:

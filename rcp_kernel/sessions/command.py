@@ -25,12 +25,20 @@ from rcp_kernel.sessions.long_value import plain
 from rcp_kernel.spi import Progress
 from rcp_kernel.tree.entry import Entry, is_system
 from rcp_kernel.values import ANY, Encoding
-from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Status
+from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Request, Status
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Session
 
-__all__ = ["Command", "CommandTable", "Record", "Work", "outcome_of", "status_of"]
+__all__ = [
+    "Command",
+    "CommandListener",
+    "CommandTable",
+    "Record",
+    "Work",
+    "outcome_of",
+    "status_of",
+]
 
 log = structlog.get_logger("rcp.commands")
 _SHORT = 16_384  # bytes of a command that are kept as they are written
@@ -145,6 +153,8 @@ class Command:
     session: str | None = None
     asker: Session | None = None
     """In whose name it runs; None once it has ended."""
+    request: Request | None = None
+    """What asked for it; None once it has ended."""
     work: Work | None = None
     """What the gateway itself does for it; None for the work of a robot."""
     touches: tuple[str, ...] = ()
@@ -243,6 +253,10 @@ class Command:
     def progress(self) -> float | None:
         """The last fraction that the backend reported, 0…1."""
         return next((r.progress for r in reversed(self.history) if r.progress is not None), None)
+
+
+CommandListener = Callable[[Command, Record], None]
+"""Hears of a step of a command when it is in its history, before its followers do."""
 
 
 def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:

@@ -15,6 +15,7 @@ from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.identity import Principal, same
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.shutdown import Shutdown
@@ -25,7 +26,6 @@ from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.credential_expiry import CredentialExpiry
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Link, Session
-from rcp_kernel.store.audit import Audit
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbound import Outbound
@@ -50,7 +50,7 @@ class Sessions:
         accounting: SessionAccounting,
         commands: CommandTable,
         resume: SessionResume,
-        audit: Audit,
+        events: EventBus,
         links: Links,
         outbound: Outbound,
         loop: asyncio.AbstractEventLoop,
@@ -63,7 +63,7 @@ class Sessions:
         self._accounting = accounting
         self._commands = commands
         self._resume = resume
-        self._audit = audit
+        self._events = events
         self._links = links
         self._outbound = outbound
         self._loop = loop
@@ -127,7 +127,7 @@ class Sessions:
         for began in self.on_begin:
             began(session)
         if not principal.anonymous:
-            self._audit.note(
+            self._events.note(
                 "login",
                 principal=principal,
                 session=session,

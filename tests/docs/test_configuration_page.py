@@ -12,12 +12,12 @@ import pytest
 from docs.pages import DOCS, ROOT, keys, rows, section
 from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
+from rcp_audit import AuditConfig
 from rcp_dashboard import DashboardConfig
 from rcp_jwt.config import JwtConfig
 from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.file import (
     Anonymous,
-    AuditConfig,
     BackendConfig,
     CertificateConfig,
     GatewayConfig,

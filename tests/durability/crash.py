@@ -23,6 +23,9 @@ from typing import Any
 
 import msgspec
 
+import rcp_audit
+import rcp_leases
+from rcp_kernel.app.features import active
 from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
@@ -136,7 +139,9 @@ def prepared(folder: Path) -> Prepared:
         is_missing=lambda _group, _name: None,
     )
     config = parse(CONFIG.format(path=folder / "store.db"), "crash")
-    return Prepared(config, plugins, tuple(NoOptions() for _ in config.backends), {}, {})
+    kinds = [*rcp_audit.rcp_features(), *rcp_leases.rcp_features()]
+    features = active(config, {kind.name: kind for kind in kinds}, "crash")
+    return Prepared(config, plugins, tuple(NoOptions() for _ in config.backends), {}, {}, features)
 
 
 class Client:

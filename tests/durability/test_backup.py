@@ -65,11 +65,11 @@ async def latched(world: World) -> Any:
 async def test_a_backup_under_load_is_whole_and_holds_nobody_up(tmp_path: Path) -> None:
     path, file = tmp_path / "store.db", tmp_path / "backup.db"
     async with world_of(kept_in(path)) as world:
-        audit, kept = world.server.kernel.audit, world.server.kernel.store
+        events, kept = world.server.kernel.event_bus, world.server.kernel.store
         for number in range(RECORDS):
-            audit.note("login", principal=None, message="x" * 400, number=number)
+            events.note("login", principal=None, message="x" * 400, number=number)
         await settled(kept)
-        before = audit.head
+        before = kept.head
         command = [RCPD, "store", "backup", str(file), "--store", str(path)]
         backup = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
         ended = asyncio.ensure_future(backup.communicate())
@@ -77,13 +77,13 @@ async def test_a_backup_under_load_is_whole_and_holds_nobody_up(tmp_path: Path) 
         async with asyncio.timeout(4 * BOUND):
             while not ended.done():
                 for _ in range(BURST):
-                    audit.note("login", principal=None, message="y" * 400)
+                    events.note("login", principal=None, message="y" * 400)
                 began = loop.time()
                 await settled(kept)
                 worst, bursts = max(worst, loop.time() - began), bursts + 1
         said = (await ended)[0].decode()
         assert backup.returncode == 0, said
-        after = audit.head
+        after = kept.head
     print(f"worst commit {worst * 1000:.0f} ms in {bursts} bursts", file=sys.stderr)  # noqa: T201
     assert worst < LATE
     with closing(sqlite3.connect(file)) as base:

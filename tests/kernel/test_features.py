@@ -240,7 +240,7 @@ QUIET = "transports = {asgi = false, http = false, ws = false, sse = false}\n"
 
 def test_a_feature_that_the_configuration_uses_cannot_be_taken_out() -> None:
     with pytest.raises(ConfigError, match="approvals = false, but the configuration uses"):
-        parse(QUIET + ASKS + "[features]\napprovals = false\n", "f")
+        parse(QUIET + ASKS + "[features]\napprovals = false\naudit = false\n", "f")
 
 
 def offered(monkeypatch: pytest.MonkeyPatch, folder: Path, **sources: str) -> None:
@@ -330,7 +330,7 @@ async def test_a_reload_changes_the_keys_of_features_and_neither_adds_nor_remove
         file.write_text(QUIET + ASKS)
         await reload(server, file)
         assert len(admission.active) == 1
-        file.write_text(QUIET + "[features]\napprovals = false\n")
+        file.write_text(QUIET + "[features]\napprovals = false\naudit = false\n")
         with capture_logs() as said:
             await reload(server, file)
         assert {"part": "features"}.items() <= said[0].items()

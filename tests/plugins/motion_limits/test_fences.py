@@ -20,8 +20,8 @@ from kernel.fenced import (
     reached,
     twist,
 )
-from kernel.record.test_audit import records
 from kernel.world import BOUND
+from plugins.audit.test_audit import records
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request

@@ -7,13 +7,14 @@ import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, until_trouble, world_of
-from rcp_kernel.store.denial_throttle import DenialThrottle
+from rcp_audit.log import AuditLog
+from rcp_audit.throttle import DenialThrottle
 from rcpd.audit import audit
 from rcpd.examination import examined
 
@@ -158,9 +159,15 @@ async def test_a_long_value_is_told_by_its_length_and_hash(world: World) -> None
     assert len(start["value"]["sha256"]) == 64
 
 
+def log_of(world: World) -> AuditLog:
+    """Return what makes the records."""
+    [hear] = world.server.kernel.event_bus.on_event
+    return cast("AuditLog", cast("Any", hear).__self__)
+
+
 async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> None:
     client = world.client(None)
-    flood = world.server.kernel.audit._flood
+    flood = log_of(world).throttle
     for _ in range(50):
         await client.ask(type="write", path=LIMIT, body=1)
     assert len(await records(world, what="denial")) == 10
@@ -180,7 +187,7 @@ async def test_a_flood_in_two_tenants_is_summed_up_for_each_of_them() -> None:
         for _ in range(12):
             for path in paths:
                 await bea.ask(type="write", path=path, body=1)
-        flood = world.server.kernel.audit._flood
+        flood = log_of(world).throttle
         flood._close(flood._windows["=bea"])
         sums = await records(world, what="denials")
         assert [(s["tenant"], s["roles"], s["paths"]) for s in sums] == [
@@ -339,7 +346,7 @@ async def test_what_cannot_go_on_record_is_refused_but_never_the_estop(tmp_path:
             other.execute("BEGIN IMMEDIATE")
             kernel = world.server.kernel
             for number in range(6000):
-                kernel.audit.note("write", principal=None, number=number)
+                kernel.event_bus.note("write", principal=None, number=number)
             client = world.client()
             for envelope in (
                 {"type": "write", "path": LIMIT, "body": 1.0},
@@ -367,7 +374,7 @@ async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path
     async with world_of(text) as world:
         kernel = world.server.kernel
         for number in range(2000):
-            kernel.audit.note("write", principal=None, number=number, message="x" * 500)
+            kernel.event_bus.note("write", principal=None, number=number, message="x" * 500)
     assert path.stat().st_size > 1_000_000
     async with world_of(text) as world:
         admin = world.client("admin-admin-admin")
@@ -388,7 +395,7 @@ async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(tmp_pat
         await settled(store)  # the login of the admin too
         with closing(sqlite3.connect(tmp_path / "store.db")) as other:
             other.execute("BEGIN IMMEDIATE")
-            world.server.kernel.audit.note("login", principal=None)
+            world.server.kernel.event_bus.note("login", principal=None)
             await until_trouble(store)
             status = (await admin.ask(type="status"))["body"]
             assert status["state"] == "degraded"

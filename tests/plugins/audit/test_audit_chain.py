@@ -8,8 +8,9 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_kernel.store.chain import GENESIS, Head, Row, link, parse_head, verify, written
-from rcp_kernel.store.denial_throttle import DenialThrottle
+from rcp_audit.throttle import DenialThrottle
+from rcp_kernel.store.chain import GENESIS, Head, Row, link, parse_head, written
+from rcpd.verification import verify
 
 
 def chain(count: int, *, after: Head = (0, GENESIS), pruned: bool = False) -> list[Row]:

@@ -324,8 +324,13 @@ async def test_what_names_something_hidden_is_not_shown(world: World) -> None:
     assert "hush" not in json.dumps(reply)
 
 
+def shown_of(world: World) -> Any:
+    """Return what decides of each record who is shown what of it."""
+    [resource] = world.server.kernel.features.resources_of("audit")
+    return resource.shows
+
+
 async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> None:
-    kernel = world.server.kernel
     many = " ".join(f"/tenant/alpha/sensor/x{n}" for n in range(150))
     session = world.client(PARTIAL).connection.session
     weighed: list[str] = []
@@ -338,10 +343,10 @@ async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> No
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(type(session.rights), "compute_mask", counted)
         record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": many}
-        assert kernel.disclosure.shown(session, record) is None
+        assert shown_of(world)(session, record) is None
         assert len(weighed) < 40
     whole = world.client(ROOT).connection.session
-    assert kernel.disclosure.shown(whole, {**record, "seq": 2}) is not None
+    assert shown_of(world)(whole, {**record, "seq": 2}) is not None
 
 
 async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_path: Path) -> None:
@@ -350,16 +355,16 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
         "steps": [{"step": "1", "do": "read", "path": "/tenant/beta/sensor/hush", "result": SECRET}]
     }
     async with world_of(kept_in(path, CONFIG), make=Talking) as world:
-        audit, session = world.server.kernel.audit, world.client(BOTH).connection.session
+        events, session = world.server.kernel.event_bus, world.client(BOTH).connection.session
         # As gateways before this one wrote them: whole, in the tenant of the session.
         for what, value in (
             ("execute", {"lines": "read /tenant/beta/sensor/hush"}),
             ("command", old),
         ):
             facts = {"tenant": "alpha", "path": PLANS, "value": value, "session": session}
-            audit.note(what, principal=session.principal, **facts)
+            events.note(what, principal=session.principal, **facts)
         facts = {"tenant": "alpha", "path": ALPHA, "value": {"steps": [{"value": SECRET}]}}
-        audit.note("denial", principal=session.principal, outcome="out_of_range", **facts)
+        events.note("denial", principal=session.principal, outcome="out_of_range", **facts)
         await settled(world.server.kernel.store)
     async with world_of(kept_in(path, CONFIG), make=Talking) as world:
         ada, root = world.client(ADA), world.client(ROOT)
@@ -372,7 +377,7 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
 
 
 async def test_a_record_of_one_robot_is_for_those_who_see_something_of_it(world: World) -> None:
-    shown = world.server.kernel.disclosure.shown
+    shown = shown_of(world)
     partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
     record = {"what": "stop", "tenant": "alpha", "path": "/system/estop", "outcome": "at_rest"}
     for seq, (robot, seen) in enumerate({"robot": True, "dark": False, "gone": False}.items()):
@@ -382,7 +387,7 @@ async def test_a_record_of_one_robot_is_for_those_who_see_something_of_it(world:
 
 
 async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world: World) -> None:
-    shown, judge = world.server.kernel.disclosure.shown, Visibility.names_hidden
+    shown, judge = shown_of(world), Visibility.names_hidden
     partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
     record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": "sensor/later"}
     judged: list[Any] = []

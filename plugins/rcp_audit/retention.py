@@ -8,12 +8,11 @@ from typing import Any
 
 import msgspec
 
+from rcp_audit.config import AuditConfig
 from rcp_kernel.clock import now, parse_time
-from rcp_kernel.config.file import AuditConfig
-from rcp_kernel.store.audit import Audit
+from rcp_kernel.features import FeatureHost
 from rcp_kernel.store.chain import Head
 from rcp_kernel.store.file import ROWS
-from rcp_kernel.store.store import Store
 
 __all__ = ["Retention"]
 
@@ -26,12 +25,8 @@ _DAY = 86_400 * 10**9  # ns
 class Retention:
     """Looks at age and size of the record now and then."""
 
-    def __init__(
-        self, audit: Audit, store: Store, loop: asyncio.AbstractEventLoop, config: AuditConfig
-    ) -> None:
-        self._audit = audit
-        self._store = store
-        self._loop = loop
+    def __init__(self, host: FeatureHost, config: AuditConfig) -> None:
+        self._host = host
         self.config = config
         self._timer: asyncio.TimerHandle | None = None
         self._stopped = False
@@ -39,7 +34,7 @@ class Retention:
     def start(self) -> None:
         """Look now, and again from time to time."""
         self._timer = None
-        self._store.look(self._surplus, self._delete)
+        self._host.ledger.look(self._surplus, self._delete)
 
     def stop(self) -> None:
         """Look no more."""
@@ -93,13 +88,12 @@ class Retention:
         if self._stopped:
             return
         if gone is None:
-            self._timer = self._loop.call_later(_LOOK, self.start)
+            self._timer = self._host.loop.call_later(_LOOK, self.start)
             return
         seq, digest = gone
-        # All in one transaction: the chain begins after what the record of it names.
-        self._store.put("audit", "anchor", {"seq": seq, "hash": digest})
-        self._store.prune(seq + 1)
-        self._audit.note("prune", principal=None, to=seq, hash=digest.hex())
+        # In one transaction: the chain begins after what the record of it names.
+        self._host.ledger.prune(gone)
+        self._host.note("prune", principal=None, to=seq, hash=digest.hex())
         self.start()
 
 

@@ -6,17 +6,16 @@ from collections import OrderedDict
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
+from rcp_audit.log import PATH
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.access.acl import Rights, Rules
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.visibility import Visibility, names_in
-from rcp_kernel.contract.identity import Grants
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.latches import GATEWAY
 
-__all__ = ["PATH", "Disclosure"]
+__all__ = ["Disclosure"]
 
-PATH = "/system/audit"
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _KNOWN = 2000  # records whose names are remembered
 _KEPT = 20_000  # verdicts: of twenty sets of rights about all records at hand
@@ -34,19 +33,17 @@ class _Verdict(NamedTuple):
 class Disclosure:
     """Shows each reader the records, and the parts of records, that he may see."""
 
-    def __init__(self, visibility: Visibility, rules: Rules) -> None:
+    def __init__(self, visibility: Visibility) -> None:
         self._visibility = visibility
-        self._rules = rules
-        self._reach: dict[Grants, tuple[str, ...]] = {}
-        self._reached: object = None
+        self._reach: WeakKeyDictionary[Rights, tuple[str, ...]] = WeakKeyDictionary()
         self._names: OrderedDict[Any, frozenset[str]] = OrderedDict()
         self._verdicts = _Verdicts()
 
     def shown(self, session: Session, record: dict[str, Any]) -> dict[str, Any] | None:
         """Return a record as a session may see it; None if it may not at all."""
-        if not self.concerns(session, record):
-            return None
         rights, generation = session.rights, self._visibility.generation
+        if not self.concerns(rights, record):
+            return None
         try:
             return self._verdicts.find(rights, generation, record)
         except KeyError:
@@ -54,9 +51,9 @@ class Disclosure:
             self._verdicts.keep(rights, generation, record, told)
             return told
 
-    def concerns(self, session: Session, record: dict[str, Any]) -> bool:
-        """Tell whether a session may see the audit of all tenants that a record is of."""
-        reach = self._reach_of(session)
+    def concerns(self, rights: Rights, record: dict[str, Any]) -> bool:
+        """Tell whether somebody may see the audit of all tenants that a record is of."""
+        reach = self._reach_of(rights)
         if "*" in reach:
             return True
         tenants: Any = record.get("tenants") or (record.get("tenant"),)
@@ -107,19 +104,10 @@ class Disclosure:
                 self._names.popitem(last=False)
         return known
 
-    def _reach_of(self, session: Session) -> tuple[str, ...]:
-        roles = self._rules.roles
-        if self._reached is not roles:
-            self._reached = roles
-            self._reach.clear()
-        grants = session.principal.grants
-        reach = self._reach.get(grants)
+    def _reach_of(self, rights: Rights) -> tuple[str, ...]:
+        reach = self._reach.get(rights)
         if reach is None:
-            reach = self._reach[grants] = tuple(
-                tenant
-                for tenant, held in grants
-                if Rights(((tenant, held),), roles).mask(PATH) & _LOOK
-            )
+            reach = self._reach[rights] = rights.places(PATH, _LOOK)
         return reach
 
 

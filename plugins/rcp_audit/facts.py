@@ -1,0 +1,103 @@
+"""What a record holds of a request or a command; all of it is bounded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.contract.digest import LONGEST, bounded, hashed
+from rcp_kernel.contract.events import Event
+from rcp_kernel.contract.prepared import Prepared
+from rcp_kernel.features.approval import ID
+from rcp_kernel.sessions.command import Command, Record
+from rcp_kernel.values import parse
+from rcp_kernel.wire import NO_BODY, Request
+
+__all__ = ["ACTS", "accepted", "ended", "requested"]
+
+ACTS = frozenset(("write", "execute"))
+_OWN_WORDS = ("estop",)
+"""What is told in words of its own, not by the value of its request."""
+
+
+def requested(request: Request, what: str, *, hide: bool) -> dict[str, Any]:
+    """Return what a record tells of the request that it is about."""
+    acts = request.type in ACTS and what not in _OWN_WORDS
+    approval = request.approval
+    return {
+        "request": request.type,
+        "id": request.id,
+        "idempotency_key": request.idempotency_key,
+        "dry_run": request.dry_run or None,
+        # A pass for many commands is nobody's business.
+        "approval": approval if approval and approval.startswith(ID) else None,
+        "value": _value(request, hide=hide) if acts else None,
+        "x": bounded(request.custom) if request.custom else None,
+    }
+
+
+def accepted(command: Command) -> Event:
+    """Return the event of a command that was accepted."""
+    asker, work = command.asker, command.work
+    outline = None if work is None else work.outline(work.report(over=False))
+    return Event(
+        what="execute",
+        principal=None if asker is None else asker.principal,
+        session=asker,
+        request=command.request,
+        hide=outline is not None,
+        tenant=command.tenant,
+        path=command.path,
+        touches=None if outline is None else command.touches,
+        outcome="accepted",
+        facts={"command": command.id, **_bounded(outline)},
+    )
+
+
+def ended(command: Command, last: Record) -> Event:
+    """Return the event of what became of a command, and what the robot said."""
+    asker, error, work = command.asker, last.error, command.work
+    outline = None if work is None else work.outline(last.body)
+    own = command.is_system
+    return Event(
+        what="command",
+        principal=None if asker is None else asker.principal,
+        session=asker,
+        tenant=command.tenant,
+        path=command.path,
+        touches=command.touches if own else None,
+        outcome="ok" if error is None else error["code"],
+        facts={
+            "by": command.principal if asker is None else None,
+            "status": last.status,
+            "message": last.message,
+            "command": command.id,
+            "id": command.request_id,
+            "origin": None if error is None else error.get("origin"),
+            "value": None if own or last.body is NO_BODY else bounded(last.body),
+            **_bounded(outline),
+            "x": bounded(command.custom) if command.custom else None,
+        },
+    )
+
+
+def _bounded(outline: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {} if outline is None else {name: bounded(fact) for name, fact in outline.items()}
+
+
+def _value(request: Request, *, hide: bool) -> Any:
+    """Return a request's body as it is told in a record; None if there is none."""
+    body = bytes(request.body)
+    if body and not hide and isinstance(request, Prepared):
+        return request.told
+    if hide or len(body) > LONGEST:
+        return hashed(body)
+    if not body:
+        return None
+    try:
+        told = bounded(parse(body, request.encoding))
+    except Exception:  # a body that is no text of its encoding is told by its hash
+        return hashed(body)
+    return told if isinstance(told, msgspec.Raw) else hashed(body)

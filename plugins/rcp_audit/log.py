@@ -1,0 +1,156 @@
+"""The audit log: who did what, decided how, and what came of it; one sealed record each.
+
+What a record holds is bounded: a long value is told by its length and SHA-256.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import msgspec
+
+from rcp_audit.config import AuditConfig
+from rcp_audit.facts import ACTS, accepted, ended, requested
+from rcp_audit.owner import owners_of, who_did
+from rcp_audit.retention import Retention
+from rcp_audit.throttle import DenialThrottle
+from rcp_kernel.contract.digest import bounded
+from rcp_kernel.contract.events import Event
+from rcp_kernel.features import FeatureHost
+from rcp_kernel.sessions.command import Command, Record
+from rcp_kernel.store.chain import written
+from rcp_kernel.store.touches import bounded_touches
+from rcp_kernel.wire import FINAL
+
+__all__ = ["FULL", "PATH", "AuditLog"]
+
+PATH = "/system/audit"
+HISTORY = 1000
+"""Records at hand for `history`."""
+FULL = 5000
+"""Records that may wait before commands and writes are refused, and refusals counted."""
+_MOST = 20_000  # records that may wait for a store that cannot write; then they are only counted
+_TEXT = 500  # characters of a message
+_DENIALS = frozenset(
+    (
+        "unauthenticated",
+        "token_expired",
+        "forbidden",
+        "unknown_path",  # what is hidden answers like what is not there
+        "approval_required",
+        "lease_required",
+        "lease_held",
+        "lease_lost",
+        "estop_active",
+        "mode_forbids",
+        "precondition_failed",
+        "stale_command",
+        "out_of_range",
+        "rate_limited",
+    )
+)
+"""Codes that go on record whatever the request was; a write or an execute does with any code."""
+
+
+class AuditLog:
+    """Writes one record for each event, and for each start and end of a command."""
+
+    def __init__(self, config: AuditConfig, host: FeatureHost) -> None:
+        self._host = host
+        self._ledger = host.ledger
+        self.throttle = DenialThrottle(host.loop, config.denials, partial(self._write, "denials"))
+        self.retention = Retention(host, config)
+
+    def hear(self, event: Event) -> bool:
+        """Record an event; returns at once.
+
+        It belongs to its tenant and path. What is about several paths names them in `touches`, and
+        is for those who may see all of them, in all of their tenants.
+
+        Returns whether it has a record of its own: refusals past the bound are only counted.
+        """
+        match event.what:
+            case "denial":
+                acts = event.request is not None and event.request.type in ACTS
+                return (acts or event.outcome in _DENIALS) and self._record("denial", event)
+            case "write":
+                what = "denial" if event.outcome in _DENIALS else "write"
+                return self._record(what, event)
+            case "start":
+                self._start(event)
+            case "stop":
+                self.retention.stop()
+                self.throttle.close()
+                self._record("stop", event)
+            case what:
+                return self._record(what, event)
+        return True
+
+    def follow(self, command: Command, step: Record) -> None:
+        """Record that a command was accepted, and what became of it."""
+        if step.status == "accepted":
+            self._record("execute", accepted(command))
+        elif step.status in FINAL:
+            self._record("command", ended(command, step))
+
+    def _start(self, event: Event) -> None:
+        """Record that a gateway began, and the head that the one before it left behind."""
+        for record in self._ledger.past(HISTORY):
+            self._host.publish(PATH, record)
+        left = self._ledger.left
+        self._record("start", event, head=left and written(left))
+        self.retention.start()
+
+    def _record(self, what: str, event: Event, **more: Any) -> bool:
+        touches = None if event.touches is None else bounded_touches(event.touches)
+        who = who_did(event, owners_of(event, touches))
+        if not self._passes(what, event, who):
+            return False
+        request = (
+            {} if event.request is None else requested(event.request, event.what, hide=event.hide)
+        )
+        facts = {**who, "path": event.path, **more, **request}
+        facts |= {key: value for key, value in event.facts.items() if value is not None}
+        value = facts.get("value")
+        if value is not None and type(value) is not msgspec.Raw:
+            facts["value"] = bounded(value)
+        if touches is not None:
+            facts["touches"] = list(touches)
+        self._write(what, {**facts, "outcome": event.outcome})
+        return True
+
+    def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
+        """Tell whether an event has a record of its own: a flood of refusals has one for all."""
+        ledger, refusal = self._ledger, what == "denial"
+        waiting = ledger.waiting
+        if not refusal and waiting <= _MOST:
+            return True
+        principal = event.principal
+        key = f"{event.facts.get('transport')}" if principal is None else f"={principal.name}"
+        broken = refusal and ledger.trouble is not None
+        full = broken or waiting > (FULL if refusal else _MOST)
+        return self.throttle.passes(key, who, event.path, event.outcome, full=full)
+
+    def _write(self, what: str, facts: dict[str, Any]) -> None:
+        for key, value in facts.items():
+            if isinstance(value, str):
+                facts[key] = value[:_TEXT]
+        try:
+            data = self._ledger.add(what, facts)
+        except (TypeError, ValueError, OverflowError, RecursionError):
+            data = self._ledger.add(what, {k: v and bounded(v) for k, v in facts.items()})
+        self._ledger.settled(partial(self._publish, data))
+
+    def _publish(self, data: bytes) -> None:
+        self._host.publish(PATH, msgspec.json.decode(data))
+
+    def state(self, *, head: bool) -> dict[str, Any]:
+        """Describe the record for `/system/status`; its head is not for everybody."""
+        ledger = self._ledger
+        trouble = ledger.trouble or (ledger.damage and f"store damaged: {ledger.damage}")
+        state = {"state": "degraded" if trouble else "ok", "kept": ledger.keeps}
+        facts = {"waiting": ledger.waiting or None, "detail": trouble}
+        if head and ledger.committed is not None:
+            facts["head"] = written(ledger.committed)
+        return state | {key: value for key, value in facts.items() if value is not None}

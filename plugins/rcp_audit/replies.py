@@ -1,0 +1,122 @@
+"""Why nobody is told of a write, a command or a refusal before it is on record.
+
+A reply leaves when its record is committed. The robot never waits for that; a store that writes
+adds a moment, one that cannot holds a reply back until its request's deadline and then says so.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+
+from rcp_audit.log import FULL
+from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
+from rcp_kernel.sessions.session import Answer
+from rcp_kernel.store.ledger import Ledger
+from rcp_kernel.wire import Reply, failure
+
+__all__ = ["HeldReplies"]
+
+_LOOK = 0.25  # s between looks for replies whose deadline passes
+_LONGEST = 5.0  # s that a reply is held back at most
+_ESTOP = 0.25  # s for that of an e-stop, which is told in any case
+
+
+class _Held:
+    """A reply that waits for its record."""
+
+    __slots__ = ("anyway", "reply", "send", "until")
+
+    def __init__(self, reply: Reply, send: Answer, until: float, *, anyway: bool) -> None:
+        self.reply: Reply | None = reply
+        self.send = send
+        self.until = until
+        self.anyway = anyway
+
+    def release(self) -> None:
+        reply, self.reply = self.reply, None
+        if reply is not None:
+            self.send(reply)
+
+    def give_up(self) -> None:
+        """Answer without a record, and say so; what is not final is left out."""
+        reply = self.reply
+        if reply is None:
+            return
+        if self.anyway:
+            reply.message = f"{reply.message or ''} The audit record is not written yet.".lstrip()
+            self.release()
+            return
+        self.reply = None
+        if reply.final:
+            said = _unrecorded(reply)
+            said.custom = reply.custom
+            self.send(said)
+
+
+class HeldReplies:
+    """Holds replies back until their records are committed: the `Durability` of the log."""
+
+    def __init__(self, ledger: Ledger, loop: asyncio.AbstractEventLoop) -> None:
+        self._ledger = ledger
+        self._loop = loop
+        self._held: deque[_Held] = deque()
+        self._watching = False
+
+    def check(self) -> None:
+        """Refuse what would have to go on record while that cannot be written.
+
+        :raises QueueFull: the store has trouble, or too many records wait.
+        """
+        ledger = self._ledger
+        if ledger.trouble is not None or ledger.waiting > FULL:
+            raise QueueFull(
+                f"cannot write the audit log ({ledger.trouble or 'the disk is slow'}); commands "
+                "and writes are refused until this works again",
+                remedy="Ask the operator to free disk space for `[store] path`, or to unlock "
+                "the file.",
+                retry_after=1.0,
+            )
+
+    def hold(self, send: Answer, until: float, reply: Reply) -> None:
+        """Send a reply once all records made so far are committed."""
+        self._hold(send, until, reply)
+
+    def hold_estop(self, send: Answer, reply: Reply) -> None:
+        """Send the reply to an e-stop likewise, after a moment in any case."""
+        self._hold(send, self._loop.time() + _ESTOP, reply, anyway=True)
+
+    def _hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
+        if self._ledger.idle:
+            send(reply)
+            return
+        moment = self._loop.time()
+        until = min(max(until, moment + _LOOK), moment + _LONGEST)
+        held = _Held(reply, send, until, anyway=anyway)
+        self._held.append(held)
+        self._ledger.settled(held.release)
+        if not self._watching:
+            self._watching = True
+            self._loop.call_later(_LOOK, self._look)
+
+    def _look(self) -> None:
+        moment = self._loop.time() + _LOOK
+        kept = [held for held in self._held if held.reply is not None]
+        for held in kept:
+            if held.until < moment:
+                held.give_up()
+        self._held = deque(held for held in kept if held.reply is not None)
+        self._watching = bool(self._held)
+        if self._watching:
+            self._loop.call_later(_LOOK, self._look)
+
+
+def _unrecorded(reply: Reply) -> Reply:
+    error = reply.error
+    outcome = reply.status if error is None else error["code"]
+    told: RcpError = DeadlineExceeded(
+        "its audit record could not be written in time, so it cannot be confirmed",
+        remedy="Check the state of the robot and /system/status before you send it again.",
+        details={"outcome": outcome},
+    )
+    return failure(told, reply.type, reply.id, reply.path, command=reply.command)

@@ -1,0 +1,43 @@
+"""Values of any length in a few bytes: as JSON, or if long by their length and hash."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Generator
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import encode_body
+
+__all__ = ["LONGEST", "bounded", "hashed", "hashing"]
+
+_PIECE = 262_144  # bytes that are hashed in one step
+LONGEST = 4096
+"""Bytes of a value that are written out."""
+
+
+def bounded(value: Any) -> Any:
+    """Return a value as JSON, or if long its length and hash."""
+    if isinstance(value, msgspec.Raw):  # it is already
+        return value
+    try:
+        data = encode_body(value, Encoding.JSON)
+    except Exception:  # whatever cannot be written must not keep the rest out of the record
+        return {"unwritable": type(value).__name__}
+    return msgspec.Raw(data) if len(data) <= LONGEST else hashed(data)
+
+
+def hashed(data: bytes) -> dict[str, Any]:
+    """Return what tells of bytes without holding them: their length and hash."""
+    return {"length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+
+
+def hashing(data: bytes) -> Generator[None, None, dict[str, Any]]:
+    """Do as `hashed` does, in steps."""
+    digest, whole = hashlib.sha256(), memoryview(data)
+    for start in range(0, len(data), _PIECE):
+        digest.update(whole[start : start + _PIECE])
+        yield
+    return {"length": len(data), "sha256": digest.hexdigest()}

@@ -1,0 +1,112 @@
+"""What happens in the gateway, told to whoever records it or acts on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol
+
+import msgspec
+import structlog
+
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.wire import Request
+
+__all__ = ["Acting", "Event", "EventBus", "Hear"]
+
+log = structlog.get_logger("rcp.events")
+
+
+class Acting(Protocol):
+    """The session that something was done in."""
+
+    @property
+    def id(self) -> str:
+        """Its id, which is a secret of its client."""
+        ...
+
+    @property
+    def tenant(self) -> str | None:
+        """The tenant in which it acts."""
+        ...
+
+    @property
+    def transport(self) -> str | None:
+        """How its client is connected."""
+        ...
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True):
+    """Something that happened: a write, a refusal, a login, an e-stop, a reload."""
+
+    what: str
+    principal: Principal | None
+    """Who did it; None for the gateway itself, and for those who proved nothing."""
+    session: Acting | None = None
+    request: Request | None = None
+    """The envelope that asked for it."""
+    hide: bool = False
+    """Whether the value of the request belongs to other paths, so that only its hash may be told."""
+    tenant: str | None = None
+    path: str | None = None
+    touches: Iterable[str] | None = None
+    """All paths that it is about, where these are several."""
+    outcome: str = "ok"
+    """`ok`, the code of an error, or what was reached."""
+    facts: Mapping[str, Any] = {}
+    """What else is to be told of it; some may be None."""
+
+
+Hear = Callable[[Event], bool | None]
+"""Takes an event, at once; returns whether replies about it should wait (`Durability`)."""
+
+
+class EventBus:
+    """Tells each event to all who listen; costs nothing where nobody does."""
+
+    def __init__(self) -> None:
+        self.on_event: list[Hear] = []
+
+    def note(
+        self,
+        what: str,
+        *,
+        principal: Principal | None,
+        session: Acting | None = None,
+        request: Request | None = None,
+        hide: bool = False,
+        tenant: str | None = None,
+        path: str | None = None,
+        touches: Iterable[str] | None = None,
+        outcome: str = "ok",
+        **facts: Any,
+    ) -> bool:
+        """Tell that something happened; return whether replies about it should wait."""
+        if not self.on_event:
+            return False
+        return self.tell(
+            Event(
+                what=what,
+                principal=principal,
+                session=session,
+                request=request,
+                hide=hide,
+                tenant=tenant,
+                path=path,
+                touches=touches,
+                outcome=outcome,
+                facts=facts,
+            )
+        )
+
+    def tell(self, event: Event) -> bool:
+        """Tell of an event; return whether replies about it should wait."""
+        told = [self._told(hear, event) for hear in self.on_event]  # all of them hear of it
+        return any(told)
+
+    @staticmethod
+    def _told(hear: Hear, event: Event) -> bool:
+        try:
+            return bool(hear(event))
+        except Exception:  # a listener's bug must not keep anybody from being stopped
+            log.exception("event_listener_failed", what=event.what)
+            return False

@@ -1,0 +1,59 @@
+"""When a final reply may leave: features may have it wait until what it confirms is kept."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from functools import partial
+
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.features import Durability
+from rcp_kernel.sessions.session import Answer
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.wire import Request
+
+__all__ = ["ReplyGate"]
+
+
+class ReplyGate:
+    """Where replies pass what features demand of them; with no such feature they pass at once."""
+
+    def __init__(
+        self, demands: Sequence[Durability], settings: Settings, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._demands = tuple(demands)
+        self._settings = settings
+        self._loop = loop
+
+    def check(self) -> None:
+        """Refuse a write or command whose reply could not leave.
+
+        :raises QueueFull: a feature cannot keep what it has to.
+        """
+        for demand in self._demands:
+            demand.check()
+
+    def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
+        """Return what passes the replies to a request on when they may leave."""
+        if not self._demands:
+            return answer
+        limit = request.deadline or self._settings.limits.deadline
+        if entry is not None:
+            limit = min(limit, entry.resource.timeout or limit)
+        return self._until(answer, limit)
+
+    def follower(self, answer: Answer) -> Answer:
+        """Return what passes the replies on that a further follower of a command gets."""
+        return self._until(answer, self._settings.limits.deadline)
+
+    def _until(self, answer: Answer, limit: float) -> Answer:
+        until = self._loop.time() + limit
+        for demand in self._demands:
+            answer = partial(demand.hold, answer, until)
+        return answer
+
+    def held_estop(self, answer: Answer) -> Answer:
+        """Return what passes the reply to an e-stop on, after a moment at most."""
+        for demand in self._demands:
+            answer = partial(demand.hold_estop, answer)
+        return answer

@@ -1,0 +1,106 @@
+"""What is told of requests: refusals, writes, failed authentication, what actions read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_kernel.contract.events import Event, EventBus
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.peer import Peer
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import tenant_of
+from rcp_kernel.requests.replies import ReplyGate
+from rcp_kernel.sessions.session import Answer, Session
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.wire import Reply, Request
+
+__all__ = ["RequestEvents"]
+
+
+class RequestEvents:
+    """Tells of requests, and has their replies wait where somebody keeps that."""
+
+    def __init__(self, events: EventBus, gate: ReplyGate) -> None:
+        self._events = events
+        self._gate = gate
+
+    def refused(
+        self, session: Session, request: Request, reply: Reply, answer: Answer, *, hide: bool
+    ) -> Answer:
+        """Tell of a refusal; return what its reply goes to.
+
+        `hide` says that the value belongs to other paths than the request's.
+        """
+        error = reply.error or {}
+        wait = self._events.note(
+            "denial",
+            principal=session.principal,
+            session=session,
+            request=request,
+            hide=hide,
+            path=reply.path,
+            outcome=error.get("code", "internal"),
+            message=reply.message,
+        )
+        return self._gate.held(answer, request) if wait else answer
+
+    def unwelcome(self, session: Session, reply: Reply, answer: Answer) -> Answer:
+        """Tell that a `hello` was refused (never what it said); return what its reply goes to."""
+        error = reply.error or {}
+        event = Event(
+            what="denial",
+            principal=session.principal,
+            session=session,
+            outcome=error.get("code", "internal"),
+            facts={"message": reply.message, "request": "hello"},
+        )
+        wait = self._events.tell(event)
+        return self._gate.follower(answer) if wait else answer
+
+    def stranger(
+        self, transport: str, peer: Peer, error: RcpError, principal: Principal | None = None
+    ) -> None:
+        """Tell that somebody proved nothing, or wanted in where they do not act."""
+        self._events.note(
+            "denial",
+            principal=principal,
+            transport=transport,
+            address=peer.address,
+            outcome=error.code,
+            message=error.message,
+        )
+
+    def written(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
+        """Return what tells of the outcome of a write, then passes it on."""
+        held = self._gate.held(answer, request, entry)
+
+        def done(reply: Reply) -> None:
+            self._events.note(
+                "write",
+                principal=session.principal,
+                session=session,
+                request=request,
+                tenant=entry.tenant,
+                path=entry.path,
+                outcome="ok" if reply.error is None else reply.error["code"],
+                message=reply.message,
+            )
+            held(reply)
+
+        return done
+
+    def looked(
+        self, session: Session, request: Request, path: str, told: Any, touches: list[str]
+    ) -> None:
+        """Tell what was read for a session; of what shows each reader its own, not the value."""
+        own = "*" in path or path.startswith("/system/")
+        self._events.note(
+            "read",
+            principal=session.principal,
+            session=session,
+            request=request,
+            tenant=tenant_of(path),
+            path=path,
+            touches=touches,
+            value=None if own else told,
+        )

@@ -1,0 +1,82 @@
+"""What is told of robots that are brought to rest: the dead-man, e-stops, lost commands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rcp_kernel.contract.events import EventBus
+from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.wire import Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.safety.estop import EstopRequest
+
+__all__ = ["SafetyEvents"]
+
+
+class SafetyEvents:
+    """Tells what the gateway does by itself for the safety of robots, and of e-stops."""
+
+    def __init__(self, events: EventBus) -> None:
+        self._events = events
+
+    def dead_man(self, entry: Entry, outcome: str) -> None:
+        """Tell that a command lapsed, or that the robot took the safe value."""
+        self._events.note(
+            "deadman",
+            principal=None,
+            tenant=entry.tenant,
+            path=entry.path,
+            outcome=outcome,
+            value=None if outcome == "lapsed" else safe_value(entry),
+        )
+
+    def stop_step(self, unit: StopGroup, step: str, detail: str | None) -> None:
+        """Tell that a robot under an e-stop was confirmed at rest, or that it moves again."""
+        self._events.note(
+            "stop",
+            principal=None,
+            tenant=unit.tenant,
+            path="/system/estop",
+            robot=unit.name,
+            outcome=step,
+            message=detail,
+        )
+
+    def recovered(self, unit: StopGroup, command: str, done: str) -> None:
+        """Tell what was done with a robot whose command had been lost with its link."""
+        self._events.note(
+            "recovery",
+            principal=None,
+            tenant=unit.tenant,
+            path=command,
+            robot=unit.name,
+            message=done,
+        )
+
+    def estop(
+        self,
+        session: Session,
+        request: Request,
+        asked: EstopRequest,
+        keys: dict[str, str | None],
+        robots: list[StopGroup],
+    ) -> None:
+        """Tell of an e-stop or its reset: in each tenant what is latched there, and its robots."""
+        tenants = dict.fromkeys([*keys.values(), *(robot.tenant for robot in robots)])
+        for tenant in tenants:
+            self._events.note(
+                "estop",
+                principal=session.principal,
+                session=session,
+                request=request,
+                tenant=tenant,
+                path="/system/estop",
+                reset=asked.reset,
+                scope=asked.scope,
+                latches=sorted(key for key, of in keys.items() if of in (None, tenant)),
+                robots=[robot.name for robot in robots if robot.tenant == tenant],
+                reason=asked.reason,
+            )

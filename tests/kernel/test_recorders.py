@@ -1,0 +1,144 @@
+"""What a feature that records hears, and how long replies wait for it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import msgspec
+import pytest
+
+from kernel.world import BOUND, CONFIG, Client, Robot, prepared
+from rcp_kernel.app.features import active
+from rcp_kernel.app.server import running
+from rcp_kernel.config.file import parse
+from rcp_kernel.contract.events import Event
+from rcp_kernel.errors import QueueFull
+from rcp_kernel.features import Feature, FeatureHost, FeatureKind
+from rcp_kernel.sessions.command import Command, Record
+from rcp_kernel.sessions.session import Answer
+from rcp_kernel.wire import Reply
+
+pytestmark = pytest.mark.anyio
+OFF = CONFIG + "\n[features]\napprovals = false\naudit = false\n"
+GO = {"type": "execute", "path": "/action/go", "body": 2.0}
+LIMIT = {"type": "write", "path": "/param/limit", "body": 1.0}
+DARK = {"type": "write", "path": "/param/none", "body": 1.0}
+
+
+class NoKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Nothing to configure."""
+
+
+class BlackBox:
+    """Notes what it hears; as a test says, it has replies wait, refuses, or has a bug."""
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+        self.full = self.broken = False
+        self.holding = asyncio.Event()
+        self.kept = asyncio.Event()
+        self.kept.set()
+
+    def make(self, _table: NoKeys, _host: FeatureHost) -> Feature:
+        return Feature(on_event=self.hear, on_command=self.follow, durability=self)
+
+    def hear(self, event: Event) -> bool:
+        if self.broken:
+            raise ZeroDivisionError
+        asked = "" if event.request is None else f" by {event.request.id}"
+        self.heard.append(f"{event.what} {event.outcome}{asked}")
+        return True
+
+    def follow(self, command: Command, step: Record) -> None:
+        if self.broken:
+            raise ZeroDivisionError
+        self.heard.append(f"{command.path.rpartition('/')[2]} {step.status}")
+
+    def check(self) -> None:
+        if self.full:
+            raise QueueFull("the tape is full")
+
+    def hold(self, send: Answer, until: float, reply: Reply) -> None:
+        self.heard.append(f"holds {reply.status}")
+        self.holding.set()
+        task = asyncio.ensure_future(self.kept.wait())
+        task.add_done_callback(lambda _: send(reply))
+
+    def hold_estop(self, send: Answer, reply: Reply) -> None:
+        self.heard.append(f"holds e-stop {reply.status}")
+        send(reply)
+
+
+@asynccontextmanager
+async def recorded(box: BlackBox) -> AsyncGenerator[tuple[Client, Robot]]:
+    robots: list[Robot] = []
+    config = parse(OFF, "test")
+    made = prepared(config, robots)
+    features = msgspec.structs.replace(config, features={**config.features, "box": True})
+    kinds = {"box": FeatureKind("box", NoKeys, box.make)}
+    made = msgspec.structs.replace(made, features=active(features, kinds, "test"))
+    async with running(made) as server:
+        robots[-1].release.set()
+        yield Client(server.client_api, "operator-operator"), robots[-1]
+
+
+async def test_it_hears_commands_writes_refusals_and_stops_in_their_order() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, _):
+        for envelope in (LIMIT, GO, DARK, {"type": "execute", "path": "/system/estop"}):
+            await client.ask(**envelope)
+    told = [fact.partition(" by ")[0] for fact in box.heard if not fact.startswith("holds")]
+    assert told[0] == "start ok"
+    assert told[-1] == "stop ok"
+    wanted = ["login ok", "write ok", "go accepted", "go in_progress", "go completed"]
+    wanted += ["denial unknown_path", "estop ok"]
+    places = [told.index(fact) for fact in wanted]
+    assert places == sorted(places)
+    assert [fact for fact in box.heard if fact.startswith("write ok by ")] != []
+
+
+async def test_a_reply_leaves_when_its_record_is_kept_and_the_robot_does_not_wait() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, robot):
+        box.kept.clear()
+        asked = asyncio.ensure_future(client.ask(**LIMIT))
+        async with asyncio.timeout(BOUND):
+            await box.holding.wait()
+        assert robot.writes
+        stopped = await client.ask(type="execute", path="/system/estop")
+        assert stopped["status"] == "completed"
+        assert not asked.done()
+        box.kept.set()
+        assert (await asked)["status"] == "completed"
+    assert "holds e-stop completed" in box.heard
+
+
+async def test_what_it_cannot_keep_is_refused_but_never_a_stop() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, robot):
+        box.full = True
+        for envelope in (LIMIT, GO):
+            assert (await client.ask(**envelope))["error"]["code"] == "queue_full"
+        assert robot.writes == []
+        for path in ("/service/hold", "/system/estop"):
+            assert (await client.ask(type="execute", path=path))["status"] == "completed"
+
+
+async def test_a_bug_in_it_keeps_nobody_from_commanding_or_stopping() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, robot):
+        box.broken = True
+        for envelope in (LIMIT, GO, {"type": "execute", "path": "/system/estop"}):
+            assert (await client.ask(**envelope))["status"] == "completed"
+        assert robot.writes
+
+
+async def test_a_gateway_without_the_audit_log_keeps_no_record_and_has_no_trace_of_it() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, _):
+        reply: dict[str, Any] = await client.ask(type="read", path="/system/audit")
+        assert reply["error"]["code"] == "unknown_path"
+        assert "record" not in (await client.ask(type="status"))["body"]
