@@ -64,6 +64,7 @@ class Robot(BaseBackend):
         self.host = host
         self.release = asyncio.Event()
         self.started = asyncio.Event()
+        self.writes: list[Any] = []
         host.declare(
             Resource(name="sensor/pose", description="A pose.", value=Pose, live=True),
             Resource(name="sensor/text", description="A text.", value=str, live=True),
@@ -94,7 +95,7 @@ class Robot(BaseBackend):
         host.publish("param/limit", 1.0)
 
     async def write(self, name: str, value: Any) -> Any:
-        return None
+        self.writes.append(value)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         if name == "service/add":

@@ -27,7 +27,7 @@ def break_(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr("rcp_kernel.sessions.resolver.Resolver.resolve", broken)
-    monkeypatch.setattr("rcp_kernel.requests.read.ReadHandler.read_at_once", lambda *_: None)
+    monkeypatch.setattr("rcp_kernel.requests.read._READ", 0)  # no read is answered without it
 
 
 @pytest.fixture

@@ -50,10 +50,12 @@ async def test_a_map_of_five_megabytes_is_taken(gateway: Site) -> None:
 
 
 async def test_what_comes_after_a_long_message_is_handled_after_it(gateway: Site) -> None:
-    long = json.dumps("x" * 200_000).encode()
+    text, others = "x" * 200_000, "y" * 200_000
+    long = json.dumps(text).encode()
     async with opened(gateway, Authorization=AS) as raw, opened(gateway, Authorization=AS) as other:
         for turn in range(3):
-            other.send(frame(TEXT, written("/tenant/alpha/param/text", long, "o")))
+            body = json.dumps(others).encode()
+            other.send(frame(TEXT, written("/tenant/alpha/param/text", body, "o")))
             first = frame(TEXT, written("/tenant/alpha/param/text", long, "long"))
             then = frame(TEXT, written("/tenant/alpha/param/text", b'"%d"' % turn, "short"))
             raw.send(first + then)
@@ -62,8 +64,10 @@ async def test_what_comes_after_a_long_message_is_handled_after_it(gateway: Site
             said = [(await raw.reply())["id"] for _ in range(302)]
             pings = [id_ for id_ in said if id_ not in ("long", "short")]
             assert pings == [f"{number}" for number in range(300)]
-            assert said.index("long") < said.index("short")
             assert (await other.reply())["status"] == "completed"
+            writes = gateway.robot.writes
+            assert writes.index(text) < writes.index(f"{turn}")
+            writes.clear()
 
 
 async def test_what_was_answered_before_another_connection_took_over_still_comes() -> None:
