@@ -98,12 +98,17 @@ class Robot(BaseBackend):
     def __init__(self, host: Host) -> None:
         self.host = host
         self.longest = Longest()
+        self.values: dict[str, Any] = {"sensor/pose": _POSE, "actuator/drive": Twist()}
+        """By name, what it reads at its sensors."""
+
+    def measure(self, name: str, value: Any) -> None:
+        """Publish the value of a sensor, and keep it for those who ask."""
+        self.values[name] = value
+        self.host.publish(name, value)
 
     async def read(self, name: str) -> Any:
-        """Tell how long the loop was held at most since this was written last."""
-        if name == "param/turn":
-            return self.longest.worst
-        return Twist() if name == "actuator/drive" else 0
+        """Measure; tell how long the loop was held at most since this was written last."""
+        return self.longest.worst if name == "param/turn" else self.values.get(name, 0)
 
     async def write(self, name: str, value: Any) -> None:
         """Take a value."""
@@ -135,12 +140,13 @@ def _main(host: Host) -> Robot:
             for n in range(TEXTS)
         ),
     )
-    host.publish("sensor/map", bytes(MAP))
-    host.publish("sensor/grid", [-1, 0, 100, 100] * (MAP // 20))
-    host.publish("sensor/joints", [0.5] * JOINTS)
+    robot = Robot(host)
+    robot.measure("sensor/map", bytes(MAP))
+    robot.measure("sensor/grid", [-1, 0, 100, 100] * (MAP // 20))
+    robot.measure("sensor/joints", [0.5] * JOINTS)
     for number in range(TEXTS):
-        host.publish(f"sensor/text-{number:04}", "x" * LONG)
-    return Robot(host)
+        robot.measure(f"sensor/text-{number:04}", "x" * LONG)
+    return robot
 
 
 async def _pose(host: Host) -> None:
