@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import msgspec
@@ -227,9 +227,14 @@ class GuardLink:
             ):
                 self._commands.cancel(command, f"the guard stopped the robot: {reason}")
         if supervisor.backend is not None:
-            hold = self._loop.create_task(_bring_to_rest(supervisor))
+            held = ExitStack()  # from now on, not from when the task first runs
+            held.enter_context(supervisor.whole.held())
+            hold = retry_until_confirmed(
+                supervisor.whole.hold, "hold_failed", backend=supervisor.name
+            )
             self._holds.add(hold)
             hold.add_done_callback(self._holds.discard)
+            hold.add_done_callback(lambda _: held.close())
             self._loop.call_later(_HOLD, hold.cancel)
 
     # -- the status ------------------------------------------------------------------------------
@@ -290,12 +295,6 @@ class GuardLink:
                     detail="no known watchdog or guard plan stops it if the gateway freezes or "
                     "is killed",
                 )
-
-
-async def _bring_to_rest(supervisor: BackendSupervisor) -> None:
-    unit = supervisor.whole
-    with unit.held():
-        await retry_until_confirmed(unit.hold, "hold_failed", backend=supervisor.name)
 
 
 def _watchdogs(supervisor: BackendSupervisor) -> Sequence[Any]:
