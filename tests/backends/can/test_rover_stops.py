@@ -19,7 +19,7 @@ from rcp_kernel.testing import Goal, StopRig, StopSuite, eventually
 from rcp_kernel.testing.backend import Robot
 
 
-class TestRoverStops(StopRig, StopSuite):
+class RoverRig(StopRig):
     kind = next(iter(rcp_can.rcp_backends()))
     cancel_within = 4.0
 
@@ -104,3 +104,7 @@ class TestRoverStops(StopRig, StopSuite):
             finally:
                 task.cancel()
                 await asyncio.gather(task, return_exceptions=True)
+
+
+class TestRoverStops(RoverRig, StopSuite):
+    pass
