@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from functools import partial
 
 from rcp_kernel.config.settings import Settings
@@ -18,10 +17,8 @@ __all__ = ["ReplyGate"]
 class ReplyGate:
     """Where replies pass what features demand of them; with no such feature they pass at once."""
 
-    def __init__(
-        self, demands: Sequence[Durability], settings: Settings, loop: asyncio.AbstractEventLoop
-    ) -> None:
-        self._demands = tuple(demands)
+    def __init__(self, settings: Settings, loop: asyncio.AbstractEventLoop) -> None:
+        self.demands: list[Durability] = []
         self._settings = settings
         self._loop = loop
 
@@ -30,12 +27,12 @@ class ReplyGate:
 
         :raises QueueFull: a feature cannot keep what it has to.
         """
-        for demand in self._demands:
+        for demand in self.demands:
             demand.check()
 
     def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
         """Return what passes the replies to a request on when they may leave."""
-        if not self._demands:
+        if not self.demands:
             return answer
         limit = request.deadline or self._settings.limits.deadline
         if entry is not None:
@@ -48,12 +45,12 @@ class ReplyGate:
 
     def _until(self, answer: Answer, limit: float) -> Answer:
         until = self._loop.time() + limit
-        for demand in self._demands:
+        for demand in self.demands:
             answer = partial(demand.hold, answer, until)
         return answer
 
     def held_estop(self, answer: Answer) -> Answer:
         """Return what passes the reply to an e-stop on, after a moment at most."""
-        for demand in self._demands:
+        for demand in self.demands:
             answer = partial(demand.hold_estop, answer)
         return answer
