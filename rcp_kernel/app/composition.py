@@ -347,7 +347,7 @@ def _requests(
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
-    replies = ReplyGate(features.durabilities, base.settings, base.loop)
+    replies = ReplyGate(features.recorders, base.settings, base.loop)
     events = RequestEvents(records.events, replies)
     long_bodies = LongBodies(resolver, features.actions)
     admission = Admission(

@@ -12,8 +12,6 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol
 
-import structlog
-
 from rcp_kernel.clock import now
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.metrics import Histogram
@@ -48,7 +46,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CommandObserver", "Commands"]
 
-log = structlog.get_logger("rcp.commands")
 
 Confirm = Callable[[], Backend]
 """Returns the robot that takes a command, or refuses it by now."""
@@ -77,6 +74,7 @@ class Commands:
     ) -> None:
         """Note commands with `keeper`; `began` is told before one runs, and must cost nothing."""
         self.on_step: list[CommandListener] = []
+        """Those who listen to all commands; they raise nothing."""
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
         self.counts: dict[tuple[str, str], int] = {}
@@ -201,6 +199,11 @@ class Commands:
         work, stops = command.work, entry.unit.stops
         if command.ready is not None:
             await command.ready()
+        if command.unrecorded and not entry.is_hold:
+            raise QueueFull(
+                f"the audit record of {entry.path} could not be written; it was not begun",
+                remedy="Ask the operator to look into the log of the gateway.",
+            )
         backend = confirm()
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
@@ -352,10 +355,7 @@ class Commands:
     def tell(self, command: Command, record: Record) -> None:
         """Tell a step to those who listen to all commands."""
         for hear in self.on_step:
-            try:
-                hear(command, record)
-            except Exception:  # a listener's bug is not the command's
-                log.exception("command_listener_failed", command=command.id, path=command.path)
+            hear(command, record)
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End what runs on a path whose backend is gone, with the reason."""
