@@ -282,7 +282,7 @@ def _features(
     made = make(active, host)
     records.events.on_event += made.event_listeners
     records.journal.on_step += made.command_listeners
-    records.replies.demands += made.durabilities
+    records.replies.demands += made.recorders
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
     clients.accounting.ask(made.accounting)

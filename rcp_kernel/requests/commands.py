@@ -140,6 +140,11 @@ class Commands:
         stops = entry.unit.stops
         if command.ready is not None:
             await command.ready()
+        if command.unrecorded and not entry.is_hold:
+            raise QueueFull(
+                f"the audit record of {entry.path} could not be written; it was not begun",
+                remedy="Ask the operator to look into the log of the gateway.",
+            )
         backend = confirm(call)
         progress = partial(self._progress, command, entry)
         if work is not None:

@@ -307,6 +307,7 @@ class ExecuteHandler:
             again = copy(known.result())
             again.id = request.id
             return again
+        lost = self._replies.lost
         body = service(session, value, dry_run=request.dry_run)
         if request.dry_run:
             return dry_run_reply(request, entry, {"execute": value})
@@ -319,6 +320,7 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
+        reply = self._replies.confirmed(reply, lost)
         if request.idempotency_key is not None:
             outcome: asyncio.Future[Reply] = self._loop.create_future()
             outcome.set_result(reply)

@@ -44,7 +44,7 @@ class CommandJournal:
         self._requests = counts
         self._replies = replies
         self.on_step: list[CommandListener] = []
-        """Who hears of each step of each command, before its followers do."""
+        """Who hears of each step of each command, before its followers do; they raise nothing."""
         self.running: dict[str, Command] = {}
         """Those that have not ended, by id."""
         self.cut_off: list[Command] = []
@@ -118,10 +118,7 @@ class CommandJournal:
     def tell(self, command: Command, step: Record) -> None:
         """Tell a step to those who hear of all commands."""
         for hear in self.on_step:
-            try:
-                hear(command, step)
-            except Exception:  # a listener's bug is not the command's
-                log.exception("command_listener_failed", command=command.id, path=command.path)
+            hear(command, step)
 
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float

@@ -22,6 +22,7 @@ from rcp_kernel.errors import (
     Refused,
 )
 from rcp_kernel.sessions.long_value import plain
+from rcp_kernel.sessions.unrecorded import unrecorded
 from rcp_kernel.spi import Progress
 from rcp_kernel.tree.entry import Entry, is_system
 from rcp_kernel.values import ANY, Encoding
@@ -165,6 +166,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     cancelling: str | None = None
     """Why a cancel was asked for."""
     expired: bool = False
+    unrecorded: bool = False
+    """Whether a step of it is missing in the record, so that its success is not confirmed."""
     timer: asyncio.TimerHandle | None = None
     """Ends the command at its deadline."""
     _listed: _Listed | None = None
@@ -199,7 +202,7 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     def reply(self, record: Record | None = None) -> Reply:
         """Write a step (the latest if not given) as a reply envelope of its own."""
         record = record or self.history[-1]
-        return Reply(
+        reply = Reply(
             type="execute",
             id=self.request_id,
             path=self.path,
@@ -212,6 +215,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
             timestamp=iso(record.time),
             custom=self.custom,
         )
+        lost = self.unrecorded and record.status == "completed"
+        return unrecorded(reply, "could not be written") if lost else reply
 
     @property
     def age(self) -> tuple[int, str]:
