@@ -1,4 +1,4 @@
-"""Two motors as one robot: a differential drive that takes `cmd_vel` as a Twist."""
+"""A differential drive: two motors that take `cmd_vel` as a Twist."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class DiffDrivePart(Part):
         self._name = f"actuator/{name}/cmd_vel"
 
     def resources(self) -> list[Resource]:
-        """Offer `cmd_vel`."""
+        """List `cmd_vel`."""
         return [
             Resource(
                 name=self._name,
@@ -36,9 +36,9 @@ class DiffDrivePart(Part):
         ]
 
     async def write(self, name: str, value: Twist) -> None:
-        """Turn the wheels; both, or neither.
+        """Set both wheel velocities, or neither.
 
-        :raises OutOfRange: a wheel would have to turn faster than it may.
+        :raises OutOfRange: a wheel would exceed its velocity limit.
         """
         check_fence()
         forward, turn = value.linear.x, value.angular.z
