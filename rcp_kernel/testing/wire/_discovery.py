@@ -105,7 +105,8 @@ class Discovery(Wire):
         (level,) = await _found(client, "/sensor/level")
         assert level["profiles"] == ["acme.tank/1.2"]
         for profile in ("acme.tank", "acme.tank/1", "acme.tank/1.2"):
-            assert _names(await _found(client, profile=profile)) == {"sensor/level"}
+            found = _names(await _found(client, profile=profile))
+            assert found == {"sensor/level", "sensor/drone1/level", "sensor/ghost/level"}
         for profile in ("acme", "acme.tan", "acme.tank/2", "acme.tank/1.20", ""):
             assert await _found(client, profile=profile) == []
 
