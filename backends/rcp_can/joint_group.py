@@ -1,4 +1,4 @@
-"""Several motors as one robot: joint positions and synchronized moves."""
+"""Joint groups: several motors commanded together, with synchronized moves."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["JointGroupPart"]
 
 _POLL_PERIOD = 0.01  # s
 _FEEDBACK = 0.1  # s between two reports of a move
-_MOVE = 120.0  # s
+_MOVE = 120.0  # s, the longest that a move may take
 
 
 class JointGroupPart(Part):
@@ -50,13 +50,13 @@ class JointGroupPart(Part):
         self._types = joint_types(self._axes)
         self._states = f"sensor/{name}/joints"
         self._ended: list[RcpError] | None = None
-        """Where the move that is under way is told that it is over."""
+        """Where the move in progress is notified that it has ended."""
         self._seen = 0
         for bus in {axis.bus for axis in axes}:
             bus.after_batch(self._batch)
 
     def resources(self) -> list[Resource]:
-        """Offer joint positions and moves."""
+        """List joint positions and moves."""
         name, types = self._name, self._types
         middle = {axis.name: _near_rest(axis) for axis in self._axes}
         meta = {"joints": [axis.name for axis in self._axes]}
@@ -127,7 +127,7 @@ class JointGroupPart(Part):
         return value
 
     async def write(self, name: str, value: Any) -> None:
-        """Set positions for all listed joints or for none; the others keep theirs."""
+        """Set the positions of all listed joints or of none; the others keep theirs."""
         check_fence()
         targets = self._targets(value)
         if not targets and self._ended is not None:
@@ -154,7 +154,7 @@ class JointGroupPart(Part):
         if driven:
             axis.forget(reason)
         if axis.status.enabled and not axis.stopped:
-            if driven:  # perhaps by the drive's own trajectory, which no set-point holds
+            if driven:  # perhaps by the drive's own trajectory, which no set-point stops
                 axis.rest()
             else:
                 axis.hold()
@@ -222,7 +222,7 @@ class JointGroupPart(Part):
     def _leg(self, axis: Axis, goal: float, speed: float) -> Leg:
         acceleration = axis.config.acceleration or self._config.acceleration
         start = axis.position
-        assert start is not None  # or it would not be ready
+        assert start is not None  # checked before the move began
         return Leg(start, goal, axis.velocity_limit * speed, acceleration)
 
     async def _go(
@@ -266,9 +266,9 @@ class JointGroupPart(Part):
 async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None:
     """Brake along the shared line, and wait until each joint is at rest.
 
-    :raises RcpError: it was cancelled, and a joint is not known to have come to rest.
+    :raises RcpError: the move was cancelled, and a joint is not confirmed to be at rest.
     """
-    if fenced_off():  # the joints are the stop's: nothing of this move is sent any more
+    if fenced_off():  # the stop controls the joints now: this move sends nothing more
         for axis in legs:
             axis.ended = None
         return
@@ -291,7 +291,7 @@ async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None
 async def _settle(axis: Axis, why: BaseException) -> None:
     try:
         if axis.mode == "position" and why is not axis.gone:
-            await rested(axis)  # and it keeps to the place where it has braked
+            await rested(axis)  # and it holds the position where it came to rest
         else:
             await abandon(axis, why)
     except RcpError:
@@ -303,7 +303,7 @@ async def _settle(axis: Axis, why: BaseException) -> None:
 
 
 def _silently(*_: Any, **__: Any) -> None:
-    """Leave the reports to the group."""
+    """Ignore progress: the group reports it."""
 
 
 def _near_rest(axis: Axis) -> float:

@@ -1,4 +1,4 @@
-"""The values of a joint group: one field per joint."""
+"""The value types of a joint group: one field per joint."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class JointTypes(NamedTuple):
     """The types of one group."""
 
     targets: Any
-    """Positions that may be left out, within the joints' limits."""
+    """Positions within the joints' limits; each may be left out."""
     states: Any
     move: Any
     feedback: Any
@@ -28,7 +28,7 @@ class JointTypes(NamedTuple):
 
 
 def joint_types(axes: Sequence[Axis]) -> JointTypes:
-    """Make the types of the group of some joints."""
+    """Create the types for a group of joints."""
 
     def struct(name: str, fields: list[tuple[Any, ...]]) -> Any:
         return msgspec.defstruct(

@@ -149,6 +149,7 @@ class AuditLog:
         """Describe the record for `/system/status`; its head is not for everybody."""
         ledger = self._ledger
         trouble = ledger.trouble or (ledger.damage and f"store damaged: {ledger.damage}")
+        trouble = trouble or self._host.fault
         state = {"state": "degraded" if trouble else "ok", "kept": ledger.keeps}
         facts = {"waiting": ledger.waiting or None, "detail": trouble}
         if head and ledger.committed is not None:

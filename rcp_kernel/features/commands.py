@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Protocol
 
-import structlog
-
 from rcp_kernel.features.guard import Call
+from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.tree.entry import Entry
 
 __all__ = ["CommandEvents", "CommandObserver"]
-
-log = structlog.get_logger("rcp.features")
 
 
 class CommandObserver(Protocol):
@@ -50,53 +47,48 @@ class CommandEvents:
     """Passes on what becomes of commands; nothing depends on whoever hears it."""
 
     def __init__(self) -> None:
-        self._observers: tuple[CommandObserver, ...] = ()
+        self._observers: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
 
-    def configure(self, observers: Iterable[CommandObserver]) -> None:
+    def configure(self, observers: Iterable[tuple[CommandObserver, FeatureHealth]]) -> None:
         """Tell these from now on."""
         self._observers = tuple(observers)
 
     def sent(self, call: Call) -> None:
         """Pass it on."""
-        for observer in self._observers:
+        for observer, health in self._observers:
             try:
                 observer.sent(call)
             except Exception as error:
-                _failed(observer, call.entry, error)
+                health.failed("observer", error, path=call.entry.path)
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
         """Pass it on."""
-        for observer in self._observers:
+        for observer, health in self._observers:
             try:
                 observer.took(entry, value, actual)
             except Exception as error:
-                _failed(observer, entry, error)
+                health.failed("observer", error, path=entry.path)
 
     def refused(self, entry: Entry, value: Any) -> None:
         """Pass it on."""
-        for observer in self._observers:
+        for observer, health in self._observers:
             try:
                 observer.refused(entry, value)
             except Exception as error:
-                _failed(observer, entry, error)
+                health.failed("observer", error, path=entry.path)
 
     def stopping(self, entry: Entry, safe: Any) -> None:
         """Pass it on."""
-        for observer in self._observers:
+        for observer, health in self._observers:
             try:
                 observer.stopping(entry, safe)
             except Exception as error:
-                _failed(observer, entry, error)
+                health.failed("observer", error, path=entry.path)
 
     def rested(self, entry: Entry, safe: Any) -> None:
         """Pass it on."""
-        for observer in self._observers:
+        for observer, health in self._observers:
             try:
                 observer.rested(entry, safe)
             except Exception as error:
-                _failed(observer, entry, error)
-
-
-def _failed(observer: CommandObserver, entry: Entry, error: Exception) -> None:
-    feature = type(observer).__module__
-    log.error("command_observer_failed", feature=feature, path=entry.path, exc_info=error)
+                health.failed("observer", error, path=entry.path)

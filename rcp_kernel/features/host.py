@@ -51,6 +51,11 @@ class FeatureHost(Protocol):
         ...
 
     @property
+    def fault(self) -> str | None:
+        """What of the feature failed last where it should only have listened, since the start."""
+        ...
+
+    @property
     def closing(self) -> bool:
         """Whether the gateway is on its way down: sessions end that the next run resumes."""
         ...

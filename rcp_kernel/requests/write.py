@@ -89,9 +89,10 @@ class WriteHandler:
         if request.dry_run:
             facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
-        noted = self._request_events.written(session, request, entry, answer)
+        held = self._replies.held(answer, request, entry)
         if request.idempotency_key is not None:
-            noted = self._noting(session, request, entry, noted)
+            held = self._noting(session, request, entry, held)
+        noted = self._request_events.written(session, request, entry, held)
         try:
             self._inflight.later(
                 session,

@@ -10,6 +10,7 @@ import structlog
 from rcp_kernel.sessions.account import SessionAccount, joint
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.wire import FINAL
 
 __all__ = ["Accounting", "SessionAccounting", "count_command"]
 
@@ -147,4 +148,4 @@ def count_command(session: Session, command: Command) -> None:
     except Exception:
         log.exception("accounting_failed", command=command.id)
         return
-    command.followers.append(lambda reply: end() if reply.final else None)
+    command.followers.append(lambda _, step: end() if step.status in FINAL else None)
