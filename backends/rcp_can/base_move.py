@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import anyio
 
-from rcp_can import base_messages as m
 from rcp_can.axis import Axis
 from rcp_can.axle import Axle
 from rcp_can.goal_control import Goal, GoalControl
@@ -17,6 +16,7 @@ from rcp_can.standstill import rested
 from rcp_can.together import together
 from rcp_kernel.errors import DeviceRejected, RcpError
 from rcp_kernel.spi import Progress, fenced_off
+from rcp_profiles.messages import MoveFeedback, MoveTo
 
 __all__ = ["BaseMove"]
 
@@ -40,7 +40,7 @@ class BaseMove:
         self._track, self._period = track, period
         self._ended: RcpError | None = None
 
-    async def run(self, wanted: m.MoveTo, progress: Progress) -> float:
+    async def run(self, wanted: MoveTo, progress: Progress) -> float:
         """Drive to the goal; return the distance that is left, m, measured at rest.
 
         :raises DeviceRejected: it makes no progress, or comes to rest elsewhere.
@@ -77,7 +77,7 @@ class BaseMove:
         left = control.distance(self._odometry.place)
         raise DeviceRejected(f"it came to rest {left:.3f} m from the goal, {_ATTEMPTS} times")
 
-    def _speed(self, wanted: m.MoveTo) -> float:
+    def _speed(self, wanted: MoveTo) -> float:
         axle = self._axle
         return min(wanted.speed or axle.top_speed, axle.speed_limit, axle.top_speed)
 
@@ -98,7 +98,7 @@ class BaseMove:
                 raise DeviceRejected(f"it makes no progress, {left:.3f} m from the goal")
             if now - reported_at >= _FEEDBACK:
                 reported_at = now
-                feedback = m.MoveFeedback(left, control.time_left(place, limit))
+                feedback = MoveFeedback(left, control.time_left(place, limit))
                 progress(feedback, fraction=max(0.0, 1 - left / began) if began else 1.0)
             await asyncio.sleep(self._period)
             self._check()

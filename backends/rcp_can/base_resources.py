@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple, Self
 
-from rcp_can import base_messages as m
+from rcp_can.axle import Axle
+from rcp_can.base_messages import DriveStopped
 from rcp_can.config_diff_drive import DiffDriveConfig
 from rcp_kernel.model import Resource
-from rcp_kernel.types import PoseStamped, Twist, quantity
+from rcp_profiles import claim, offer
 
 __all__ = ["BaseNames", "base_resources"]
 
@@ -25,69 +26,50 @@ class BaseNames(NamedTuple):
     stopped: str
 
     @classmethod
-    def make(cls, prefix: str) -> Self:
-        """Place the names below a prefix, which is empty or ends in a slash."""
+    def make(cls, place: str | None) -> Self:
+        """Place the names of the profile below a segment, if one is given."""
+        below = f"{place}/" if place else ""
         return cls(
-            f"actuator/{prefix}cmd_vel",
-            f"sensor/{prefix}velocity",
-            f"sensor/{prefix}pose",
-            f"param/{prefix}speed_limit",
-            f"action/{prefix}move_to",
-            f"event/{prefix}stopped",
+            f"actuator/{below}cmd_vel",
+            f"sensor/{below}velocity",
+            f"sensor/{below}pose",
+            f"param/{below}speed_limit",
+            f"action/{below}move_to",
+            f"event/{below}stopped",
         )
 
 
-def base_resources(
-    names: BaseNames, title: str, config: DiffDriveConfig, top_speed: float, timeout: float
-) -> list[Resource]:
-    """List the resources of one differential drive."""
-    return [
-        Resource(
-            name=names.cmd_vel,
-            description="Drive: linear.x in m/s and angular.z in rad/s; the rest must be zero.",
-            value=Twist,
-            examples=({"linear": {"x": 0.1}}, {"angular": {"z": 0.1}}),
-            max_age=1.0,
+def base_resources(config: DiffDriveConfig, axle: Axle, place: str | None) -> list[Resource]:
+    """List the resources of one differential drive, which has the profile `mobile`."""
+    timeout = max(wheel.config.timeout for wheel in axle.wheels)
+    speed, turn = round(axle.top_speed, 9), round(axle.top_turn, 9)
+    still = (0.0, 0.0)
+    limits = {"linear.x": (-speed, speed), "linear.y": still, "linear.z": still}
+    limits |= {"angular.x": still, "angular.y": still, "angular.z": (-turn, turn)}
+    return claim(
+        ["mobile"],
+        offer(
+            "actuator/cmd_vel",
+            limits,
+            examples=({"linear": {"x": speed / 10}}, {"angular": {"z": turn / 10}}),
             valid_for=config.valid_for,
-            safe={},
         ),
-        Resource(
-            name=names.velocity,
-            description=f"{title}: measured velocity, from its wheels.",
-            value=m.TwistStamped,
-            live=True,
-            deadline=timeout,
-        ),
-        Resource(
-            name=names.pose,
-            description=f"{title}: place and heading since the start, from its wheels; they drift.",
-            value=PoseStamped,
-            live=True,
-            deadline=timeout,
-        ),
-        Resource(
-            name=names.speed_limit,
-            description=f"{title}: maximum speed, for every command.",
-            value=quantity("m/s", ge=0, le=round(top_speed, 9)),
-            examples=(round(top_speed / 2, 4), round(top_speed, 9)),
-        ),
-        Resource(
-            name=names.move_to,
-            description=f"{title}: drive to a place in the frame odom; completes at rest there. It avoids nothing.",
-            input=m.MoveTo,
-            output=m.MoveResult,
-            feedback=m.MoveFeedback,
+        offer("sensor/velocity", live=True, deadline=timeout),
+        offer("sensor/pose", live=True, deadline=timeout),
+        offer("param/speed_limit", (0.0, speed), examples=(speed / 2, speed)),
+        offer(
+            "action/move_to",
             examples=(
-                {"position": {"x": 0.2, "y": 0.0}},
-                {"position": {"x": 0.2, "y": 0.1}, "yaw": 1.57, "speed": 0.2},
+                {"position": {"x": 0.2, "y": 0.0}, "frame": config.frame},
+                {"position": {"x": 0.2, "y": 0.1}, "frame": config.frame, "yaw": 1.57},
             ),
             timeout=_MOVE,
-            max_age=30.0,
         ),
         Resource(
-            name=names.stopped,
-            description=f"{title}: a wheel lost its set-point, so both were stopped.",
-            value=m.DriveStopped,
+            name="event/stopped",
+            description="A wheel lost its set-point, so both were stopped.",
+            value=DriveStopped,
             live=True,
         ),
-    ]
+        place=place,
+    )

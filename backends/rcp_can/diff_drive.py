@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from rcp_can import base_messages as m
 from rcp_can.axis import Axis
 from rcp_can.axle import Axle
+from rcp_can.base_messages import DriveStopped
 from rcp_can.base_move import BaseMove
 from rcp_can.base_resources import BaseNames, base_resources
 from rcp_can.binding import Part
@@ -18,8 +18,10 @@ from rcp_can.motor import released
 from rcp_can.odometry import Odometry
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import AdapterUnavailable, InvalidValue, ModeForbids, RcpError
+from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress, check_fence
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, PoseStamped, Quaternion, Twist
+from rcp_profiles.messages import MoveResult, MoveTo, TwistStamped
 
 __all__ = ["DiffDrivePart"]
 
@@ -31,8 +33,8 @@ class DiffDrivePart(Part):
         self, name: str, config: DiffDriveConfig, left: Axis, right: Axis, host: Host
     ) -> None:
         self._config, self._host = config, host
-        self._names = BaseNames.make("" if config.as_robot else f"{name}/")
-        self._title = f"Differential drive '{name}'"
+        self._place = None if config.as_robot else name
+        self._names = BaseNames.make(self._place)
         self._axle = Axle(config, left, right)
         self._odometry = Odometry(config, left, right)
         self._velocity: Twist | None = None
@@ -40,10 +42,9 @@ class DiffDrivePart(Part):
         for bus in {left.bus, right.bus}:
             bus.after_batch(self._batch)
 
-    def resources(self) -> list[Any]:
-        """Offer the robot's resources."""
-        timeout = max(wheel.config.timeout for wheel in self._axle.wheels)
-        return base_resources(self._names, self._title, self._config, self._axle.top_speed, timeout)
+    def resources(self) -> list[Resource]:
+        """Claim the profile `mobile`."""
+        return base_resources(self._config, self._axle, self._place)
 
     # What it measures
 
@@ -58,14 +59,14 @@ class DiffDrivePart(Part):
     def _pose(self, at: str) -> PoseStamped:
         x, y, heading = self._odometry.place
         turned = Quaternion(z=math.sin(heading / 2), w=math.cos(heading / 2))
-        return PoseStamped(Point(x, y), turned, "odom", at)
+        return PoseStamped(Point(x, y), turned, self._config.frame, at)
 
-    def _moving(self, at: str) -> m.TwistStamped | None:
+    def _moving(self, at: str) -> TwistStamped | None:
         moving = self._axle.moving
         if moving is None:
             return None
         forward, turn = moving
-        return m.TwistStamped(LinearVelocity(forward), AngularVelocity(z=turn), timestamp=at)
+        return TwistStamped(LinearVelocity(forward), AngularVelocity(z=turn), timestamp=at)
 
     async def read(self, name: str) -> Any:
         """Return what both wheels measured last, if both are still connected."""
@@ -90,8 +91,6 @@ class DiffDrivePart(Part):
             return None
         check_fence()
         forward, turn = value.linear.x, value.angular.z
-        if any((value.linear.y, value.linear.z, value.angular.x, value.angular.y)):
-            raise InvalidValue("a differential drive has linear.x and angular.z only")
         if not forward and not turn:
             self.settle(ModeForbids("a velocity of zero ended the move"))
             return None
@@ -113,7 +112,7 @@ class DiffDrivePart(Part):
         self._velocity = None
         self._host.publish(
             self._names.stopped,
-            m.DriveStopped(motor=wheel.name, reason=reason.code, text=reason.message),
+            DriveStopped(motor=wheel.name, reason=reason.code, text=reason.message),
         )
 
     def _limit(self, value: float) -> None:
@@ -124,11 +123,12 @@ class DiffDrivePart(Part):
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Drive to a place."""
-        goal: m.MoveTo = value
-        if goal.frame != "odom":
+        goal: MoveTo = value
+        own = self._config.frame
+        if goal.frame != own:
             raise InvalidValue(
-                f"there is no transform from '{goal.frame}' to 'odom'",
-                remedy="Give the goal in the frame 'odom'.",
+                f"there is no transform from '{goal.frame}' to '{own}'",
+                remedy=f"Give the goal in the frame '{own}'.",
                 details={"pointer": "/frame"},
             )
         for wheel in self._axle.wheels:
@@ -137,7 +137,7 @@ class DiffDrivePart(Part):
         period = 1 / self._axle.wheels[0].config.rate
         move = BaseMove(self._names.move_to, self._axle, self._odometry, self._config.track, period)
         error = await move.run(goal, progress)
-        return m.MoveResult(self._pose(iso(now())), error)
+        return MoveResult(self._pose(iso(now())), error)
 
     # What the services of its motors do with it
 
@@ -154,9 +154,7 @@ class DiffDrivePart(Part):
                 wheel.forget(reason)
         self._axle.rest()
 
-    def reset(self, what: m.Reset) -> None:
+    def reset(self) -> None:
         """Forget odometry and the speed limit."""
-        if what.speed_limit:
-            self._limit(self._axle.top_speed)
-        if what.odometry:
-            self._odometry.reset()
+        self._limit(self._axle.top_speed)
+        self._odometry.reset()

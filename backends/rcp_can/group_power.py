@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import anyio
 
 from rcp_can.axis import Axis
-from rcp_can.base_messages import Reset
 from rcp_can.binding import Part
 from rcp_can.config import CanConfig
 from rcp_can.guard import ready
@@ -20,16 +19,12 @@ from rcp_can.together import together
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, unfenced
+from rcp_profiles import claim, offer
 
 __all__ = ["Group", "GroupPowerPart", "group_powers"]
 
 _SERVICE = 10.0  # s
 _WITHDRAW = 1.0  # s that switching off again may take
-_VERBS = {
-    "enable": "switch the power stages on, without moving: all of them or none.",
-    "disable": "switch the power stages off.",
-    "clear_faults": "clear the faults; the power stages stay off.",
-}
 
 
 class Group(Protocol):
@@ -47,7 +42,7 @@ class Group(Protocol):
         """
         ...
 
-    def reset(self, what: Reset) -> None:
+    def reset(self) -> None:
         """Forget what it has counted, and set parameters to what they were at first."""
         ...
 
@@ -55,48 +50,50 @@ class Group(Protocol):
 class GroupPowerPart(Part):
     """The services of a robot: its power stages as one, and `reset_system`."""
 
-    def __init__(self, prefix: str, title: str, groups: Sequence[Group]) -> None:
-        self._prefix, self._title, self._groups = prefix, title, groups
+    def __init__(self, place: str | None, groups: Sequence[Group]) -> None:
+        self._place, self._groups = place, groups
         self._axes = list(dict.fromkeys(axis for group in groups for axis in group.axes))
-        self._reset_system = f"service/{prefix}reset_system"
 
     def resources(self) -> list[Resource]:
-        """Offer the services."""
-        return [
-            *(
-                Resource(
-                    name=f"service/{self._prefix}{verb}",
-                    description=f"{self._title}: {text}",
-                    timeout=_SERVICE,
-                    energises=verb == "enable",
-                )
-                for verb, text in _VERBS.items()
-            ),
-            Resource(
-                name=self._reset_system,
-                description=f"{self._title}: stop, and reset odometry, faults and the speed limit.",
-                input=Reset | None,
-                examples=(None, {}),
+        """Claim the profile `power`."""
+        motors = ", ".join(axis.name for axis in self._axes)
+        return claim(
+            ["power"],
+            offer("service/reset_system", timeout=_SERVICE),
+            offer(
+                "service/enable",
+                description=f"Switch the power stages of {motors} on, without moving: all or none.",
                 timeout=_SERVICE,
             ),
-        ]
+            offer(
+                "service/disable",
+                description=f"Switch the power stages of {motors} off.",
+                timeout=_SERVICE,
+            ),
+            Resource(
+                name="service/clear_faults",
+                description=f"Clear the faults of {motors}; the power stages are not switched.",
+                timeout=_SERVICE,
+            ),
+            place=self._place,
+        )
 
     async def execute(self, name: str, value: Any, progress: Progress) -> None:
         """Switch all motors, or reset."""
-        if name == self._reset_system:
-            await self._reset(value or Reset())
+        verb = name.rpartition("/")[2]
+        if verb == "reset_system":
+            await self._reset()
         else:
-            await _switch(name.rpartition("/")[2], self._axes)
+            await _switch(verb, self._axes)
 
-    async def _reset(self, what: Reset) -> None:
+    async def _reset(self) -> None:
         with suppress(AdapterUnavailable):  # a motor that is gone has a fault, which stays
             for group in self._groups:
                 group.settle(ModeForbids("a reset ended the move"))
         await together(rested(axis) for axis in self._axes if axis.online and axis.blind is None)
-        if what.faults:
-            await together(axis.clear_faults() for axis in self._axes)
+        await together(axis.clear_faults() for axis in self._axes)
         for group in self._groups:
-            group.reset(what)
+            group.reset()
 
 
 def group_powers(
@@ -105,17 +102,13 @@ def group_powers(
     """Make the services of each group; those that are the robot share one set."""
     tables = (*config.diff_drives.items(), *config.joint_groups.items())
     named = list(zip(tables, (*drives, *joints), strict=True))
-    found = [
-        GroupPowerPart(f"{name}/", f"'{name}'", [group])
-        for (name, table), group in named
-        if not table.as_robot
-    ]
+    found = [GroupPowerPart(name, [group]) for (name, table), group in named if not table.as_robot]
     robot = [group for (_, table), group in named if table.as_robot]
-    return [*found, GroupPowerPart("", "Robot", robot)] if robot else found
+    return [*found, GroupPowerPart(None, robot)] if robot else found
 
 
 async def _switch(verb: str, axes: Sequence[Axis]) -> None:
-    """Do one of `_VERBS` with all motors.
+    """Enable, disable or clear the faults of all motors.
 
     :raises RcpError: one of them does not; after `enable`, none is on that was not on before.
     """

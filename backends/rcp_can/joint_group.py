@@ -11,7 +11,6 @@ import anyio
 
 from rcp_can import motor_messages as m
 from rcp_can.axis import Axis
-from rcp_can.base_messages import Reset
 from rcp_can.binding import Part
 from rcp_can.config_joints import JointGroupConfig
 from rcp_can.guard import check, check_feedback, check_link, ready
@@ -188,7 +187,7 @@ class JointGroupPart(Part):
         for axis in self._axes:
             check_link(axis)
 
-    def reset(self, what: Reset) -> None:
+    def reset(self) -> None:
         """Do nothing: it counts nothing, and has no parameters."""
 
     # Moves

@@ -100,7 +100,7 @@ class Rover(Rig):
         )
 
     def moving(self, x: float, y: float = 0.0, **more: Any) -> asyncio.Future[Any]:
-        goal = {"position": {"x": x, "y": y}, **more}
+        goal = {"position": {"x": x, "y": y}, "frame": "odom", **more}
         return asyncio.ensure_future(self.execute("action/move_to", goal))
 
     def stops(self) -> list[Any]:

@@ -22,6 +22,7 @@ from rcp_kernel.errors import (
     OutOfRange,
     RcpError,
 )
+from rcp_kernel.values import to_plain
 
 LOST = (AdapterUnavailable, DeviceTimeout)
 
@@ -69,7 +70,7 @@ async def test_what_a_wheel_cannot_is_refused_and_the_speed_limit_slows_on_the_s
         await rig.write("param/speed_limit", 0.1)  # and what is in force obeys it
         await rig.until(lambda: rig.truth.moving[0] < 0.11)
         assert await rig.backend.read("param/speed_limit") == 0.1
-        with pytest.raises(InvalidValue):
+        with pytest.raises(OutOfRange):
             await rig.write("actuator/cmd_vel", {"linear": {"y": 0.1}})
 
 
@@ -153,7 +154,7 @@ async def test_bus_off_stops_it_and_nothing_moves_when_the_bus_is_back() -> None
 
 async def test_odometry_goes_on_without_a_jump_when_a_drive_has_rebooted() -> None:
     async with rover() as rig:
-        await rig.ran("action/move_to", {"position": {"x": 0.5, "y": 0.0}})
+        await rig.moving(0.5)
         before = rig.place
         places = len(rig.host.events("sensor/pose"))
 
@@ -169,7 +170,7 @@ async def test_odometry_goes_on_without_a_jump_when_a_drive_has_rebooted() -> No
         for pose in rig.host.events("sensor/pose")[places:]:
             assert pose.position.x == pytest.approx(before.x, abs=0.01)
         await rig.ran("service/enable")
-        await rig.ran("action/move_to", {"position": {"x": 1.0, "y": 0.0}})
+        await rig.moving(1.0)
         assert rig.place.x == pytest.approx(1.0, abs=0.06)
 
 
@@ -191,7 +192,7 @@ async def test_odometry_counts_what_the_wheels_turn_not_what_they_were_told() ->
 )
 async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None) -> None:
     async with rover() as rig:
-        moved = await rig.ran("action/move_to", {"position": {"x": x, "y": y}, "yaw": yaw})
+        moved = to_plain(await rig.moving(x, y, yaw=yaw))
         assert rig.truth.still()
         assert math.hypot(rig.place.x - x, rig.place.y - y) < 0.06
         assert moved["error"] < 0.05
@@ -205,7 +206,7 @@ async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None)
 
 async def test_distance_and_time_left_shrink_on_the_way() -> None:
     async with rover() as rig:
-        await rig.ran("action/move_to", {"position": {"x": 1.5, "y": 0.0}, "speed": 0.6})
+        await rig.moving(1.5, speed=0.6)
         told = [feedback for feedback, _ in rig.feedback]
         assert len(told) > 10
         distances = [each.distance_remaining for each in told]

@@ -54,7 +54,7 @@ class RoverRig(StopRig):
         await self.running.ask("execute", "service/enable")
 
     def goals(self) -> Mapping[str, Goal]:
-        near, far = ({"position": {"x": x, "y": 0.0}} for x in (0.2, 5.0))
+        near, far = ({"position": {"x": x, "y": 0.0}, "frame": "odom"} for x in (0.2, 5.0))
         return {"action/move_to": Goal(good=near, long=far)}
 
     async def at_rest(self) -> bool:
