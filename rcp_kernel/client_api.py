@@ -38,7 +38,7 @@ from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
-from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.connections import Connection, ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
@@ -381,11 +381,15 @@ class ClientApi:
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""
         held = self._parts.replies.follower(answer)
-        command.followers.append(held)
+
+        def told(command: Command, step: Record) -> None:
+            held(command.reply(step))
 
         def stop() -> None:
-            if held in command.followers:
-                command.followers.remove(held)
+            if told in command.followers:
+                command.followers.remove(told)
+
+        command.followers.append(told)
 
         return stop
 

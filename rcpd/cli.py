@@ -1,4 +1,4 @@
-"""`rcpd`: demo, serve, check, plugins, new, audit, token, version, and plugin commands."""
+"""`rcpd`: demo, serve, check, plugins, profiles, new, audit, token, version, plugin commands."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.store.damage import find_damage
 from rcpd.audit import audit
 from rcpd.exits import FAILED, fail
+from rcpd.profiles import profiles
 from rcpd.scaffold import KINDS, write_plugin
 from rcpd.store import store
 from rcpd.tokens import token
@@ -47,6 +48,7 @@ def main() -> None:
 
 
 main.add_command(audit)
+main.add_command(profiles)
 main.add_command(store)
 main.add_command(token)
 

@@ -163,8 +163,8 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
 def _keep_record(stack: AsyncExitStack, kernel: Kernel) -> None:
     name = kernel.settings.config.name
     kernel.event_bus.note("start", principal=None, name=name, version=gateway_version())
-    for command in kernel.history.cut_off:
-        kernel.commands.tell(command, command.history[-1])
+    for command in kernel.journal.cut_off:
+        kernel.journal.tell(command, command.history[-1])
     kernel.resume.start()
 
     def stop() -> None:

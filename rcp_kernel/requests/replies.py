@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from functools import partial
 from typing import Protocol
 
@@ -29,10 +28,8 @@ class Demand(Durability, Protocol):
 class ReplyGate:
     """Where replies pass what features demand of them; with no such feature they pass at once."""
 
-    def __init__(
-        self, demands: Sequence[Demand], settings: Settings, loop: asyncio.AbstractEventLoop
-    ) -> None:
-        self._demands = tuple(demands)
+    def __init__(self, settings: Settings, loop: asyncio.AbstractEventLoop) -> None:
+        self.demands: list[Demand] = []
         self._settings = settings
         self._loop = loop
 
@@ -41,13 +38,16 @@ class ReplyGate:
 
         :raises QueueFull: a feature cannot keep what it has to.
         """
-        for demand in self._demands:
+        for demand in self.demands:
             demand.check()
 
     @property
     def lost(self) -> int:
         """How many events were not recorded: has it grown, then what was just told is unconfirmed."""
-        return sum(demand.lost for demand in self._demands)
+        lost = 0
+        for demand in self.demands:
+            lost += demand.lost
+        return lost
 
     def confirmed(self, reply: Reply, lost: int) -> Reply:
         """Return a reply, or one that confirms nothing if something is unrecorded since `lost`."""
@@ -57,7 +57,7 @@ class ReplyGate:
 
     def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
         """Return what passes the replies to a request on when they may leave."""
-        if not self._demands:
+        if not self.demands:
             return answer
         limit = request.deadline or self._settings.limits.deadline
         if entry is not None:
@@ -70,12 +70,12 @@ class ReplyGate:
 
     def _until(self, answer: Answer, limit: float) -> Answer:
         until = self._loop.time() + limit
-        for demand in self._demands:
+        for demand in self.demands:
             answer = partial(demand.hold, answer, until)
         return answer
 
     def held_estop(self, answer: Answer) -> Answer:
         """Return what passes the reply to an e-stop on, after a moment at most."""
-        for demand in self._demands:
+        for demand in self.demands:
             answer = partial(demand.hold_estop, answer)
         return answer

@@ -108,6 +108,7 @@ def rcpctl() -> None:
 @click.option("--op", type=click.Choice(["read", "write", "execute", "subscribe"]),
               help="Only resources on which you may use this operation.")  # fmt: skip
 @click.option("-q", "--query", "q", metavar="WORDS", help="Words in the path or description.")
+@click.option("--profile", metavar="NAME", help="Only resources that this profile defines.")
 @click.pass_context
 def discover(ctx: click.Context, **arguments: Any) -> int:
     """List resources; for a single path, show the resource with its schemas and examples."""

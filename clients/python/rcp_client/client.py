@@ -406,11 +406,13 @@ class Client:
         kind: str | None = None,
         op: str | None = None,
         q: str | None = None,
+        profile: str | None = None,
         schemas: bool = True,
     ) -> list[ResourceInfo]:
-        """List the matching resources: by path, `kind`, operation, and words in `q`."""
+        """List the matching resources: by path, `kind`, operation, words in `q`, and `profile`."""
         found: list[ResourceInfo] = []
-        body = {**kept({"kind": kind, "op": op, "q": q, "limit": _PAGE}), "schemas": schemas}
+        wanted = {"kind": kind, "op": op, "q": q, "profile": profile, "limit": _PAGE}
+        body = {**kept(wanted), "schemas": schemas}
         envelope = kept({"type": "discover", "path": pattern, "body": body})
         async for reply in pages(self.channel.ask, envelope):
             found += msgspec.convert(reply.body["resources"], list[ResourceInfo])

@@ -106,6 +106,8 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     safe: Any = None
     native: str | None = None
     meta: dict[str, Any] = {}
+    profiles: list[str] = []
+    """The profiles of its robot that it is part of: `name/version`."""
 
 
 _ENVELOPE = frozenset(("type", "code", "message", "path", "id", "timestamp"))

@@ -244,6 +244,8 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
     """Name of the backend's own serialized type (`nav_msgs/msg/Odometry`), if it has one."""
     meta: dict[str, Any] = {}
     """Further facts for discovery: the topic, node or register behind the path."""
+    profiles: tuple[str, ...] = ()
+    """The profiles of its robot that it is part of, as `name/version`; set by `rcp_profiles.claim`."""
 
     def __post_init__(self) -> None:
         kind_of(self.name)

@@ -75,7 +75,8 @@ async def _run(
 
 
 async def _discover(client: Client, out: Output, args: Arguments) -> int:
-    found = await client.discover(args["pattern"], kind=args["kind"], op=args["op"], q=args["q"])
+    wanted = {name: args[name] for name in ("kind", "op", "q", "profile")}
+    found = await client.discover(args["pattern"], **wanted)
     if out.json:
         for resource in found:
             out.document(resource)
