@@ -249,10 +249,10 @@ class JointGroupPart(Part):
 
     async def _arrive(self, legs: dict[Axis, Leg], ended: list[RcpError]) -> None:
         """Wait until every drive reports that it has reached its goal."""
-        ways = _together(
+        waits = _together(
             drive_to(axis, m.Move(position=leg.goal), _silently) for axis, leg in legs.items()
         )
-        arriving = asyncio.ensure_future(ways)
+        arriving = asyncio.ensure_future(waits)
         try:
             while not arriving.done():
                 await asyncio.wait((arriving,), timeout=_POLL_PERIOD)

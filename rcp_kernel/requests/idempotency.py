@@ -158,8 +158,8 @@ class Keys:
 
 def _name(session: Session, key: str, path: str) -> str:
     """Name a key: that of a principal, by its proof, in one tenant."""
-    who, proof = session.principal.identity
-    text = f"{len(who)}:{who}:{proof}:{tenant_of(path)}:{key}"
+    name, proof = session.principal.identity
+    text = f"{len(name)}:{name}:{proof}:{tenant_of(path)}:{key}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
