@@ -1,4 +1,4 @@
-"""Who decides on a question, and what is on record of it."""
+"""Decisions on approvals, and their audit records."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ __all__ = ["Decisions"]
 
 
 class Decisions:
-    """Shows questions to those whom they concern, and takes their decisions."""
+    """Shows approvals to those concerned, and accepts their decisions."""
 
     def __init__(self, questions: Questions, host: FeatureHost) -> None:
         self._questions = questions
         self._host = host
 
     def view(self, session: Session) -> list[dict[str, Any]]:
-        """List what a session may decide on, or has asked for; newest first."""
+        """List the approvals that a session may decide on or has requested, newest first."""
         every = reversed(self._questions.known.values())
         return [to_plain(q.state) for q in every if self._sees(session, q) and q.status]
 
     def request(
         self, session: Session, asked: ApprovalRequest, *, dry_run: bool
     ) -> ApprovalState | None:
-        """Decide as somebody else than who asked.
+        """Decide as a principal other than the requester.
 
-        :raises UnknownPath: there is no such question for this principal.
-        :raises Forbidden: it may not decide, or there is nothing to decide any more.
+        :raises UnknownPath: this principal has no such approval.
+        :raises Forbidden: it may not decide, or the approval is no longer pending.
         """
         found = self._find(session, asked.id)
         if session.principal.identity == found.asker:
@@ -54,9 +54,9 @@ class Decisions:
         return msgspec.structs.replace(found.state)
 
     def answer(self, session: Session, id_: str, decision: Decision, reason: str | None) -> None:
-        """Decide as the person whom the client of a session has asked.
+        """Decide as the person at the session's client.
 
-        :raises RcpError: as `ApprovalService.answer` does.
+        :raises RcpError: as `ApprovalService.answer`.
         """
         session.charge()
         found = self._find(session, id_)
@@ -107,7 +107,7 @@ class Decisions:
             approval=state.approval,
             asker=state.principal,
             request=state.request,
-            # The values of a plan are told with the requests of its steps.
+            # The values of a plan are reported with the requests of its steps.
             value=hashed(msgspec.json.encode(shown)) if plan else shown,
             steps=list(state.steps) or None,
             reason=reason,

@@ -1,6 +1,6 @@
-"""Every question that is open, and those decided lately.
+"""Pending and recently decided approvals.
 
-Kept in memory: a restart forgets what was asked and approved, and it is asked anew.
+Kept in memory: after a restart, approvals must be requested again.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from rcp_kernel.wire import Request
 
 __all__ = ["Questions"]
 
-_EACH = 64  # that one principal may have asked for
+_EACH = 64  # approvals requested by one principal
 _ALL = 4096
 
 
 class Questions:
-    """Asks, remembers, and lets each approved command pass once."""
+    """Creates and stores approvals, and lets each approved command pass once."""
 
     def __init__(self, config: ApprovalsConfig, host: FeatureHost) -> None:
         self.config = config
@@ -37,15 +37,15 @@ class Questions:
         """By id, oldest first."""
 
     def changed(self) -> None:
-        """Have everybody who looks at the list see it anew."""
+        """Notify subscribers that the list has changed."""
         self._host.changed(PATH)
 
     def demand(
         self, session: Session, request: Request, entry: Entry, value: Any, about: About
     ) -> None:
-        """Use an approval of a command up, or ask for one.
+        """Use an approval, or request one.
 
-        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand` does.
+        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand`.
         """
         digest = digest_of(session.principal, request.type, entry.path, value)
         if request.approval is not None:
@@ -103,9 +103,9 @@ class Questions:
         return asked
 
     def _make_room(self, principal: Principal) -> None:
-        """Make room for one more question: what is over goes first.
+        """Remove old approvals to make room for a new one.
 
-        :raises QueueFull: too many wait for an answer.
+        :raises QueueFull: too many are pending.
         """
         moment = now()
         mine = [q for q in self.known.values() if q.asker == principal.identity]
@@ -120,7 +120,7 @@ class Questions:
             del self.known[over.state.approval]
 
     def _drop(self) -> None:
-        """Let the oldest question go: one that is over, or of the tenants that ask most."""
+        """Remove the oldest approval: a finished one, or one of the tenants with the most."""
         moment = now()
         counts = Counter(asked.tenants for asked in self.known.values())
         most = max(counts, key=lambda tenants: counts[tenants])

@@ -84,7 +84,7 @@ class CommandJournal:
             del history[1]
         if status in FINAL:
             self._close(command, step)
-        if status != "in_progress":
+        if status != "in_progress" and self._store.keeps:
             self.keep(command)
         self.tell(command, step)
         for follower in tuple(command.followers):
@@ -103,8 +103,6 @@ class CommandJournal:
 
     def keep(self, command: Command) -> None:
         """Have the store keep a command's present state."""
-        if not self._store.keeps:
-            return
         try:
             row = as_row(command)
         except Exception:  # the command goes on, whether it can be written down or not
@@ -137,7 +135,7 @@ class CommandJournal:
         def told(command: Command, step: Record) -> None:
             reply = command.reply(step)
             reply.id = request.id  # others may follow the same command under ids of theirs
-            if reply.final:
+            if step.status in FINAL:
                 session.inflight.pop(key, None)
                 self._requests.conclude(session, reply, started)
             answer(reply)

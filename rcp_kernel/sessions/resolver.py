@@ -72,7 +72,7 @@ class Resolver:
         :raises Forbidden: they do not.
         """
         rights = session.rights
-        if rights.permits(entry, operation):
+        if rights.masks.get(entry.path, 0) & int(operation) or rights.permits(entry, operation):
             return
         wanted = operation_names(operation)[0]
         text = f"{session.principal.name} may not {wanted} {entry.path}"
