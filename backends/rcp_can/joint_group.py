@@ -245,11 +245,11 @@ class JointGroupPart(Part):
                 raise ended[0]
 
     async def _arrive(self, legs: dict[Axis, Leg], ended: list[RcpError]) -> None:
-        """Wait until every drive reports that it is at its goal."""
-        ways = together(
+        """Wait until every drive reports that it has reached its goal."""
+        waits = together(
             drive_to(axis, m.Move(position=leg.goal), _silently) for axis, leg in legs.items()
         )
-        arriving = asyncio.ensure_future(ways)
+        arriving = asyncio.ensure_future(waits)
         try:
             while not arriving.done():
                 await asyncio.wait((arriving,), timeout=_POLL_PERIOD)

@@ -83,8 +83,8 @@ class Question:
 
 def digest_of(principal: Principal, type_: str, path: str, value: Any) -> bytes:
     """Return a digest that identifies one command of one principal."""
-    who, proof = principal.identity
-    data = msgspec.msgpack.encode([who, proof, type_, path, to_plain(value)], order="sorted")
+    name, proof = principal.identity
+    data = msgspec.msgpack.encode([name, proof, type_, path, to_plain(value)], order="sorted")
     return hashlib.sha256(data).digest()
 
 

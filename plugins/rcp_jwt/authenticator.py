@@ -56,8 +56,8 @@ class JwtAuthenticator(Authenticator):
             fresh.start(self._changed)
 
     def _changed(self) -> None:
-        for told in self.on_change:
-            told()
+        for callback in self.on_change:
+            callback()
 
     def recognises(self, token: str) -> bool:
         """Return whether a token has the form of a JWT and issuers are configured."""

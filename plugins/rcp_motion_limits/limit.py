@@ -207,9 +207,9 @@ class MotionLimit:
             )
         values = self._conditions.values(when.refs, self.entry)
         known = {".".join(ref): values.get(ref) for ref in when.refs}
-        said = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
+        listed = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
         raise PreconditionFailed(
-            f"the condition {when.text} does not hold: {said}{self.why}",
+            f"the condition {when.text} does not hold: {listed}{self.why}",
             path=self.entry.path,
             details={"condition": when.text, "values": known, **self.facts()},
         )

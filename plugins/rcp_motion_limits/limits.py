@@ -128,9 +128,9 @@ class MotionLimits:
         """Apply the limits of a configuration from now on."""
         tables = config.envelopes
         self._tables = [(table, patterns(table.paths)) for table in tables]
-        asked = [condition(table.when) for table in tables if table.when is not None]
+        conditions = [condition(table.when) for table in tables if table.when is not None]
         modes = [condition("mode")] if any(table.modes for table in tables) else []
-        self._robots.conditions.use([*asked, *modes])
+        self._robots.conditions.use([*conditions, *modes])
         if not tables:
             self._period += 1
         paths = self._robots.entries if tables else self._bound
@@ -239,8 +239,8 @@ class MotionLimits:
         else:
             self.drivers.pop(path, None)
         if old is not None or new is not None:
-            for told in self.on_bound:
-                told(path, old, new)
+            for callback in self.on_bound:
+                callback(path, old, new)
 
 
 def _called(entry: Entry) -> bool:
