@@ -1,4 +1,4 @@
-"""`rcpd token`: API keys made and taken back, also while the gateway runs."""
+"""`rcpd token`: create and revoke API keys, also while the gateway runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["token"]
 
 _UNITS = {"m": 60, "h": 3600, "d": 86_400, "w": 604_800}  # s
 _S = 1_000_000_000  # ns
-_GLANCE = 0.2  # s that the store is looked through for damage
+_GLANCE = 0.2  # s spent checking the store for damage
 _NAME = r"[A-Za-z0-9_.@-]{1,64}"
 
 
@@ -123,7 +123,7 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Generator[TokenFile]:
-    """Open the keys that the gateway looks at: beside a damaged store, if it goes on there.
+    """Open the keys that the gateway uses: beside a damaged store, if it continues there.
 
     :raises ConfigError: they cannot be read or written.
     """
@@ -153,7 +153,7 @@ def _read(config: Path | None, store: Path | None) -> list[Token]:
 
 
 def _found(config: Path | None, store: Path | None) -> tuple[Path, GatewayConfig | None]:
-    """Return the store, and the configuration that names it."""
+    """Return the store, and the configuration that names it, if any."""
     from rcp_kernel.access.identities import store_file
     from rcp_kernel.config.file import load
 

@@ -21,6 +21,9 @@ class JointGroupConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     valid_for: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})] = 0.5
     """Validity of joint positions in s, before the dead-man stops the joints."""
 
+    as_robot: bool = False
+    """Offer `action/move_joints`, not `action/<name>/move_joints`: the backend's robot is this arm."""
+
     def __post_init__(self) -> None:
         if len(set(self.joints)) != len(self.joints):
             raise ValueError("`joints` lists a motor twice")

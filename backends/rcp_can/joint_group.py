@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Coroutine, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import anyio
@@ -17,8 +17,8 @@ from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.joint_types import joint_types
 from rcp_can.motor import abandon, drive_to, released
 from rcp_can.path import Leg, Path
-from rcp_can.power_switch import enable
 from rcp_can.standstill import rested
+from rcp_can.together import together
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, ModeForbids, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress, check_fence, fenced_off
@@ -89,15 +89,6 @@ class JointGroupPart(Part):
                 max_age=1.0,
                 meta=meta,
             ),
-            *(
-                Resource(
-                    name=f"service/{name}/{verb}",
-                    description=f"Joints of '{name}': {text}",
-                    timeout=10.0,
-                    energises=verb == "enable",
-                )
-                for verb, text in _SERVICES.items()
-            ),
         ]
 
     def _batch(self) -> None:
@@ -147,8 +138,8 @@ class JointGroupPart(Part):
             if axis in targets:
                 axis.command("position", targets[axis])
             else:
-                self._rest(axis)
-        if not targets:  # a stop that may not have reached every joint does not count as one
+                self._rest(axis, ModeForbids(f"a stop of '{self._name}' ended the move"))
+        if not targets:  # a stop that may not have reached every joint is no stop
             for axis in self._axes:
                 check_link(axis)
 
@@ -157,10 +148,10 @@ class JointGroupPart(Part):
         wanted = {axis: getattr(value, field) for axis, field in found}
         return {axis: position for axis, position in wanted.items() if position is not None}
 
-    def _rest(self, axis: Axis) -> None:
+    def _rest(self, axis: Axis, reason: RcpError) -> None:
         driven = axis.owner is not None
         if driven:
-            axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
+            axis.forget(reason)
         if axis.status.enabled and not axis.stopped:
             if driven:  # perhaps by the drive's own trajectory, which no set-point stops
                 axis.rest()
@@ -176,22 +167,28 @@ class JointGroupPart(Part):
         check(axis)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Move the joints together, or run a service on all of them."""
-        verb = name.rpartition("/")[2]
-        if verb != "disable":
-            for axis in self._axes:
-                await ready(axis)
-                await released(axis)
-        match verb:
-            case "enable":
-                await _together(enable(axis) for axis in self._axes if not axis.status.enabled)
-            case "disable":
-                await _together(axis.disable() for axis in self._axes)
-            case "clear_faults":
-                await _together(axis.clear_faults() for axis in self._axes)
-            case _:
-                return await self._move(value, name, progress)
-        return None
+        """Move the joints together."""
+        for axis in self._axes:
+            await ready(axis)
+            await released(axis)
+        return await self._move(value, name, progress)
+
+    # What the services of its motors do with it
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """Its motors."""
+        return self._axes
+
+    def settle(self, reason: RcpError) -> None:
+        """Bring all joints to rest; what drives them ends with `reason`."""
+        for axis in self._axes:
+            self._rest(axis, reason)
+        for axis in self._axes:
+            check_link(axis)
+
+    def reset(self) -> None:
+        """Do nothing: it counts nothing, and has no parameters."""
 
     # Moves
 
@@ -249,10 +246,10 @@ class JointGroupPart(Part):
 
     async def _arrive(self, legs: dict[Axis, Leg], ended: list[RcpError]) -> None:
         """Wait until every drive reports that it has reached its goal."""
-        ways = _together(
+        waits = together(
             drive_to(axis, m.Move(position=leg.goal), _silently) for axis, leg in legs.items()
         )
-        arriving = asyncio.ensure_future(ways)
+        arriving = asyncio.ensure_future(waits)
         try:
             while not arriving.done():
                 await asyncio.wait((arriving,), timeout=_POLL_PERIOD)
@@ -263,13 +260,6 @@ class JointGroupPart(Part):
             arriving.cancel()
             with anyio.CancelScope(shield=True):
                 await asyncio.wait((arriving,))
-
-
-_SERVICES = {
-    "enable": "switch the power stages on, without moving.",
-    "disable": "switch the power stages off.",
-    "clear_faults": "clear the faults; the power stages stay off.",
-}
 
 
 async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None:
@@ -309,23 +299,6 @@ async def _settle(axis: Axis, why: BaseException) -> None:
         raise
     finally:
         axis.leaving = False
-
-
-async def _together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
-    """Run all concurrently; the first failure cancels the others and is raised."""
-    tasks = [asyncio.ensure_future(each) for each in work]
-    if not tasks:
-        return
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
-    finally:
-        for task in tasks:
-            task.cancel()
-        with anyio.CancelScope(shield=True):
-            await asyncio.wait(tasks)
-    for task in tasks:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            raise error
 
 
 def _silently(*_: Any, **__: Any) -> None:

@@ -79,10 +79,10 @@ class Wheels:
         if rover is not self._rover:
             self._rover = rover
         else:
-            way = (rover.path - self._path) * self._grow
+            distance = (rover.path - self._path) * self._grow
             turn = (rover.turned - self._turned) * self._twist
-            self.x += way * math.cos(self.yaw + turn / 2)
-            self.y += way * math.sin(self.yaw + turn / 2)
+            self.x += distance * math.cos(self.yaw + turn / 2)
+            self.y += distance * math.sin(self.yaw + turn / 2)
             self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
         self._path, self._turned = rover.path, rover.turned
 

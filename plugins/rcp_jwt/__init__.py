@@ -1,4 +1,4 @@
-"""JSON Web Tokens: clients authenticate with tokens that issuers of the configuration signed."""
+"""JSON Web Tokens: clients authenticate with tokens signed by configured issuers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _table(gateway: GatewayConfig) -> dict[str, object]:
 
 def _check(tables: JwtTables, gateway: GatewayConfig) -> None:
     check_tables(tables, gateway)
-    JwtAuthenticator(tables)  # reads the keys
+    JwtAuthenticator(tables)  # parses the keys
 
 
 def _make(tables: JwtTables, _host: FeatureHost) -> Feature:
@@ -33,7 +33,7 @@ def _make(tables: JwtTables, _host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer JSON Web Tokens."""
+    """Register the feature `jwt`."""
     return [
         FeatureKind(
             "jwt",

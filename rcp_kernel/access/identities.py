@@ -112,10 +112,10 @@ class Identities:
             if path is not None:
                 loop = self._loop
 
-                def told(tokens: list[Token]) -> None:
+                def on_change(tokens: list[Token]) -> None:
                     loop.call_soon_threadsafe(self._take, tokens)
 
-                watch = TokenWatch(path, told)
+                watch = TokenWatch(path, on_change)
                 self._tokens = watch.tokens
                 self._keyring = _keyring(self._settings.config, self._tokens)
                 watch.start()

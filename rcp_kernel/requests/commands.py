@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from rcp_kernel.clock import now
-from rcp_kernel.contract.fence import permitted
+from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -124,7 +124,8 @@ class Commands:
 
     def _run(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
         entry = call.entry
-        self._began(entry)
+        if entry.barred:
+            self._began(entry)
         if not _shared(entry):
             self._active[entry.path] = command
         if entry.moves:
@@ -150,10 +151,10 @@ class Commands:
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            with permitted(entry.unit, stops):
-                result = await backend.execute(entry.name, call.value, progress)
+            permit(entry.unit, stops)
+            result = await backend.execute(entry.name, call.value, progress)
         try:
-            if work is None and is_long(result):
+            if work is None and entry.output_type.grows and is_long(result):
                 owner = call.session.principal.identity
                 return await self._turns.finish(owner, checked(entry.output_type, result))
             return entry.output_type.check(result)[0] if result is not None else None

@@ -72,12 +72,15 @@ class Keys:
         """Return what comes or came of the request's key, or None.
 
         :raises DuplicateRequest: the key was used for something else.
+        :raises InternalError: what is kept of the key cannot be read.
         """
         if request.idempotency_key is None:
             return None
         found = self._known.get(_name(session, request.idempotency_key, path))
         if found is None or found.created < now() - _AGE:
             return None
+        if found.outcome is None:
+            raise _unreadable(path)
         if found.digest != _digest(request, path):
             raise DuplicateRequest(
                 "the idempotency key was used for a different request", path=path
@@ -141,12 +144,13 @@ class Keys:
 
     def load(self, command: Callable[[str], Command | None]) -> None:
         """Take in the keys of earlier runs; `command` finds one of the history."""
-        rows = self._store.load(_TABLE)
+        rows = self._store.load(_TABLE, unreadable={})
         found = [(name, _read(row)) for name, row in rows.items()]
-        kept = [(name, seen) for name, seen in found if seen is not None]
-        for name, seen in sorted(kept, key=lambda item: item[1].created):
+        for name, seen in sorted(found, key=lambda item: item[1].created):
             self._known[name] = seen
             self._bytes += seen.size
+            if not seen.digest:
+                continue
             reply = _cut_off(seen) if seen.reply is None else _decoded(seen)
             if seen.command is not None:
                 seen.outcome = command(seen.command) or _ended(seen, reply)
@@ -158,8 +162,8 @@ class Keys:
 
 def _name(session: Session, key: str, path: str) -> str:
     """Name a key: that of a principal, by its proof, in one tenant."""
-    who, proof = session.principal.identity
-    text = f"{len(who)}:{who}:{proof}:{tenant_of(path)}:{key}"
+    name, proof = session.principal.identity
+    text = f"{len(name)}:{name}:{proof}:{tenant_of(path)}:{key}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -186,8 +190,8 @@ def _decoded(seen: _Seen) -> Reply:
     return Reply(**fields)
 
 
-def _read(row: Any) -> _Seen | None:
-    """Return the key of a row; one that cannot be read is left out and told of."""
+def _read(row: Any) -> _Seen:
+    """Return the key of a row; one that cannot be read has no digest: it fits no request."""
     try:
         seen = _Seen(row["digest"], row["created"], row["type"], row["path"])
         seen.command, seen.reply = row["command"], row["reply"]
@@ -195,8 +199,17 @@ def _read(row: Any) -> _Seen | None:
             _decoded(seen)
     except (msgspec.DecodeError, TypeError, KeyError) as error:
         log.warning("store_row_unreadable", table=_TABLE, error=str(error))
-        return None
+        return _Seen(b"", now(), "", "")
     return seen
+
+
+def _unreadable(path: str) -> InternalError:
+    """Refuse a key that was used: what was sent under it may have run, so it does not run again."""
+    return InternalError(
+        "what came of this idempotency key cannot be read; the request was not sent again",
+        path=path,
+        remedy="Check the state of the robot, then send it with a new key if it is still needed.",
+    )
 
 
 def _cut_off(seen: _Seen) -> Reply:

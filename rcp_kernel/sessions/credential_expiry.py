@@ -38,7 +38,7 @@ class CredentialExpiry:
             session.lapse.cancel()
             session.lapse = None
 
-    def _look(self, session: Session, told: bool) -> None:  # noqa: FBT001 - for `call_later`
+    def _look(self, session: Session, warned: bool) -> None:  # noqa: FBT001 - for `call_later`
         session.lapse = None
         expires = session.principal.expires
         if expires is None:
@@ -47,11 +47,11 @@ class CredentialExpiry:
         if left <= 0:
             self._expel(session)
             return
-        if left <= _AHEAD and not told:
-            told = True
+        if left <= _AHEAD and not warned:
+            warned = True
             _tell(session, expires, left)
-        wait = min(left if told else left - _AHEAD, _LOOK)
-        session.lapse = self._loop.call_later(wait, self._look, session, told)
+        wait = min(left if warned else left - _AHEAD, _LOOK)
+        session.lapse = self._loop.call_later(wait, self._look, session, warned)
 
 
 def _tell(session: Session, expires: int, left: float) -> None:

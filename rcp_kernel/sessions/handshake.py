@@ -207,13 +207,13 @@ class Handshake:
             session.expiry.cancel()
             session.expiry = None
         cut, session.cut = session.cut or now(), None
-        said = {reply.command for reply, _ in session.missed if reply.final}
-        tell = self._follower(session.deliver)
+        reported = {reply.command for reply, _ in session.missed if reply.final}
+        follower = self._follower(session.deliver)
         recent = cut - int(1e9 * max(_RECENT, _UNHEARD * self._settings.limits.heartbeat))
         for command in session.commands.values():
             ended = command.finished
-            if command.id not in said and (ended is None or ended > recent):
-                tell(command.reply())
+            if command.id not in reported and (ended is None or ended > recent):
+                follower(command.reply())
         if session.overflowed:
             lost = session.overflowed
             gap = Gap(f"{lost} replies were lost while the client was disconnected")

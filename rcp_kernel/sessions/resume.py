@@ -91,11 +91,11 @@ class SessionResume:
                 self._delete(name, [])
                 continue
             left = (kept.cut or self.ended) + limit - now()
-            mine = {key: row for key, row in subscriptions.items() if key.startswith(name)}
+            own = {key: row for key, row in subscriptions.items() if key.startswith(name)}
             if left <= 0:
-                self._delete(name, list(mine))
+                self._delete(name, list(own))
                 continue
-            kept.subscriptions = {key.partition("/")[2]: row for key, row in mine.items()}
+            kept.subscriptions = {key.partition("/")[2]: row for key, row in own.items()}
             self._kept[name] = kept
             self._loop.call_later(left / 1e9, self._expire, name)
 

@@ -175,9 +175,9 @@ class Sessions:
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
         for command in self._commands.running.values():  # what is under way in somebody's name
-            if (asker := command.asker) is not None:
-                principal = self._identities.renewed(asker.principal)
-                asker.rights = (
+            if (requester := command.asker) is not None:
+                principal = self._identities.renewed(requester.principal)
+                requester.rights = (
                     Rights((), {}) if principal is None else self._rules.rights(principal)
                 )
         shared = list(self._stateless.items())
@@ -223,7 +223,7 @@ class Sessions:
 
     def _expel(self, session: Session) -> None:
         """End a session whose proof is not good any more, and all that it holds."""
-        told = TokenExpired("the session's credentials are no longer valid")
+        error = TokenExpired("the session's credentials are no longer valid")
         connection = session.connection
         if connection is not None:
             for id_ in session.subscriptions:
@@ -231,15 +231,15 @@ class Sessions:
                     connection.outbox,
                     "subscription_ended",
                     id=id_,
-                    reason=told.code,
-                    error=error_body(told),
-                    message=told.message,
+                    reason=error.code,
+                    error=error_body(error),
+                    message=error.message,
                 )
-            connection.send(failure(told, "hello"))
+            connection.send(failure(error, "hello"))
             connection.expelled = True
             connection.outbox.mark()
         for ending in list(session.endings):
-            ending(told)
+            ending(error)
         session.rights = Rights((), {})  # for what is under way to the gateway
         self._lapsing.forget(session)
         if session.id in self.known or not self._elsewhere(session):

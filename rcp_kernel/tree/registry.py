@@ -66,8 +66,8 @@ class Registry:
             entry.seq = self._numbers.pop(entry.path, 0)
         self.entries[entry.path] = entry
         self._changed()
-        for told in self.on_added:
-            told(entry)
+        for callback in self.on_added:
+            callback(entry)
         return entry
 
     def withdraw(self, path: str) -> None:
@@ -79,8 +79,8 @@ class Registry:
         while len(self._numbers) > _WITHDRAWN:
             del self._numbers[next(iter(self._numbers))]
         self._changed()
-        for told in self.on_removed:
-            told(entry)
+        for callback in self.on_removed:
+            callback(entry)
 
     def grow(self, owner: Owner, *, growing: bool) -> None:
         """Note whether a backend may still declare what it has not: it opens, or looks for more."""
