@@ -77,11 +77,11 @@ class JointRun:
                 raise self._ended[0]
 
     async def _arrive(self) -> None:
-        """Wait until every drive reports that it is at its goal."""
-        ways = together(
+        """Wait until every drive reports that it has reached its goal."""
+        waits = together(
             drive_to(axis, m.Move(position=goal), _silently) for axis, goal in self._goals.items()
         )
-        arriving = asyncio.ensure_future(ways)
+        arriving = asyncio.ensure_future(waits)
         try:
             while not arriving.done():
                 await asyncio.wait((arriving,), timeout=_POLL_PERIOD)
