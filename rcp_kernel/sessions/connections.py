@@ -250,7 +250,7 @@ class Connection:
             if last is not None:
                 outbox.put(last())
         data = self.encode(reply)
-        if reply.path != ESTOP and outbox.backlog.refuses(len(data)):
+        if len(data) > SMALL and reply.path != ESTOP and outbox.backlog.refuses(len(data)):
             data = self.encode(left_out(reply, len(data)))
         outbox.put(data)
 
