@@ -9,6 +9,7 @@ from typing import Any
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
@@ -48,6 +49,7 @@ class GatewayFeatureHost:
         shutdown: Shutdown,
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         self._health = health
         self.robots = robots(health.name)
@@ -66,6 +68,7 @@ class GatewayFeatureHost:
         self.control = control
         self.scopes = scopes
         self.loop = loop
+        self.clock = clock
 
     @property
     def fault(self) -> str | None:

@@ -134,7 +134,7 @@ class CommandJournal:
             if len(session.commands) > _FOLLOWED:
                 _forget_finished(session.commands)
 
-        def told(command: Command, step: Record) -> None:
+        def on_step(command: Command, step: Record) -> None:
             reply = command.reply(step)
             reply.id = request.id  # others may follow the same command under ids of theirs
             if step.status in FINAL:
@@ -144,9 +144,9 @@ class CommandJournal:
 
         history = command.history
         if not history or not command.final:
-            command.followers.append(told)
+            command.followers.append(on_step)
         if history:
-            told(command, history[-1])
+            on_step(command, history[-1])
 
 
 def _forget_finished(commands: dict[str, OwnCommand]) -> None:

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
 from rcp_kernel.safety.retry import retry_until_confirmed
@@ -83,7 +83,7 @@ def check_age(entry: Entry, timestamp: str | float) -> None:
     limit = entry.resource.max_age
     if limit is None:
         return
-    age = (now() - sent) / 1e9
+    age = (entry.clock.now() - sent) / 1e9
     if abs(age) > limit:
         raise StaleCommand(
             f"the command is {age:.3f} s old; the limit of {entry.path} is {limit:g} s",

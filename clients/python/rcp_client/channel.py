@@ -143,7 +143,7 @@ class Channel:
         if session is not None:
             body |= {"session": session, "resume_token": self._resume_token}
             body["resume_from"] = self._seen()
-        asked = now()
+        requested = now()
         reply = await self._first(link, {"type": "hello", "body": body})
         facts: dict[str, Any] = reply.body or {}
         self.greeting = facts
@@ -152,7 +152,7 @@ class Channel:
         limits = facts.get("limits") or {}
         link.segment_size = limits.get("segment_size") or facts.get("segment_size")
         if reply.timestamp is not None:
-            self._recovery.greeted(reply.timestamp, asked, resumed=session is not None)
+            self._recovery.greeted(reply.timestamp, requested, resumed=session is not None)
 
     async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
         """Send a request on a link that is not in general use yet."""

@@ -37,8 +37,10 @@ def _told(out: Output, feedback: Feedback) -> str:
     step: dict[str, Any] = feedback.body or {}
     share = "" if feedback.progress is None else f"{feedback.progress:4.0%} "
     what = f"{step.get('step', '')}  {step.get('do', '')} {step.get('path', '')}".rstrip()
-    told = step.get("message") or ("" if "feedback" not in step else compact(step["feedback"]))
-    return f"{out.paint(step.get('state', feedback.status))} {share}{what}  {out.dim(clean(told))}"
+    detail = step.get("message") or ("" if "feedback" not in step else compact(step["feedback"]))
+    return (
+        f"{out.paint(step.get('state', feedback.status))} {share}{what}  {out.dim(clean(detail))}"
+    )
 
 
 def _checked(out: Output, reply: Reply) -> None:
