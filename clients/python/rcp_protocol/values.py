@@ -207,7 +207,7 @@ class ValueType:
             value = self.convert(value)
         if not self.probes_null and not self._shape.has_wide_int:
             return value, None
-        return value, self.encode(value, Encoding.JSON)
+        return value, self.encode(value, _JSON)
 
     def check_in_steps(self, value: Any) -> Generator[None, None, tuple[Any, bytes | None]]:
         """Do as `check` does; what has no declared type is written in steps.
