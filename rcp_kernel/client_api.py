@@ -38,7 +38,7 @@ from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
-from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.connections import Connection, ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
@@ -381,21 +381,25 @@ class ClientApi:
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""
         held = self._parts.replies.follower(answer)
-        command.followers.append(held)
+
+        def on_step(command: Command, step: Record) -> None:
+            held(command.reply(step))
 
         def stop() -> None:
-            if held in command.followers:
-                command.followers.remove(held)
+            if on_step in command.followers:
+                command.followers.remove(on_step)
+
+        command.followers.append(on_step)
 
         return stop
 
-    def until_end(self, session: Session, told: Callable[[RcpError], None]) -> Callable[[], None]:
-        """Have `told` called if the session's proof is not good any more; return what ends that.
+    def until_end(self, session: Session, on_end: Callable[[RcpError], None]) -> Callable[[], None]:
+        """Call `on_end` when the session's proof becomes invalid; return what ends that.
 
         For answers that take long without a connection: they end with that error.
         """
-        session.endings.add(told)
-        return lambda: session.endings.discard(told)
+        session.endings.add(on_end)
+        return lambda: session.endings.discard(on_end)
 
     def discover(
         self, session: Session, pattern: str, query: Query

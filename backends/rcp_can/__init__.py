@@ -30,7 +30,7 @@ async def open_can(config: CanConfig, host: Host) -> AsyncGenerator[Backend]:
 
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
-    """Offer CAN buses."""
+    """Register the CAN backend."""
     text = "Motor drives and devices on CAN buses."
     needs = ("can", "canopen", "cantools")
     return [BackendKind("can", CanConfig, open_can, text, needs)]

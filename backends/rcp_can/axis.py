@@ -44,15 +44,15 @@ if TYPE_CHECKING:
 __all__ = ["Axis"]
 
 log = structlog.get_logger("rcp.can")
-_LAG = 0.2  # s that a joint may be behind its ramp, and still stop where that stops
+_LAG = 0.2  # s of lag behind the ramp at which a joint can still hold the ramp's end
 _RETRY = 1.0  # s between two attempts to configure a drive, or to cut its torque
-_LATE = 0.1  # s between two ticks, after which frames may still wait to be read
-_FROZEN = 0.5  # s between two ticks, after which a watchdog or the guard may have stopped it
-_STILL = 3  # reports of velocity in a row that say that it rests
+_LATE = 0.1  # s between two ticks, after which received frames may still be queued
+_FROZEN = 0.5  # s between two ticks, after which a watchdog or the guard may have stopped the motor
+_STILL = 3  # consecutive velocity reports that prove standstill
 
 
 class Axis(AxisState):
-    """A motor: its drive, its limits, and its current set-point."""
+    """One motor: its drive, its limits and its current set-point."""
 
     def __init__(
         self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host, health: Health
@@ -60,14 +60,15 @@ class Axis(AxisState):
         super().__init__(name, config, drive, bus, host)
         self._host, self._health = host, health
         self.released, self.still = False, 0
-        """Whether the torque was cut after a stop; and the reports of velocity in a row, since the
-        stop, that say that it rests."""
+        """Whether the torque has been cut after a stop; and the number of consecutive velocity
+        reports since
+        the stop that show standstill."""
         self.owner: str | None = None
-        """The action that currently drives it."""
+        """The action that currently controls the motor."""
         self.gone: RcpError | None = None
         """Why the last set-point was dropped."""
         self.leaving = False
-        """Whether an action that has ended is still bringing it to rest."""
+        """Whether an action that has ended is still bringing the motor to rest."""
         self.ended: Callable[[RcpError], None] | None = None
         """Called when the set-point of the action is discarded."""
         self._releasing: asyncio.Task[None] | None = None
@@ -77,14 +78,15 @@ class Axis(AxisState):
         self._shown: m.MotorState | None = None
         self._tick, self._step_due = 0, False
         self.wanted_on = self.in_use = False
-        """Whether it was switched on from here and should be so; whether it was at all."""
+        """Whether the gateway enabled the motor and expects it to be enabled; whether it ever
+        was."""
         self.first = asyncio.Event()
         """Set once the drive has sent its first message and is configured."""
         bus.listen(self._take, *drive.routes())
         bus.after_batch(self._batch)
         bus.on_state.append(self._bus_turned)
 
-    # What the drive says
+    # Reports from the drive
 
     def _take(self, message: can.Message) -> None:
         if self.drive.take(message):
@@ -119,7 +121,7 @@ class Axis(AxisState):
     def _appear(self) -> None:
         self.online = True
         if self._lost_once or self._host.is_latched():
-            self._host.link_restored()  # before anything else is sent to it
+            self._host.link_restored()  # before anything else is sent to the drive
         self._lost_once = False
         self.faults.take_back("feedback_lost", "heartbeat_lost")
         self._health.report(self.name, None)
@@ -170,7 +172,7 @@ class Axis(AxisState):
             self.fault("reset", "the drive rebooted while in use", lasting=False)
         self.wanted_on = False
         self.forget(AdapterUnavailable(f"motor '{self.name}': the drive rebooted"))
-        if used:  # one that has only left its operational state may still run
+        if used:  # a drive that has only left its operational state may still be turning
             self.stop()
         self._configure()
 
@@ -188,14 +190,14 @@ class Axis(AxisState):
             self.fault("switched_off", "the drive has switched itself off", lasting=False)
         self.forget(ModeForbids(f"motor '{self.name}' is no longer enabled: {why}"))
 
-    # What is asked of it
+    # Commands
 
     def command(
         self, mode: m.Mode, value: float, path: Callable[[], tuple[float, float]] | None = None
     ) -> None:
-        """Set the set-point, valid until the next; a path defines how it is reached.
+        """Set the set-point, valid until the next one; `path` defines the trajectory towards it.
 
-        :raises EstopActive: its request was cancelled by a stop.
+        :raises EstopActive: the request was cancelled by a stop.
         """
         check_fence()
         self.stopping = False
@@ -230,10 +232,10 @@ class Axis(AxisState):
         """Decelerate along the ramp, hold, and end the current command with `reason`."""
         own = self.drive.moves and self.owner is not None
         if self.stopped and self.resting:
-            pass  # a stop holds it already, and its torque may be about to go
+            pass  # a stop already holds the joint, and its torque may be about to be cut
         elif self.status.enabled and not self.stopping:
             if own or (self.mode is None and not self.resting):
-                self.rest()  # from the drive's own trajectory, or what somebody else commanded
+                self.rest()  # from the drive's own trajectory, or a command from another client
             else:
                 self.hold()
         elif not self.stopping and not self.resting and self.status.energised is not False:
@@ -243,7 +245,7 @@ class Axis(AxisState):
             ended(reason)
 
     def stop(self) -> None:
-        """Quick stop: brake hard, repeatedly until the drive reports rest."""
+        """Start a quick stop: brake hard, repeatedly, until the drive reports rest."""
         self.mode = None
         self.stopping, self.still = True, 0
         if self.stop_began is None:
@@ -252,9 +254,9 @@ class Axis(AxisState):
         self.show()
 
     def hold_stop(self) -> None:
-        """Stop it again if it is not at rest, or if another master has enabled it."""
+        """Repeat the stop if the motor is not at rest, or if another master has enabled it."""
         if not self.met:
-            self._brake()  # it may hear, and not be heard
+            self._brake()  # the drive may receive frames although its own are lost
         elif self.released and self.status.energised:
             self._release()
         elif not self.stopping and (not self.resting or self.drive.loose):
@@ -268,7 +270,7 @@ class Axis(AxisState):
             self._release()
 
     def _release(self) -> None:
-        """Cut the torque after a stop, until the drive reports that it is off."""
+        """Cut the torque after a stop, repeatedly, until the drive reports that it is off."""
         self.released, self.mode = True, None
         if self._releasing is None or self._releasing.done():
             with unfenced():
@@ -285,7 +287,7 @@ class Axis(AxisState):
         self.show()
 
     def forget(self, reason: RcpError | None) -> None:
-        """Discard the current set-point; its action is notified with the reason."""
+        """Discard the current set-point and notify its action of the reason."""
         self.mode, self.gone = None, reason
         ended, self.ended = self.ended, None
         if ended is not None and reason is not None:
@@ -293,7 +295,7 @@ class Axis(AxisState):
         self.show()
 
     async def disable(self) -> None:
-        """Switch off."""
+        """Switch the power stage off."""
         self.end_stop()
         self.wanted_on = False
         self.forget(ModeForbids(f"motor '{self.name}' was disabled"))
@@ -302,13 +304,13 @@ class Axis(AxisState):
         self.in_use = False
 
     def end_stop(self) -> None:
-        """End a quick stop: the next set-point is a deliberate command."""
+        """End a quick stop before a new command."""
         self.stopping, self.released, self.stop_began = False, False, None
 
-    # Time
+    # Periodic work
 
     def tick(self, dt: float) -> None:
-        """Send whatever is due; called at the motor's rate."""
+        """Send whatever is due; called at the motor's rate with `dt` in s."""
         self._tick += 1
         self._step_due = True
         now = time.monotonic()
@@ -342,7 +344,7 @@ class Axis(AxisState):
         self._send(lambda: self.drive.poll(self._tick))
 
     def _thaw(self, gap: float) -> None:
-        """Stop after the gateway itself did not run for a while."""
+        """Stop the motor after the gateway process has been suspended for `gap` s."""
         text = f"the gateway did not run for {gap:.1f} s"
         self.fault("gateway_stalled", text, lasting=False)
         self.forget(AdapterUnavailable(f"motor '{self.name}': {text}, and it was stopped"))
@@ -363,7 +365,7 @@ class Axis(AxisState):
         self.show()
 
     def _check_feedback(self, why: Loss | None) -> None:
-        """Stop a motor whose feedback is too old, and detect its return."""
+        """Stop a motor whose feedback is too old, and detect when it returns."""
         was, self.blind = self.blind, why
         if was is None and why is not None:
             self.wanted_on = False
@@ -388,7 +390,7 @@ class Axis(AxisState):
     def _send(self, function: Callable[[], object]) -> None:
         try:
             function()
-        except RcpError as error:  # the bus's own state tells of it; the next tick tries again
+        except RcpError as error:  # the bus state reports it; the next tick tries again
             log.debug("not_sent", motor=self.name, error=error.message)
 
     def _lose(self, why: Loss) -> None:
@@ -399,22 +401,22 @@ class Axis(AxisState):
         self.fault(why.fault, why.text)
         self._health.report(self.name, f"motor '{self.name}': {why.text}")
         self.forget(AdapterUnavailable(f"motor '{self.name}': {why.text}"))
-        if was_on:  # it may still run by its last set-point, and still hear us
+        if was_on:  # the drive may still follow its last set-point, and still receive frames
             self.stop()
 
     def _stall(self) -> None:
-        """Drop a set-point that cannot be sent: the ramp would be far ahead by then."""
+        """Drop a set-point that cannot be sent: the ramp would run far ahead of the joint."""
         text = f"its set-points could not be sent for {STALLED:g} s: the bus accepts no frames"
         self.fault("not_sent", text, lasting=False)
         self.forget(QueueFull(f"motor '{self.name}': {text}"))
         self.stop()
 
     def _bus_turned(self, _was: Condition, now: Condition) -> None:
-        """Discard set-points of a lost bus at once: nothing moves when it is back."""
+        """Discard the set-points of a lost bus, so that nothing moves when the bus returns."""
         if self.online and now in ("bus_off", "down"):
             self._lose(Loss("feedback_lost", f"CAN bus '{self.bus.name}' is {now}"))
 
-    # What is shown
+    # Publishing
 
     def fault(self, name: str, text: str, *, lasting: bool = True) -> None:
         """Report a fault detected by the gateway; a lasting one is active until cleared."""

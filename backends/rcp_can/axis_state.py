@@ -16,13 +16,13 @@ from rcp_kernel.spi import Host
 
 __all__ = ["AxisState", "Loss"]
 
-_RESTING = 0.02  # rad/s at the drive's shaft, below which it rests, whatever the motor's tolerance
-_MISSED = 5  # reports in a row: two of three may be lost on the way
-_SHORTEST = 0.25  # s: the gateway's own loop may be late by a part of this
+_RESTING = 0.02  # rad/s at the drive's shaft that counts as rest, whatever the configured tolerance
+_MISSED = 5  # consecutive reports: two of three may be lost on the bus
+_SHORTEST = 0.25  # s: the gateway's own loop may be late by a fraction of this
 
 
 class Loss(NamedTuple):
-    """Why a drive counts as lost."""
+    """The reason why a drive counts as lost."""
 
     fault: str
     text: str
@@ -45,14 +45,16 @@ class AxisState:
         self.mode: m.Mode | None = None
         self.goal = 0.0
         self.online = self.stopping = self.enabling = False
-        """Whether it is heard; whether a quick stop is under way that nothing has confirmed yet;
-        whether it is being switched on."""
+        """Whether messages are received; whether a quick stop is unconfirmed; whether the motor
+        is being
+        enabled."""
         self.blind: Loss | None = None
-        """Which signal is too old although the drive still sends."""
+        """The required signal that is too old although the drive still sends; None if all are
+        fresh."""
         self.signals = _signals(config, drive)
         """The signals that control requires."""
         self.last_message_at = self.configured_at = 0.0
-        """Monotonic time of its last message."""
+        """Monotonic time of the last message, s."""
         self.stop_began: float | None = None
         self.faults = FaultBook(name, host)
         self.configured = False
@@ -73,7 +75,7 @@ class AxisState:
 
     @property
     def state(self) -> m.State:
-        """The state in one word."""
+        """The state as the wire reports it."""
         if not self.online:
             return "offline"
         if self.blind is not None:
@@ -89,7 +91,7 @@ class AxisState:
 
     @property
     def met(self) -> bool:
-        """Whether it has ever sent a message."""
+        """Whether the drive has ever sent a message."""
         return self.last_message_at > 0.0
 
     def is_fresh(self, signal: str) -> bool:
@@ -98,14 +100,14 @@ class AxisState:
         return at is not None and time.monotonic() - at <= self.limit_of(signal)
 
     def limit_of(self, signal: str) -> float:
-        """Return the age in s at which a signal is too old."""
+        """Return the age in s beyond which a signal is stale."""
         if self.config.feedback_timeout is not None:
             return self.config.feedback_timeout
         return max(_MISSED * (self.drive.period(signal) or 1 / self.config.rate), _SHORTEST)
 
     @property
     def slow(self) -> bool:
-        """Whether its last velocity is below standstill."""
+        """Whether the last reported velocity is below standstill."""
         velocity = self.status.velocity
         return velocity is not None and abs(velocity) <= max(
             _RESTING, self.config.standstill * self.config.gear
@@ -113,17 +115,17 @@ class AxisState:
 
     @property
     def resting(self) -> bool:
-        """Whether fresh feedback shows that it is at rest."""
+        """Whether fresh feedback shows standstill."""
         return self.online and self.slow and self.is_fresh("velocity")
 
     @property
     def stopped(self) -> bool:
-        """Whether a quick stop is in force, without a command since."""
+        """Whether a quick stop is in force and no command has followed it."""
         return self.stop_began is not None
 
     @property
     def secure(self) -> bool:
-        """Whether it is at rest without torque, and nothing pending could change that."""
+        """Whether the motor is at rest without torque, and nothing pending could change that."""
         return (
             self.resting
             and self.is_fresh("enabled")

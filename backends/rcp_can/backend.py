@@ -1,4 +1,4 @@
-"""The backend: running buses, and the parts that handle calls by resource name."""
+"""The CAN backend: open buses, and the parts that serve their resources."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.eds_node import EdsPart
+from rcp_can.group_power import group_powers
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
@@ -80,7 +81,7 @@ class CanBackend(BaseBackend):
         return await self._part(name).execute(name, value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Publish while a client subscribes."""
+        """Publish a resource while a client subscribes to it."""
         return self._watch(name)
 
     @asynccontextmanager
@@ -89,10 +90,10 @@ class CanBackend(BaseBackend):
             yield
 
     async def halt(self) -> None:
-        """Quick stop for everything that moves; return when fresh feedback of every drive confirms it.
+        """Stop everything that moves; return when fresh feedback from every drive confirms it.
 
         :raises AdapterUnavailable: a motor cannot be reached; the others have been stopped.
-        :raises DeviceTimeout: one was commanded but is not known to be at rest.
+        :raises DeviceTimeout: a motor was commanded to stop but rest could not be confirmed.
         """
         await self._all(part.halt() for part in self._parts)
 
@@ -101,7 +102,7 @@ class CanBackend(BaseBackend):
         return motion_of_all(self.axes.values())
 
     def hold_stop(self, robot: str | None) -> None:
-        """Stop again every motor that is not at rest, or that another master has enabled."""
+        """Repeat the stop for each motor not at rest, or enabled by another master."""
         for part in self._parts:
             part.hold_stop()
 
@@ -114,7 +115,7 @@ class CanBackend(BaseBackend):
         await self._all(part.hold(reason) for part in self._parts)
 
     async def recover(self, robot: str | None) -> str:
-        """Hold: discard earlier set-points and bring to rest whatever still moves."""
+        """Discard earlier set-points and bring to rest whatever still moves."""
         try:
             await self.hold(robot)
         except AdapterUnavailable as error:
@@ -130,7 +131,7 @@ class CanBackend(BaseBackend):
         ]
 
     async def _all(self, work: Iterable[Coroutine[Any, Any, None]]) -> None:
-        """Run all to the end, whatever fails; then report all failures."""
+        """Await all coroutines even if some fail, then raise the failures together."""
         done = await asyncio.gather(*work, return_exceptions=True)
         failed = [each for each in done if isinstance(each, BaseException)]
         if not failed:
@@ -146,7 +147,7 @@ class CanBackend(BaseBackend):
 
 @asynccontextmanager
 async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend]:
-    """Open every bus and everything configured on it; leaving closes all.
+    """Open every configured bus and its devices; close them on exit.
 
     :raises ConfigError: the configuration is invalid.
     :raises NotReady: a bus does not open.
@@ -165,14 +166,16 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         for bus in (buses[node.bus],)
     ]
     drives = [
-        DiffDrivePart(name, drive, axes[drive.left], axes[drive.right])
+        DiffDrivePart(name, drive, axes[drive.left], axes[drive.right], host)
         for name, drive in config.diff_drives.items()
     ]
     groups = [
         JointGroupPart(name, group, [axes[joint] for joint in group.joints], host)
         for name, group in config.joint_groups.items()
     ]
-    for part in (*lines, *map(MotorPart, axes.values()), *devices, *nodes, *drives, *groups):
+    powers = group_powers(config, drives, groups)
+    motors = map(MotorPart, axes.values())
+    for part in (*lines, *motors, *devices, *nodes, *drives, *groups, *powers):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:
@@ -204,7 +207,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
 
 
 def _sdo(bus: Bus, node: int, axes: Iterable[Axis]) -> Sdo:
-    """Return the only client of a node's SDO server: that of its motor, if it is one."""
+    """Return the single SDO client of a node: its motor's, if it has one."""
     for axis in axes:
         server = axis.drive.server
         if server is not None and axis.bus is bus and axis.drive.node == node:

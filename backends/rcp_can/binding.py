@@ -13,7 +13,7 @@ __all__ = ["Part"]
 
 
 class Part:
-    """A part of the backend with its own resources; refuses what it does not override."""
+    """A part of the backend with its own resources; operations it does not override are refused."""
 
     def resources(self) -> list[Resource]:
         """List its resources."""
@@ -45,4 +45,4 @@ class Part:
         """Bring everything to rest without switching it off; commands end with `reason`."""
 
     def hold_stop(self) -> None:
-        """Send the stop again if it is not at rest."""
+        """Repeat the stop if anything is not at rest."""

@@ -1,4 +1,4 @@
-"""A bus that survives its interface: it opens, restarts after bus-off, counts and routes frames."""
+"""A CAN bus that recovers from bus-off and interface loss, counts frames and routes them."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 __all__ = ["Bus", "Listener", "Route"]
 
 _LONGEST = 5.0  # s between two attempts to restart
-_WELL = 10.0  # s after which the waiting time begins anew
-_ROUTES = 4096  # identifiers whose listeners are remembered
-_ECHOING = frozenset(("udp_multicast",))  # interfaces that hand us our own frames
+_WELL = 10.0  # s of operation after which the restart delay begins anew
+_ROUTES = 4096  # identifiers whose listeners are cached
+_ECHOING = frozenset(("udp_multicast",))  # interfaces that deliver our own frames to us
 
 
 class Route(NamedTuple):
-    """The identifiers of a listener: those with `id & mask == value`."""
+    """A set of identifiers: those with `id & mask == value`."""
 
     value: int
     mask: int = 0x7FF
@@ -39,13 +39,10 @@ class Route(NamedTuple):
 
 
 class Listener(Protocol):
-    """Receiver of frames."""
+    """A receiver of frames."""
 
     def __call__(self, message: can.Message) -> None:
-        """Take one frame, on the event loop.
-
-        :raises ValueError: the frame is invalid; it is counted.
-        """
+        """Handle one frame, on the event loop."""
         ...
 
 
@@ -76,7 +73,7 @@ class Bus:
         self._counters: tuple[int | None, int | None] = (None, None)
 
     def listen(self, listener: Listener, *routes: Route) -> None:
-        """Call a listener with the frames of some identifiers."""
+        """Call `listener` with every frame that matches one of the routes."""
         self._routes += [(route, listener) for route in routes]
         self._known.clear()
 
@@ -137,10 +134,7 @@ class Bus:
             tap(message)
 
     def paced(self, what: str, period: float) -> bool:
-        """Tell whether a periodic frame of the whole bus is due, and mark it as sent.
-
-        If callers use different periods, the shortest applies.
-        """
+        """Return whether a periodic frame of the whole bus is due, and mark it as sent."""
         now = time.monotonic()
         if now < self._done.get(what, 0.0) + period:
             return False
@@ -148,10 +142,10 @@ class Bus:
         return True
 
     async def run(self, ready: asyncio.Event) -> None:
-        """Keep the bus open until cancelled; `ready` is set when it is open for the first time.
+        """Keep the bus open until cancelled; `ready` is set when it first opens.
 
         :raises NotReady: the interface does not open at the first attempt.
-        :raises ConfigError: it never will.
+        :raises ConfigError: the interface can never open with this configuration.
         """
         import can
 
@@ -219,7 +213,7 @@ class Bus:
         for callback in self.on_state:
             callback(was, state)
 
-    # What is received
+    # Receiving
 
     def _take(self, batch: list[can.Message]) -> None:
         known, taps = self._known, self.taps

@@ -24,12 +24,12 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     interface: str = "socketcan"
     channel: str | int | None = "can0"
     bitrate: Bitrate | None = None
-    """Given to interfaces that set it; without it the load is not known."""
+    """Passed to interfaces that set it; without it the bus load is unknown."""
     fd: bool = False
     data_bitrate: Bitrate | None = None
     """Of the data phase of CAN FD."""
     options: dict[str, Any] = {}
-    """Further arguments of the interface, as python-can documents them."""
+    """Further arguments of the interface; see the python-can documentation."""
     restart: Seconds = 0.5
     """Between bus-off or loss and the first attempt to restart; doubles up to 5 s."""
     queue: Annotated[int, Meta(ge=1, le=65_536)] = 512
@@ -37,7 +37,8 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     statistics: Seconds = 1.0
     """Period of `sensor/can/<bus>/statistics`."""
     frames: tuple[IdRange, ...] = ()
-    """Identifiers that `event/can/<bus>/frame` shows, `"0x100"` or `"0x100-0x1FF"`; all if empty."""
+    """Identifiers published on `event/can/<bus>/frame`, `"0x100"` or `"0x100-0x1FF"`; all if
+    empty."""
     raw_send: bool = False
     """Offer `actuator/can/<bus>/frame`, which sends any frame."""
     log_directory: str | None = None
@@ -76,6 +77,13 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
             for joint in group.joints:
                 if joint not in self.motors:
                     raise ValueError(f"joint_groups.{name}.joints: there is no motor {joint!r}")
+        for table in ("diff_drives", "joint_groups"):
+            robots = [name for name, group in getattr(self, table).items() if group.as_robot]
+            if len(robots) > 1:
+                raise ValueError(
+                    f"{table}.{robots[1]}.as_robot: {robots[0]!r} is the robot already; put the "
+                    "other into a backend of its own"
+                )
         known = ", ".join(self.buses)
         for table in ("motors", "devices", "nodes"):
             for name, on in getattr(self, table).items():

@@ -14,7 +14,7 @@ MessageName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
 class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The messages of a database to read and to write."""
+    """The messages of a database to receive and to send."""
 
     bus: BusName
     dbc: str

@@ -12,7 +12,7 @@ __all__ = ["BUILTIN_PROFILES", "MotorConfig"]
 
 BUILTIN_PROFILES = "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"
 """Profiles that come with the backend."""
-_PERIODS_PER_WATCHDOG = 3  # set-points in the time of a watchdog, for some may get lost
+_PERIODS_PER_WATCHDOG = 3  # set-points per watchdog period, because some may be lost
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 
 
@@ -21,7 +21,7 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
     bus: BusName
     profile: Annotated[str, Meta(max_length=200)]
-    """A built-in profile, or `module:NAME` of your own."""
+    """A built-in profile, or `module:NAME` of a third-party one."""
     node: Annotated[int, Meta(ge=0, le=0x7FF)]
     gear: Positive = 1.0
     """Turns of the drive's shaft per turn of the joint."""
@@ -37,16 +37,17 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     valid_for: Seconds = 0.5
     """Validity of a velocity or torque in s, before the dead-man writes zero."""
     rate: Annotated[float, Meta(ge=1, le=1000, extra_json_schema={"unit": "Hz"})] = 50.0
-    """Set-points, and polls of drives that must be polled, per second."""
+    """Rate of set-points, and of polling for drives that must be polled."""
     timeout: Seconds = 0.5
-    """Silence after which the drive counts as lost."""
+    """Time without messages after which the drive counts as lost."""
     feedback_timeout: Seconds | None = None
-    """Age of position, velocity or state after which the motor is not controllable, although it is
-    heard; five of the drive's own periods, and 0.25 s at least, without it."""
+    """Age of position, velocity or state beyond which the motor is not controllable although other
+    messages arrive; by default five of the drive's own periods, at least 0.25 s."""
     torque_off_after: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] | None = None
     """Time from the start of a quick stop until the torque is cut; without it the joint is held."""
     watchdog: Annotated[float, Meta(gt=0, le=60, extra_json_schema={"unit": "s"})] | bool = 0.5
-    """Silence of the gateway after which the drive stops by itself; false keeps its setting."""
+    """Time without messages after which the drive stops by itself; false keeps the drive's
+    setting."""
     optional: bool = False
     """The motor may be absent: a stop is confirmed without it until its first message."""
     tolerance: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad"})] = 0.01
@@ -54,7 +55,7 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     standstill: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.05
     """Speed below which the joint counts as at rest."""
     options: dict[str, Any] = {}
-    """Options of the profile; see its table."""
+    """Options of the profile, listed in its table."""
 
     def __post_init__(self) -> None:
         if self.profile not in BUILTIN_PROFILES and ":" not in self.profile:
@@ -63,10 +64,10 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
                 f"`profile`: unknown {self.profile!r}; use one of {known}, or <module>:<NAME>"
             )
         if self.watchdog is True:
-            raise ValueError("`watchdog` is a time in s, or false")
+            raise ValueError("`watchdog` must be a time in s, or false")
         if self.watchdog and self.watchdog * self.rate < _PERIODS_PER_WATCHDOG:
             raise ValueError(
                 f"`watchdog` is shorter than {_PERIODS_PER_WATCHDOG} periods of `rate`, which reset it"
             )
         if self.position is not None and self.position[0] >= self.position[1]:
-            raise ValueError("`position` is [lowest, highest], with lowest < highest")
+            raise ValueError("`position` must be [lowest, highest], with lowest < highest")

@@ -1,4 +1,4 @@
-"""Names and quantities that every table of the configuration shares."""
+"""Names and quantities shared by the tables of the configuration."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$", max_le
 BusName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+$", max_length=32)]
 Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
 IdRange = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{1,8}(-0x[0-9A-Fa-f]{1,8})?$")]
-"""`"0x100"` or `"0x100-0x1FF"`."""
+"""An identifier `"0x100"`, or a range `"0x100-0x1FF"`."""
 
 
 def id_ranges(texts: Iterable[str]) -> list[tuple[int, int]]:
-    """Return closed ranges of numbers."""
+    """Parse identifiers and ranges into closed ranges."""
     found: list[tuple[int, int]] = []
     for text in texts:
         first, *last = (int(part, 16) for part in re.split("-", text))

@@ -19,10 +19,12 @@ class NodeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     eds: str
     """The file: EDS or DCF."""
     objects: tuple[IdRange, ...] = ("0x2000-0xFFFF",)
-    """Indices, `"0x6083"` or `"0x2000-0x5FFF"`; those of the communication are left out unless named."""
+    """Indices, `"0x6083"` or `"0x2000-0x5FFF"`; communication objects are left out unless
+    listed."""
     moves: tuple[IdRange, ...] = ("0x1F50-0x1F8F", "0x6000-0x9FFF")
-    """Those whose writing may start or move something, and is refused under an e-stop: programs and
-    NMT of other nodes, and the device profile's own; name a maker's here as well."""
+    """Objects whose writing may start or move something, and is refused during an e-stop:
+    programs, the
+    NMT of other nodes, and the device profile; add manufacturer-specific ones here."""
     heartbeat: Seconds | None = None
     """Maximum time between heartbeats; without it, heartbeats are not monitored."""
 

@@ -1,4 +1,4 @@
-"""A device with a DBC file: messages it sends are sensors, those it receives are actuators."""
+"""A device described by a DBC file: received messages are sensors, sent messages are actuators."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class DevicePart(Part):
         return self._bus.name
 
     def resources(self) -> list[Resource]:
-        """List its messages."""
+        """List its messages as resources."""
         found: list[Resource] = []
         for path, message in self._sensors.items():
             period = message.cycle_time
@@ -152,12 +152,12 @@ class DevicePart(Part):
             self._bus.send(identifier, data, extended=extended, fd=fd, urgent=True, sender=self)
 
     async def hold(self, reason: RcpError) -> None:
-        """Send the safe values."""
+        """Send the safe values; `reason` is not used."""
         await self.halt()
 
     def hold_stop(self) -> None:
         """Send the safe values again: another node may have sent something else."""
-        with suppress(RcpError):  # the bus's own state tells of it; it is called again soon
+        with suppress(RcpError):  # the bus state reports it, and this is called again soon
             for identifier, data, extended, fd in self.safe_frames():
                 self._bus.send(identifier, data, extended=extended, fd=fd, sender=self)
 

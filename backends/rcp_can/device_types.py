@@ -1,4 +1,4 @@
-"""The type of a message's value, from what a DBC file says of its signals."""
+"""The value type of a CAN message, from the signals in its DBC file."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ _UCUM = {"": "1", "degC": "Cel", "°C": "Cel", "Nm": "N.m", "rpm": "/min", "deg"
 
 
 def message_type(message: Message, *, bounded: bool) -> type[msgspec.Struct]:
-    """Make the Struct of a message: one field per signal, with its unit.
+    """Create the Struct of a message: one field per signal, with its unit.
 
-    `bounded` makes values beyond the signal's range illegal, for what is sent; what is received is told
-    as it is. A signal that only some variants of a multiplexed message have is optional.
+    `bounded` rejects values beyond the signal's range, for messages that are sent; received values
+    are
+    published as they are. A signal that only some variants of a multiplexed message have is
+    optional.
     """
     fields: list[tuple[str, Any, Any]] = []
     needed: list[tuple[str, Any]] = []

@@ -1,7 +1,7 @@
-"""The interface of a profile: a drive on the bus, in its own units at its own shaft.
+"""The interface of a drive profile: one drive on the bus, in its own units at its own shaft.
 
-A profile translates and nothing else: limits, ramps, dead-man, gear and direction, faults as events,
-time-outs and commands are the business of `Motor`, which is one for all.
+A profile only translates. Limits, ramps, dead-man, gear and direction, fault events, time-outs and
+commands are the same for all drives and live in `Axis` and `MotorPart`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Drive", "Fault", "Profile", "Protection", "Reach", "Status", "StopFrame"]
 
-_ANSWER = 1.0  # s in which a drive is in the state that it was asked to take
+_ANSWER = 1.0  # s within which a drive must reach a requested state
 _AGAIN = 0.1  # s between two requests
 
 
@@ -47,7 +47,7 @@ class Protection(NamedTuple):
 
 
 class StopFrame(NamedTuple):
-    """A frame that stops a drive, whoever sends it."""
+    """A frame that stops a drive, whichever node sends it."""
 
     identifier: int
     data: bytes
@@ -57,7 +57,7 @@ class StopFrame(NamedTuple):
 
 
 class Drive(ABC):
-    """One drive; a subclass per profile."""
+    """One drive; each profile has a subclass."""
 
     modes: frozenset[Mode] = frozenset(("position", "velocity", "torque"))
     moves = False
@@ -66,10 +66,10 @@ class Drive(ABC):
     zeroes = False
     """Whether the current position can be set as zero."""
     holds = False
-    """Whether it must be sent a set-point from the moment it is enabled."""
+    """Whether set-points must be sent from the moment it is enabled."""
 
     sags = False
-    """Whether a joint under load sinks at velocity zero, and is held by its position only."""
+    """Whether a joint under load sinks at velocity zero, so that only its position holds it."""
     watchdog: float | None = 0.5
     """Time-out in s of the drive's own watchdog; None keeps its setting."""
 
@@ -77,7 +77,7 @@ class Drive(ABC):
         self.node, self.options, self.bus = node, options, bus
         self.status = Status()
         self.protection = Protection("none known")
-        """The mechanism that stops it without the gateway, as far as known."""
+        """The mechanism that stops the drive without the gateway, as far as known."""
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
     @property
@@ -96,7 +96,7 @@ class Drive(ABC):
 
     @property
     def server(self) -> Sdo | None:
-        """The client of its SDO server, if it has one."""
+        """The SDO client of the drive, if it has one."""
         return None
 
     @abstractmethod
@@ -105,7 +105,7 @@ class Drive(ABC):
 
     @abstractmethod
     def take(self, message: can.Message) -> bool:
-        """Read one of its frames into `status`; tell whether it was this drive's.
+        """Decode one frame into `status`; return whether it belongs to this drive.
 
         :raises ValueError: the drive must not send such a frame.
         """
@@ -119,13 +119,13 @@ class Drive(ABC):
         urgent: bool = False,
         **flags: Any,
     ) -> None:
-        """Queue a frame to the drive; `lifetime` and `urgent` as `Bus.send` has them, and its flags.
+        """Queue a frame to the drive; `lifetime`, `urgent` and the flags are those of `Bus.send`.
 
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: the send queue is full.
         :raises EstopActive: it belongs to a request that was cancelled by a stop.
         """
-        if not urgent:  # what is urgent stops it
+        if not urgent:  # urgent frames stop the drive
             check_fence()
         self.bus.send(identifier, data, lifetime=lifetime, urgent=urgent, sender=self, **flags)
 
@@ -133,11 +133,14 @@ class Drive(ABC):
         """Return the limits of the profile."""
         return Reach()
 
-    async def configure(self) -> None:  # noqa: B027 - most need nothing
-        """Configure the drive after its first message and after each boot."""
+    async def configure(self) -> None:  # noqa: B027 - most drives need nothing
+        """Configure the drive, after its first message and after each boot."""
 
-    def poll(self, tick: int) -> None:  # noqa: B027 - most need nothing
-        """Request whatever the drive does not send by itself; called at the motor's rate; must not move it."""
+    def poll(self, tick: int) -> None:  # noqa: B027 - most drives need nothing
+        """Request what the drive does not send by itself; called at the motor's rate.
+
+        Must not move the drive.
+        """
 
     @abstractmethod
     async def enable(self) -> None:
@@ -149,9 +152,9 @@ class Drive(ABC):
 
     @abstractmethod
     async def clear_faults(self) -> None:
-        """Reset the faults, by the fault reset only; return when the drive has none.
+        """Reset the faults without switching on or off; return when the drive reports none.
 
-        Called only while `status.faults` has some. It must neither switch on nor off.
+        Called only while `status.faults` is not empty.
         """
 
     async def home(self) -> None:
@@ -174,7 +177,7 @@ class Drive(ABC):
     def stop(self) -> None:
         """Brake as hard as the drive can, ahead of every queue; repeated until it is at rest.
 
-        It must not switch on a drive that is off.
+        Must not switch on a drive that is off.
         """
 
     def stop_frames(self) -> Sequence[StopFrame]:
@@ -199,10 +202,10 @@ class Drive(ABC):
         every: float = _AGAIN,
         faults: bool = True,
     ) -> None:
-        """Wait for a status; `again` sends the request, now and every `every` s.
+        """Wait until `holds` returns true; `again` sends the request, now and every `every` s.
 
-        :raises DeviceTimeout: the status does not appear in time.
-        :raises DeviceRejected: the drive goes into fault instead.
+        :raises DeviceTimeout: the status does not appear within `seconds`.
+        :raises DeviceRejected: the drive enters fault instead.
         """
         old = self.status.faults if faults else ()
 
@@ -233,7 +236,7 @@ class Drive(ABC):
 
 
 class Profile(NamedTuple):
-    """A type of drive: its configuration, driver and simulation."""
+    """A drive type: its options, driver and simulation."""
 
     name: str
     description: str
@@ -241,8 +244,8 @@ class Profile(NamedTuple):
     """Struct type of the motor's `options`."""
     drive: type[Drive]
     twin: str
-    """Module and class of its twin, imported when it is wanted: `rcp_can.sim.odrive:ODriveTwin`."""
+    """Module and class of its twin, imported on demand: `rcp_can.sim.odrive:ODriveTwin`."""
     nodes: range
-    """The possible node ids."""
+    """The valid node ids."""
     fd: bool = False
     """Whether it requires CAN FD."""

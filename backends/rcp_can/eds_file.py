@@ -13,9 +13,9 @@ __all__ = ["load_eds"]
 
 
 def load_eds(where: str, file: str, node: int) -> ObjectDictionary:
-    """Read an EDS or DCF.
+    """Read the object dictionary of an EDS or DCF file.
 
-    :raises ConfigError: it cannot be read.
+    :raises ConfigError: the file cannot be read.
     """
     import canopen
 

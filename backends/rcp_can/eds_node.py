@@ -1,4 +1,4 @@
-"""A CANopen node by its EDS: the objects of its dictionary as parameters, read and written by SDO."""
+"""A CANopen node described by its EDS: dictionary objects as parameters, accessed by SDO."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EdsPart"]
 
-_PERIOD = 1.0  # s between two looks at a parameter that somebody watches
+_PERIOD = 1.0  # s between two polls of a subscribed parameter
 _COMMANDS = frozenset((0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FF))
 """Objects that move a drive: controlled by the motor, read-only here."""
 
@@ -55,7 +55,7 @@ class EdsPart(Part):
             raise ConfigError(f"nodes.{name}.objects: {config.eds} has none of these objects")
 
     def resources(self) -> list[Resource]:
-        """List the objects."""
+        """List the objects as resources."""
         found: list[Resource] = []
         for path, entry in self._entries.items():
             may = Operation.NONE
@@ -82,7 +82,7 @@ class EdsPart(Part):
         return [*self.watched.resources(), *shown]
 
     async def read(self, name: str) -> Any:
-        """Read from the node; its state is the last one received."""
+        """Read an object from the node; the node's state is the last one received."""
         if name == self.watched.path:
             return self.watched.value
         if name not in self._entries:
@@ -91,7 +91,7 @@ class EdsPart(Part):
         return entry.unpack(await self._sdo.upload(entry.index, entry.sub))
 
     async def write(self, name: str, value: Any) -> Any:
-        """Write a value to the node, and return the one that it has afterwards."""
+        """Write an object, read it back, and return the value read."""
         entry = self._entries[name]
         check_fence()
         await self._sdo.download(entry.index, entry.sub, entry.pack(value))
@@ -115,13 +115,13 @@ class EdsPart(Part):
 
     async def _poll(self, name: str) -> None:
         while True:
-            with suppress(RcpError):  # it is told to whoever reads
+            with suppress(RcpError):  # readers get the error themselves
                 self._host.publish(name, await self.read(name))
             await asyncio.sleep(_PERIOD)
 
 
 def _variables(dictionary: ObjectDictionary) -> Iterator[tuple[str, str, ODVariable]]:
-    """Return every value with its path below the node and its name in words."""
+    """Yield every variable with its path below the node and its descriptive name."""
     from canopen.objectdictionary import ODVariable
 
     for each in dictionary.values():

@@ -22,10 +22,10 @@ _UNSIGNED = (0x05, 0x06, 0x16, 0x07, 0x18, 0x19, 0x1A, 0x1B)
 _INTEGERS = {kind: (size, True) for size, kind in enumerate(_SIGNED, 1)} | {
     kind: (size, False) for size, kind in enumerate(_UNSIGNED, 1)
 }
-"""Bytes and sign, by the number of the data type."""
+"""Number of bytes and signedness, by data type number of CiA 301."""
 _BOOLEAN, _REAL32, _TEXT, _OCTETS, _REAL64 = 0x01, 0x08, 0x09, 0x0A, 0x11
 _REALS = {_REAL32: "<f", _REAL64: "<d"}
-_LONGEST = 1024  # bytes of a text
+_LONGEST = 1024  # bytes of a string
 _INT64 = 2**63 - 1
 
 
@@ -42,7 +42,7 @@ class Entry:
     writable: bool
 
     def pack(self, value: Any) -> bytes:
-        """Return a value's bytes."""
+        """Encode a value, little-endian."""
         match self.kind:
             case _ if self.kind == _BOOLEAN:
                 return bytes((value,))
@@ -57,9 +57,9 @@ class Entry:
                 return int(value).to_bytes(size, "little", signed=signed)
 
     def unpack(self, data: bytes) -> Any:
-        """Return the value that some bytes are.
+        """Decode a value.
 
-        :raises DeviceRejected: they are too few.
+        :raises DeviceRejected: there are too few bytes.
         """
         if self.kind == _TEXT:
             return data.rstrip(b"\0").decode("latin-1")
@@ -67,7 +67,7 @@ class Entry:
             return data
         if len(data) < (size := self._size):
             raise DeviceRejected(
-                f"0x{self.index:04X}:{self.sub:02X} has {len(data)} bytes where expected {size}",
+                f"0x{self.index:04X}:{self.sub:02X} has {len(data)} bytes, expected {size}",
                 remedy="Check that the EDS belongs to this device.",
             )
         if self.kind == _BOOLEAN:
@@ -86,7 +86,7 @@ class Entry:
 
 
 def entry_of(variable: ODVariable) -> Entry | None:
-    """Return the description of an object; None for a domain or another object without a value."""
+    """Return the entry of a variable; None for a domain or another object without a value."""
     type_ = _type(variable)
     access = variable.access_type or "rw"
     if type_ is None:
@@ -119,5 +119,5 @@ def _type(variable: ODVariable) -> Any:
 
 
 def slug(text: str) -> str:
-    """Return a name of an EDS as a segment of a path."""
+    """Convert an EDS name to a path segment."""
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "object"

@@ -11,7 +11,7 @@ from rcp_kernel.spi import Host
 __all__ = ["FaultBook"]
 
 _STAYING = frozenset(("feedback_lost", "heartbeat_lost", "configuration"))
-"""Faults that end with their cause, not by acknowledgement."""
+"""Faults that clear when their cause ends, not by acknowledgement."""
 
 
 class FaultBook:
@@ -23,7 +23,7 @@ class FaultBook:
         self._event, self._host = f"event/{motor}/fault", host
 
     def note(self, fault: Fault) -> None:
-        """Set a fault detected by the gateway until it is cleared."""
+        """Activate a fault detected by the gateway until it is cleared."""
         self._own[fault.name] = fault
 
     def own(self, name: str) -> Fault | None:
@@ -31,7 +31,7 @@ class FaultBook:
         return self._own.get(name)
 
     def take_back(self, *names: str) -> None:
-        """Clear faults detected by the gateway."""
+        """Clear the named faults detected by the gateway."""
         for name in names:
             self._own.pop(name, None)
 
@@ -40,7 +40,7 @@ class FaultBook:
         self._own = {name: fault for name, fault in self._own.items() if name in _STAYING}
 
     def update(self, of_the_drive: Iterable[Fault]) -> None:
-        """Publish what has appeared and cleared since the last call."""
+        """Publish the faults that have appeared or cleared since the last call."""
         faults = {fault.name: fault for fault in of_the_drive} | self._own
         old = self.standing
         if faults == old:

@@ -19,12 +19,12 @@ __all__ = [
     "stale",
 ]
 
-STALLED = 0.25  # s that a frame waits to be sent, after which set-points would leave in a heap
-_CONFIGURING = 1.0  # s that a call waits for a drive to be configured
+STALLED = 0.25  # s a frame may wait to be sent, beyond which set-points would leave in a burst
+_CONFIGURING = 1.0  # s a call waits for a drive to be configured
 
 
 def loss(axis: AxisState, now: float) -> Loss | None:
-    """Tell whether a known drive is lost."""
+    """Return why a known drive is lost; None if it is not."""
     timeout = axis.config.timeout
     if now - axis.last_message_at > timeout:
         return Loss("feedback_lost", f"no message received for {timeout:g} s")
@@ -34,7 +34,7 @@ def loss(axis: AxisState, now: float) -> Loss | None:
 
 
 def stale(axis: AxisState, now: float) -> Loss | None:
-    """Tell whether a connected drive no longer sends the signals that control requires."""
+    """Return which required signal a connected drive no longer sends; None if all arrive."""
     if not axis.configured:
         return None
     at, since = axis.status.at, axis.configured_at
@@ -62,13 +62,13 @@ def check_feedback(axis: AxisState) -> None:
 
 
 def heartless(axis: AxisState, now: float) -> bool:
-    """Tell whether heartbeats are missing."""
+    """Return whether heartbeats are missing."""
     beats = axis.drive.beats
     return beats is not None and now - axis.status.beat > max(beats, axis.config.timeout)
 
 
 def check(axis: AxisState) -> None:
-    """Check that it can be commanded.
+    """Check that the motor accepts commands.
 
     :raises AdapterUnavailable: its bus is down, or it does not respond.
     :raises DeviceTimeout: its feedback is too old.
@@ -87,7 +87,7 @@ def check(axis: AxisState) -> None:
 
 
 def check_link(axis: AxisState) -> None:
-    """Check that it can be reached.
+    """Check that the drive can be reached.
 
     :raises AdapterUnavailable: its bus is down, or it does not respond.
     """
@@ -101,7 +101,7 @@ def check_link(axis: AxisState) -> None:
 
 
 def check_bus(axis: AxisState) -> None:
-    """Check that commands reach it now, and no other drive.
+    """Check that frames reach this drive now, and no other.
 
     :raises QueueFull: earlier frames have not been sent yet.
     :raises ModeForbids: two drives have its id.
@@ -121,7 +121,7 @@ def check_bus(axis: AxisState) -> None:
 async def ready(axis: AxisState) -> None:
     """Wait until the drive is configured.
 
-    :raises AdapterUnavailable: it cannot be reached, or not be configured.
+    :raises AdapterUnavailable: it cannot be reached, or could not be configured.
     """
     check_link(axis)
     if not axis.configured and axis.configuring is not None:

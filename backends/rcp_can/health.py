@@ -8,7 +8,7 @@ __all__ = ["Health"]
 
 
 class Health:
-    """Collects the complaints of buses, motors and devices."""
+    """Collects the problems of buses, motors and devices."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -16,7 +16,7 @@ class Health:
         self._reported: str | None = None
 
     def report(self, source: str, what: str | None) -> None:
-        """Set the complaint of a source, or clear it with None."""
+        """Set the problem of a source, or clear it with None."""
         if what is None:
             self._complaints.pop(source, None)
         else:

@@ -1,4 +1,4 @@
-"""Open a python-can interface in a thread, and explain failures."""
+"""Open a python-can interface in a worker thread, and explain failures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["arguments", "open_interface"]
 
 
 async def open_interface(name: str, config: BusConfig) -> can.BusABC:
-    """Return the open bus.
+    """Open the interface of a bus.
 
     :raises ConfigError: the interface is unknown, or rejects these arguments.
     :raises NotReady: it is currently not available.
@@ -47,7 +47,7 @@ def _open(name: str, config: BusConfig) -> can.BusABC:
 
 
 def arguments(config: BusConfig) -> dict[str, Any]:
-    """Return what python-can's `Bus` is given beside interface and channel."""
+    """Return the arguments of python-can's `Bus` besides interface and channel."""
     found: dict[str, Any] = dict(config.options)
     if config.bitrate is not None and config.interface not in ("virtual", "udp_multicast"):
         found.setdefault("bitrate", config.bitrate)

@@ -1,4 +1,4 @@
-"""The bus time of a frame, for the reported load."""
+"""The time a frame occupies the bus, for the reported load."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from functools import lru_cache
 
 __all__ = ["seconds_on_the_bus"]
 
-_STUFFING = 1.1  # a tenth more bits for stuffing: what usual traffic has
+_STUFFING = 1.1  # a tenth more bits for stuffing, as in typical traffic
 
 
 @lru_cache(maxsize=512)
 def seconds_on_the_bus(
     size: int, *, extended: bool, fd: bool, switched: bool, bitrate: int, data_bitrate: int
 ) -> float:
-    """Return the time of a frame with `size` data bytes, interframe space included, in s."""
+    """Return a frame's time on the bus in s, including interframe space; `size` in bytes."""
     if not fd:
         return (47 + (20 if extended else 0) + 8 * size) * _STUFFING / bitrate
     arbitration = 30 + (19 if extended else 0) + 12

@@ -1,4 +1,4 @@
-"""The values of the bus: frames, state, statistics, events and logs."""
+"""The values of a bus: frames, state, statistics, events and logs."""
 
 from __future__ import annotations
 
@@ -52,24 +52,24 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Traffic on the bus; counts since the backend was opened, rates of the last period."""
 
     load: Load | None
-    """Part of the time that the bus was busy; None without a bit rate."""
+    """Fraction of the time that the bus was busy; None without a bit rate."""
     rx_rate: Hertz
     tx_rate: Hertz
     rx: Count
     tx: Count
     error_frames: Count
     dropped: Count
-    """Received, and lost because the gateway was too slow."""
+    """Received frames that were lost because the gateway was too slow."""
     expired: Count
-    """Queued, and not sent because they had become too old."""
+    """Queued frames that expired before they were sent."""
     refused: Count
-    """Not queued because the queue was full; the sender got an error."""
+    """Frames refused because the queue was full; the sender got an error."""
     failed: Count
-    """Refused by the interface."""
+    """Frames refused by the interface."""
     malformed: Count
     """Invalid frames from a motor or device."""
     queued: Count
-    """Waiting to be sent."""
+    """Frames waiting to be sent."""
     restarts: Count
 
 
@@ -90,7 +90,7 @@ class Overflow(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class StartLog(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to record."""
+    """Options of a new recording."""
 
     format: Format = "candump"
 

@@ -28,8 +28,8 @@ from rcp_kernel.spi import Progress, fenced_off
 
 __all__ = ["MotorPart", "abandon", "drive_to", "released"]
 
-_FEEDBACK = 0.1  # s between two reports of a move
-_SETTLE = 3.0  # s that the joint may need after its set-point has arrived
+_FEEDBACK = 0.1  # s between two progress reports of a move
+_SETTLE = 3.0  # s the joint may need to settle after its set-point has arrived
 _POLL_PERIOD = 0.01  # s
 
 
@@ -45,7 +45,7 @@ class MotorPart(Part):
         return motor_resources(self.axis)
 
     async def write(self, name: str, value: float) -> None:
-        """Set a set-point; a motor that is off accepts a zero."""
+        """Set a set-point; zero is accepted also while the motor is off."""
         axis = self.axis
         mode: Any = name.rpartition("/")[2]
         if axis.owner is not None:
@@ -57,7 +57,7 @@ class MotorPart(Part):
             axis.forget(ModeForbids("a zero set-point ended the move"))
         if value == 0.0 and mode != "position":
             check_link(axis)
-            if not axis.status.enabled or axis.stopped:  # and no zero takes a stop back
+            if not axis.status.enabled or axis.stopped:  # and a zero does not end a stop
                 return
         check(axis)
         axis.command(mode, value)
@@ -82,7 +82,7 @@ class MotorPart(Part):
         """Run one of the motor's services or actions."""
         axis = self.axis
         verb = name.rpartition("/")[2]
-        if verb != "disable":  # which is sent to a drive that says nothing, too
+        if verb != "disable":  # `disable` is sent even to a drive that does not respond
             await ready(axis)
             await released(axis)
         if axis.owner is not None and verb in ("enable", "set_zero", "home", "move_to"):
@@ -112,7 +112,7 @@ class MotorPart(Part):
         """
         axis = self.axis
         if not axis.met:
-            axis.hold_stop()  # it may hear, and not be heard
+            axis.hold_stop()  # the drive may receive frames although its own are lost
             if axis.config.optional:
                 return
             check_link(axis)
@@ -128,7 +128,7 @@ class MotorPart(Part):
     async def hold(self, reason: RcpError) -> None:
         """Decelerate along the ramp and hold with torque on; return when rest is measured.
 
-        :raises RcpError: as `halt` has them.
+        :raises RcpError: as for `halt`.
         """
         axis = self.axis
         if not axis.met and axis.config.optional:
@@ -142,7 +142,7 @@ class MotorPart(Part):
                 axis.command("position", here)
 
     def hold_stop(self) -> None:
-        """Stop it again if it moves."""
+        """Repeat the stop if the motor moves."""
         self.axis.hold_stop()
 
     async def _zero(self) -> None:
@@ -190,7 +190,7 @@ class MotorPart(Part):
 
 
 async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
-    """See work of the drive to its end, or to that of the drive's readiness, with the reason."""
+    """Await an operation of the drive; end it with the reason if the motor becomes unavailable."""
     task = asyncio.ensure_future(work)
     reasons: list[RcpError] = []
 
@@ -213,16 +213,16 @@ async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
 
 
 async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
-    """Move a joint and return when its drive says that it is there.
+    """Move a joint; return when its drive reports that the goal is reached.
 
-    :raises DeviceRejected: it stays away from its goal.
+    :raises DeviceRejected: it does not reach its goal.
     """
     lost: list[RcpError] = []
     progress(fraction=0.0)
     tolerance = move.tolerance or axis.config.tolerance
     velocity = min(move.velocity or axis.velocity_limit, axis.velocity_limit)
     start = axis.position or 0.0
-    way = abs(move.position - start)
+    distance = abs(move.position - start)
     own = axis.drive.moves
     acceleration = axis.config.acceleration
     if own:
@@ -235,7 +235,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
         axis.ended = lost.append
         axis.command("position", move.position)
         axis.ramp.limit = velocity
-    patience = way / velocity + _SETTLE
+    patience = distance / velocity + _SETTLE
     if acceleration is not None:
         patience += velocity / acceleration
     began = reported_at = time.monotonic()
@@ -249,7 +249,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
         left = move.position - here
         if now - reported_at >= _FEEDBACK:
             reported_at = now
-            part = max(0.0, 1 - abs(left) / way) if way else 1.0
+            part = max(0.0, 1 - abs(left) / distance) if distance else 1.0
             progress(m.MoveFeedback(position=here, left=left), fraction=part)
         fresh = axis.status.reports + axis.status.moved > reports + 1
         there = abs(left) <= tolerance and fresh
@@ -262,13 +262,13 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
 
 
 async def abandon(axis: Axis, why: BaseException) -> None:
-    """Bring a joint to rest whose move is over, unless its drive is out of our hands already.
+    """Bring a joint to rest after its move has ended, unless a stop already controls the drive.
 
-    :raises RcpError: it was cancelled, and it is not known to have come to rest.
+    :raises RcpError: the move was cancelled, and the joint is not confirmed to be at rest.
     """
     axis.ended = None
     if fenced_off():
-        return  # it is the stop's
+        return  # the stop controls the drive
     cancelled = isinstance(why, asyncio.CancelledError)
     if cancelled:
         check_link(axis)
@@ -289,6 +289,6 @@ async def abandon(axis: Axis, why: BaseException) -> None:
 
 
 async def released(axis: Axis) -> None:
-    """Wait for an action that is over to let go of the motor."""
-    while axis.leaving:  # noqa: ASYNC110  # it is let go of by a task that nobody wakes for
+    """Wait until an ended action has released the motor."""
+    while axis.leaving:  # noqa: ASYNC110  # the task that releases it signals nobody
         await asyncio.sleep(_POLL_PERIOD)

@@ -1,4 +1,4 @@
-"""All the motors of a backend: made from the configuration, kept going at their rates."""
+"""All motors of a backend: created from the configuration and ticked at their rates."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from rcp_kernel.spi import Host
 
 __all__ = ["by_rate", "make_axes", "run_axes", "simulated", "wait_for_motors"]
 
-_LATE = 0.1  # s: a longer gap counts as this, so that no ramp leaps
-_COARSE = 100.0  # Hz above which the loop's own timers are too coarse
-_HEALTH = 1.0  # s between two looks at temperatures
+_LATE = 0.1  # s: a longer gap counts as this, so that no ramp jumps
+_COARSE = 100.0  # Hz above which the event loop's own timers are too coarse
+_HEALTH = 1.0  # s between two reports of temperatures and supply
 
 
 def make_axes(
     config: CanConfig, buses: dict[str, Bus], host: Host, health: Health
 ) -> dict[str, Axis]:
-    """Make the motors.
+    """Create the motors.
 
-    :raises ConfigError: a motor's node or options are not of its profile, or its id is taken.
+    :raises ConfigError: a motor's node or options do not fit its profile, or its id is taken.
     """
     axes: dict[str, Axis] = {}
     taken: dict[tuple[str, str, int], str] = {}
@@ -50,7 +50,7 @@ def make_axes(
             )
         key = motor.bus, motor.profile, motor.node
         if (other := taken.setdefault(key, name)) != name:
-            raise ConfigError(f"motors.{name}.node: {motor.node} is already that of {other}")
+            raise ConfigError(f"motors.{name}.node: {motor.node} is already used by {other}")
         try:
             options = msgspec.convert(motor.options, kind.options)
             drive = kind.drive(motor.node, options, buses[motor.bus])
@@ -62,7 +62,7 @@ def make_axes(
 
 
 def by_rate(axes: Iterable[Axis]) -> list[list[Axis]]:
-    """Put together what ticks together."""
+    """Group the motors that tick at the same rate."""
     groups: dict[float, list[Axis]] = {}
     for axis in axes:
         groups.setdefault(axis.config.rate, []).append(axis)
@@ -110,7 +110,7 @@ async def _run(axes: list[Axis], beat: Callable[[], Awaitable[None]]) -> None:
 
 
 async def wait_for_motors(axes: Iterable[Axis], grace: float, health: Health) -> None:
-    """Wait until every motor has said something, or for the grace; complain of those that did not."""
+    """Wait up to `grace` s for the first message of each motor; report missing motors."""
     axes = list(axes)
     waiting = [asyncio.ensure_future(axis.first.wait()) for axis in axes]
     if waiting:
@@ -127,7 +127,7 @@ async def wait_for_motors(axes: Iterable[Axis], grace: float, health: Health) ->
 
 @contextmanager
 def simulated(config: CanConfig) -> Generator[None]:
-    """Run a twin for each motor of the buses that are to be simulated."""
+    """Run a twin for each motor on a bus with `simulate`."""
     import can
 
     from rcp_can.sim import Bench, make_twin

@@ -1,4 +1,4 @@
-"""The values of a motor: one model for every make. Radians, N·m and amperes at the joint."""
+"""The values of a motor, the same for every make; radians, N·m and amperes at the joint."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ Code = Annotated[int, Meta(ge=0, extra_json_schema={"unit": "1"})]
 
 Mode = Literal["position", "velocity", "torque"]
 State = Literal["offline", "no_feedback", "disabled", "enabled", "stopping", "quick_stop", "fault"]
-"""`no_feedback`: it is heard, but a signal that control needs is too old; `quick_stop`: it was
-stopped, takes no set-points and holds torque."""
+"""`no_feedback`: messages arrive, but a signal that control requires is too old; `quick_stop`: it
+was stopped, accepts no set-points and holds torque."""
 
 
 class Motion(Struct, frozen=True, kw_only=True):
-    """What the drive measures, at the joint."""
+    """Measurements of the drive, at the joint."""
 
     position: Radians | None = None
     velocity: Speed | None = None
@@ -45,7 +45,7 @@ class Motion(Struct, frozen=True, kw_only=True):
 
 
 class Health(Struct, frozen=True, kw_only=True):
-    """Temperatures and supply, as far as the drive tells them."""
+    """Temperatures and supply, as far as the drive reports them."""
 
     drive_temperature: Celsius | None = None
     motor_temperature: Celsius | None = None
@@ -53,52 +53,52 @@ class Health(Struct, frozen=True, kw_only=True):
 
 
 class MotorState(Struct, frozen=True, kw_only=True):
-    """How the motor stands."""
+    """The state of a motor."""
 
     state: State
     mode: Mode | None = None
-    """What it is commanded to keep, if it is."""
+    """The commanded mode, if there is a command."""
     faults: list[str] = []
     reached: bool | None = None
-    """Whether the drive reports its target reached; None where it has no word for that."""
+    """Whether the drive reports its target reached; None if it does not report that."""
     homed: bool | None = None
     energised: bool | None = None
-    """Whether it gives or holds torque; None: unknown."""
+    """Whether it applies or holds torque; None: unknown."""
     watchdog: Seconds | None = None
-    """Silence of the gateway after which the drive stops by itself; None: nothing makes it."""
+    """Seconds without messages after which the drive stops by itself; None: it does not."""
     watchdog_verified: bool = False
-    """Whether that was read back from the drive."""
+    """Whether this time was read back from the drive."""
 
 
 class MotorFault(Struct, frozen=True, kw_only=True):
-    """A fault that came or went: of the drive, of its link, of its configuration."""
+    """A fault that appeared or cleared: of the drive, its link or its configuration."""
 
     fault: str
     text: str
     active: bool
     code: Code | None = None
-    """The drive's own number, where it has one."""
+    """The drive's own error number, if it has one."""
 
 
 class Move(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where to, and how."""
+    """Target and limits of a move."""
 
     position: Radians
     velocity: Above | None = None
-    """At most; the motor's limit without it."""
+    """Maximum velocity; the motor's limit by default."""
     tolerance: Tolerance | None = None
-    """How near counts as there; the motor's own without it."""
+    """Position tolerance; the motor's own by default."""
 
 
 class MoveFeedback(Struct, frozen=True, kw_only=True):
-    """How far a move is."""
+    """Progress of a move; `left` is the remaining distance."""
 
     position: Radians
     left: Radians
 
 
 class Moved(Struct, frozen=True, kw_only=True):
-    """Where a move ended, by the drive's own word."""
+    """The position at which a move ended, as reported by the drive."""
 
     position: Radians
     duration: Seconds

@@ -1,4 +1,4 @@
-"""What a motor declares."""
+"""The resources of a motor."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 __all__ = ["motor_resources"]
 
-_MOVE = 120.0  # s
-_SERVICE = 5.0  # s
+_MOVE = 120.0  # s, the longest that a move may take
+_SERVICE = 5.0  # s, the longest that a service may take
 
 
 def motor_resources(axis: Axis) -> list[Resource]:
-    """List the resources of one motor, by what its drive can do."""
+    """List the resources of one motor, depending on its drive."""
     name, config = axis.name, axis.config
     meta = {"profile": config.profile, "bus": config.bus, "node": config.node}
     return [

@@ -1,4 +1,4 @@
-"""How a CANopen node stands, by its heartbeats and emergencies (CiA 301, 7.2.8.3 and 7.2.7)."""
+"""The state of a CANopen node, from heartbeats and emergencies (CiA 301, 7.2.8.3 and 7.2.7)."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ _HEARTBEAT, _EMERGENCY = 0x700, 0x080
 
 
 class NodeState(Struct, frozen=True, kw_only=True):
-    """What a node says of itself."""
+    """The NMT state and the active emergencies."""
 
     state: State
     emergencies: list[str] = []
-    """Those that stand, in words."""
+    """The active emergencies as text."""
 
 
 class Emergency(Struct, frozen=True, kw_only=True):
-    """An emergency came, or all of them went."""
+    """An emergency that was raised, or all of them cleared."""
 
     code: Code
     text: str
@@ -47,7 +47,7 @@ class Emergency(Struct, frozen=True, kw_only=True):
 
 
 class NodeWatch:
-    """Listens to one node; misses its heartbeats where some are due."""
+    """Monitors one node, and its heartbeats if a period is configured."""
 
     def __init__(self, name: str, config: NodeConfig, bus: Bus, host: Host, health: Health) -> None:
         self._name, self._host, self._health = name, host, health
@@ -60,12 +60,12 @@ class NodeWatch:
 
     @property
     def value(self) -> NodeState:
-        """How it stands now."""
+        """The current state."""
         return NodeState(state=self._state, emergencies=list(self._emergencies.values()))
 
     @property
     def path(self) -> str:
-        """Where its state is shown."""
+        """The name of its state resource."""
         return f"sensor/{self._name}/state"
 
     def resources(self) -> list[Resource]:
@@ -87,12 +87,12 @@ class NodeWatch:
         ]
 
     def start(self) -> None:
-        """Begin to miss it."""
+        """Start to monitor heartbeats."""
         if self._within is not None:
             self._expect(self._within)
 
     def stop(self) -> None:
-        """Miss it no more."""
+        """Stop to monitor heartbeats."""
         if self._missing is not None:
             self._missing.cancel()
 
@@ -114,7 +114,7 @@ class NodeWatch:
             self._health.report(self._name, None)
         if state == "booting":
             self._emergencies.clear()
-        if state != self._state or self._within is not None:  # or it would count as stale
+        if state != self._state or self._within is not None:  # an unpublished one would go stale
             self._state = state
             self._host.publish(self.path, self.value)
 

@@ -1,4 +1,4 @@
-"""A straight way that several joints go together: one trapezoid that all of them share."""
+"""Synchronized straight-line moves of several joints: one trapezoidal profile that all share."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 __all__ = ["Leg", "Path"]
 
-_LATE = 0.1  # s: a longer gap counts as this, so that no joint leaps
+_LATE = 0.1  # s: a longer gap counts as this, so that no joint jumps
 
-_NOTHING = 1e-9  # rad: a joint that is nearer to its goal than this is there
+_NOTHING = 1e-9  # rad: a joint closer to its goal than this does not move
 
 
 class Leg(NamedTuple):
-    """The part of one joint; rad, rad/s and rad/s² at the joint."""
+    """The motion of one joint; rad, rad/s and rad/s² at the joint."""
 
     start: float
     goal: float
@@ -24,30 +24,32 @@ class Leg(NamedTuple):
 
     @property
     def way(self) -> float:
-        """How far it goes, with its sign."""
+        """Signed distance, rad."""
         return self.goal - self.start
 
 
 class Path:
-    """The parts begin, speed up, brake and end at the same moments, each within its own limits.
+    """A shared time scaling: all joints start, accelerate, brake and stop together.
 
-    Time goes on with each look at it.
+    Each joint stays within its limits. Every query advances the path to the current time.
     """
 
-    def __init__(self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic) -> None:
-        ways = [leg for leg in legs if abs(leg.way) > _NOTHING]
-        speed = min((leg.velocity / abs(leg.way) for leg in ways), default=math.inf)
-        self._acceleration = min((leg.acceleration / abs(leg.way) for leg in ways), default=1.0)
+    def __init__(
+        self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic, late: float = _LATE
+    ) -> None:
+        moving = [leg for leg in legs if abs(leg.way) > _NOTHING]
+        speed = min((leg.velocity / abs(leg.way) for leg in moving), default=math.inf)
+        self._acceleration = min((leg.acceleration / abs(leg.way) for leg in moving), default=1.0)
         self._peak = min(speed, math.sqrt(self._acceleration))
-        self._clock = clock
+        self._clock, self._late = clock, late
         self._last = clock()
         self._elapsed = 0.0
         self._braked: tuple[float, float, float] | None = None
-        self.duration = 1 / self._peak + self._peak / self._acceleration if ways else 0.0
-        """Seconds it takes, unless it is braked."""
+        self.duration = 1 / self._peak + self._peak / self._acceleration if moving else 0.0
+        """Duration in s, unless it is braked."""
 
     def follow(self, leg: Leg) -> Callable[[], tuple[float, float]]:
-        """Return what tells the position and velocity of one joint now."""
+        """Return a function that gives the current position and velocity of one joint."""
 
         def now() -> tuple[float, float]:
             part, speed = self.advance()
@@ -56,20 +58,20 @@ class Path:
         return now
 
     def advance(self) -> tuple[float, float]:
-        """Return how far it is, 0 to 1, and how much of it is gone in a second."""
+        """Advance to the current time; return the completed fraction and its rate in 1/s."""
         now = self._clock()
-        self._elapsed += min(now - self._last, _LATE)
+        self._elapsed += min(now - self._last, self._late)
         self._last = now
         return self._at(self._elapsed)
 
     @property
     def over(self) -> bool:
-        """Whether it has come to its end, or to rest on the way."""
+        """Whether the move has ended, at the goal or braked."""
         self.advance()
         return self._elapsed >= self.duration
 
     def brake(self) -> None:
-        """Come to rest on the way, as early as it may."""
+        """Come to rest on the line, as early as the limits allow."""
         part, speed = self.advance()
         if self._braked is None and self._elapsed < self.duration:
             self._braked = self._elapsed, part, speed

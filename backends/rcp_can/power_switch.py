@@ -1,4 +1,4 @@
-"""Switch a motor on, and see that it stays on."""
+"""Switch a motor on, and check that it stays on."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rcp_kernel.spi import check_fence, unfenced
 
 __all__ = ["enable"]
 
-_STAYS = 0.1  # s, and
-_WORDS = 3  # reports of its state, for which a drive must stay enabled
+_STAYS = 0.1  # s for which a drive must stay enabled, and
+_WORDS = 3  # number of state reports that must confirm it
 _POLL_PERIOD = 0.02  # s
-_OBSERVED = 1.0  # s within which those reports must come
+_OBSERVED = 1.0  # s within which those reports must arrive
 _WITHDRAW = 0.5  # s that switching off again may take
 
 
 async def enable(axis: Axis) -> None:
-    """Switch on, at rest; return when the drive has stayed on.
+    """Enable a motor at rest; return when it has stayed enabled.
 
     :raises DeviceRejected: it switches itself off again, with its reason.
-    :raises RcpError: as `check_bus` and `check_feedback`, and of the drive.
+    :raises RcpError: as for `check_bus` and `check_feedback`, or from the drive.
     """
     check_fence()
     check_bus(axis)
@@ -70,10 +70,10 @@ async def _stays_on(axis: Axis) -> None:
 
 
 async def _withdraw(axis: Axis) -> None:
-    """Switch off what was being switched on: what was sent may still take effect."""
+    """Switch the motor off after a failed enable: frames already sent may still take effect."""
     axis.wanted_on = False
     axis.forget(None)
     if axis.stopping or (axis.status.faults and axis.status.energised is False):
-        return  # a stop has it in hand, or its fault has
+        return  # a stop already handles it, or its fault has switched it off
     with unfenced(), suppress(RcpError), anyio.move_on_after(_WITHDRAW, shield=True):
         await axis.drive.disable()

@@ -1,4 +1,4 @@
-"""Set-points that never jump: velocity by acceleration, position by a trapezoid."""
+"""Set-points without jumps: velocity by acceleration, position by a trapezoidal profile."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ __all__ = ["Ramp"]
 
 
 class Ramp:
-    """A point that follows a target within a velocity and an acceleration.
+    """A point that follows a target within velocity and acceleration limits.
 
-    Without an acceleration its velocity jumps, and without a velocity limit it does.
+    Without an acceleration limit, its velocity changes in one step.
     """
 
     def __init__(self, velocity: float, acceleration: float | None) -> None:
         self.position = self.velocity = 0.0
         self._limit, self._acceleration = velocity, acceleration
         self.limit = velocity
-        """The velocity in force, rad/s; a move may ask for less."""
+        """The current velocity limit, rad/s; a move may lower it."""
         self.path: Callable[[], tuple[float, float]] | None = None
-        """What prescribes position and velocity in its stead, where something does."""
+        """A path that gives position and velocity instead of the ramp, if one is set."""
 
     @property
     def braking(self) -> float:
-        """How far it goes on until it can be at rest, with its sign."""
+        """Signed distance until it can be at rest, rad."""
         if self._acceleration is None:
             return 0.0
         return self.velocity * abs(self.velocity) / 2 / self._acceleration
 
     def start(self, position: float, velocity: float) -> None:
-        """Begin where the joint is, as it moves."""
+        """Start at the measured position and velocity of the joint."""
         self.position, self.velocity = position, velocity
         self.limit, self.path = self._limit, None
 
     def to_velocity(self, target: float, dt: float) -> float:
-        """Advance towards a velocity; return the set-point."""
+        """Advance towards a velocity by `dt` s; return the set-point."""
         self.velocity = self._towards(clamp(target, -self.limit, self.limit), dt)
         return self.velocity
 
     def to_position(self, target: float, dt: float) -> float:
-        """Advance towards a position; return the set-point."""
+        """Advance towards a position by `dt` s; return the set-point."""
         if self.path is not None:
             self.position, self.velocity = self.path()
             return self.position
@@ -50,7 +50,7 @@ class Ramp:
         acceleration = self._acceleration
         wanted = self.limit
         if acceleration is not None:
-            # What can still be braked, in the discrete steps that are left.
+            # The velocity from which it can still brake in the remaining discrete steps.
             step = acceleration * dt
             wanted = min(
                 wanted, math.sqrt(step * step / 4 + 2 * acceleration * abs(left)) - step / 2

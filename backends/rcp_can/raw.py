@@ -1,4 +1,4 @@
-"""Frames as they are: to be watched, to be sent by those who may, to be recorded."""
+"""Raw frames: subscribe, send and record."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def pack(message: can.Message) -> bytes:
 
 
 class RawFrame:
-    """A received frame; becomes a value only if somebody wants one."""
+    """A received frame, decoded only when needed."""
 
     __slots__ = ("_message", "data")
 
@@ -52,7 +52,7 @@ class RawFrame:
         self.data = pack(message)
 
     def decode(self) -> m.Frame:
-        """Return the value."""
+        """Decode the frame."""
         message = self._message
         return m.Frame(
             id=message.arbitration_id,
@@ -77,7 +77,7 @@ class BusPart(Part):
         self._wanted = _wanted(bus.config.ranges)
 
     def resources(self) -> list[Resource]:
-        """List what a bus has."""
+        """List the resources of the bus."""
         bus, name = self._bus, f"can/{self._bus.name}"
         found = [
             Resource(
@@ -142,7 +142,7 @@ class BusPart(Part):
         return found
 
     async def read(self, name: str) -> Any:
-        """Return state or statistics as they are; frames are not kept."""
+        """Return state or statistics; frames cannot be read."""
         match name.rpartition("/")[2]:
             case "state" if name.startswith("sensor/"):
                 return self._bus.reported_state
@@ -179,7 +179,7 @@ class BusPart(Part):
         )
 
     def watch(self, name: str) -> AbstractContextManager[object]:
-        """Publish frames only while somebody looks."""
+        """Publish frames only while a client subscribes."""
         return self._watched() if name == self._frame else super().watch(name)
 
     @contextmanager
@@ -220,7 +220,7 @@ class BusPart(Part):
         return recording.log_file()
 
     async def close(self) -> None:
-        """End a recording that is under way."""
+        """Stop a recording in progress."""
         if self._recording is not None:
             await self._end(self._recording)
 

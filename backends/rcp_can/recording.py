@@ -1,4 +1,4 @@
-"""Record frames to candump, ASC or BLF files, in a thread that the bus never waits for."""
+"""Record frames to candump, ASC or BLF files in a worker thread that never blocks the bus."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FLUSH = 1000  # frames handed to the thread at once
 
 
 class Recording:
-    """A file that is being written; made by `start`."""
+    """A file being written; create it with `start`."""
 
     def __init__(self, path: Path, writer: Any, channel: str) -> None:
         self.file = path.name
@@ -38,9 +38,9 @@ class Recording:
 
     @classmethod
     async def start(cls, directory: str, bus: str, format_: str) -> Recording:
-        """Open a new file, named by bus and time.
+        """Open a new file named after the bus and the time.
 
-        :raises DeviceRejected: it cannot be written.
+        :raises DeviceRejected: the file cannot be written.
         """
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%f")[:-3]
         path = Path(directory) / f"{bus}-{stamp}{_SUFFIX[format_]}"
@@ -54,7 +54,7 @@ class Recording:
             ) from error
 
     def tap(self, message: can.Message) -> None:
-        """Take one frame."""
+        """Record one frame."""
         if not message.timestamp:
             message.timestamp = time.time()
         self.frames += 1
@@ -72,7 +72,7 @@ class Recording:
         self._queue.put(batch)
 
     async def stop(self) -> None:
-        """Write what is left, and close the file."""
+        """Write the remaining frames and close the file."""
         self._flush()
         self._queue.put(None)
         await asyncio.get_running_loop().run_in_executor(None, self._thread.join)
@@ -80,7 +80,7 @@ class Recording:
             raise DeviceRejected(f"the recording failed: {self.error}")
 
     def log_file(self) -> LogFile:
-        """Say how far it is."""
+        """Return the file name and the number of frames so far."""
         return LogFile(file=self.file, frames=self.frames)
 
     def _run(self) -> None:

@@ -1,4 +1,4 @@
-"""An SDO client that waits without blocking: expedited and segmented, up and down (CiA 301, 7.2.4)."""
+"""An asynchronous SDO client with expedited and segmented transfers (CiA 301, 7.2.4)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ABORTS", "Sdo", "SdoAborted"]
 
-_TIMEOUT = 0.5  # s for one answer
-_LONGEST = 65_536  # bytes of one value that are taken
+_TIMEOUT = 0.5  # s for one response
+_LONGEST = 65_536  # bytes: the longest value accepted
 _TIMED_OUT = 0x05040000
 
 ABORTS = {
@@ -25,8 +25,8 @@ ABORTS = {
     0x05040001: "command specifier not valid or unknown",
     0x05040005: "out of memory",
     0x06010000: "unsupported access",
-    0x06010001: "it is write-only",
-    0x06010002: "it is read-only",
+    0x06010001: "the object is write-only",
+    0x06010002: "the object is read-only",
     0x06020000: "the object does not exist",
     0x06040041: "the object cannot be mapped to the PDO",
     0x06040042: "the PDO would be longer than 8 bytes",
@@ -47,7 +47,7 @@ ABORTS = {
 
 
 class SdoAborted(DeviceRejected):
-    """The node refused an access, with a code of CiA 301."""
+    """The node aborted an access, with an abort code of CiA 301."""
 
     def __init__(self, node: int, index: int, sub: int, abort: int) -> None:
         why = ABORTS.get(abort, "unknown reason")
@@ -59,33 +59,33 @@ class SdoAborted(DeviceRejected):
 
 
 class Sdo:
-    """The SDO server of one node, as seen from here; one access at a time."""
+    """The SDO client of one node; one access at a time."""
 
     def __init__(self, bus: Bus, node: int) -> None:
         self.unasked = 0
-        """Second answers to one question: two nodes with one id."""
+        """Number of duplicate responses to one request, a sign of two nodes with one id."""
         self._bus, self._node = bus, node
         self._lock = asyncio.Lock()
         self._answer: asyncio.Future[bytes] | None = None
         self._expected = b""
-        """Index and sub-index that the next answer is for."""
+        """Index and sub-index of the pending request."""
         self._last = b"", 0.0
-        """The answer of before, and when it came."""
+        """The previous response, and when it arrived."""
 
     @property
     def route(self) -> Route:
-        """Where the answers come from."""
+        """The identifier of the responses."""
         return Route(0x580 + self._node)
 
     @property
     def busy(self) -> bool:
-        """Whether an access is under way."""
+        """Whether an access is in progress."""
         return self._lock.locked()
 
     def take(self, message: can.Message) -> None:
-        """Read an answer.
+        """Handle a response.
 
-        :raises ValueError: it is too short.
+        :raises ValueError: the response is too short.
         """
         if len(message.data) < 8:
             raise ValueError("an SDO response has 8 bytes")
@@ -97,13 +97,13 @@ class Sdo:
             self._answer.set_result(data)
             self._last = data, now
             self._expected = b""
-        # Others are late, or answers to another master.
+        # Others are late, or responses to another master.
 
     async def upload(self, index: int, sub: int = 0) -> bytes:
         """Read an object.
 
         :raises SdoAborted: the node refuses.
-        :raises DeviceTimeout: it does not answer.
+        :raises DeviceTimeout: the node does not respond.
         """
         async with self._lock:
             head = await self._request(struct.pack("<BHBxxxx", 0x40, index, sub), index, sub)
@@ -127,7 +127,7 @@ class Sdo:
         """Write an object.
 
         :raises SdoAborted: the node refuses.
-        :raises DeviceTimeout: it does not answer.
+        :raises DeviceTimeout: the node does not respond.
         """
         async with self._lock:
             if 0 < len(data) <= 4:

@@ -1,4 +1,4 @@
-"""What a motor is to be sent now: its set-point on the ramp, within its limits, at the drive's shaft."""
+"""The next set-point of a motor: on the ramp, within its limits, at the drive's shaft."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["SetPoint", "set_point"]
 
 
 class SetPoint(NamedTuple):
-    """A set-point; `velocity` is that of the ramp in mode position."""
+    """A set-point; in mode position, `velocity` is that of the ramp."""
 
     mode: Mode
     value: float
@@ -20,10 +20,11 @@ class SetPoint(NamedTuple):
 
 
 def set_point(axis: AxisState, dt: float) -> SetPoint | None:
-    """Advance the ramp and return the next set-point; None where none stands."""
+    """Advance the ramp by `dt` s and return the next set-point; None if there is no command."""
     match axis.mode:
         case "velocity":
-            goal = _within(axis, axis.goal)
+            path = axis.ramp.path
+            goal = _within(axis, axis.goal if path is None else path()[1])
             return SetPoint("velocity", axis.ramp.to_velocity(goal, dt) * axis.ratio)
         case "position":
             goal = clamp(axis.goal, axis.low, axis.high)
@@ -37,11 +38,11 @@ def set_point(axis: AxisState, dt: float) -> SetPoint | None:
 
 
 def _within(axis: AxisState, velocity: float) -> float:
-    """Let no velocity lead out of the positions that are allowed."""
+    """Limit a velocity so that the joint cannot leave its allowed positions."""
     if axis.config.position is None:
         return velocity
     position = axis.position
     if position is None or not axis.is_fresh("position"):
-        return 0.0  # a limit does not rest on where it was
+        return 0.0  # a limit cannot rely on an old position
     out = (position >= axis.high and velocity > 0) or (position <= axis.low and velocity < 0)
     return 0.0 if out else velocity

@@ -1,4 +1,4 @@
-"""Whether motors are at rest, as their own fresh measurements say."""
+"""Standstill of motors, from their own fresh measurements."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 __all__ = ["motion_of", "motion_of_all", "rested"]
 
-_REST = 4.0  # s that a joint may need to come to rest
+_REST = 4.0  # s a joint may need to come to rest
 _POLL_PERIOD = 0.01  # s
-_REPORTS = 3  # of velocity, in a row: one or two that are under way are of before
+_REPORTS = 3  # consecutive velocity reports: one or two on the bus may predate the stop
 
 
 def motion_of(axis: Axis) -> MotionState:
@@ -44,7 +44,7 @@ def motion_of(axis: Axis) -> MotionState:
 
 
 def motion_of_all(axes: Iterable[Axis]) -> MotionState | None:
-    """Sum up: moving outweighs unknown, and unknown outweighs rest; None if there is no motor."""
+    """Combine the states: moving before unknown before rest; None if there is no motor."""
     states = [motion_of(axis) for axis in axes if axis.met or not axis.config.optional]
     if not states:
         return None
@@ -62,10 +62,10 @@ def motion_of_all(axes: Iterable[Axis]) -> MotionState | None:
 
 
 async def rested(axis: Axis) -> None:
-    """Wait until several fresh reports in a row say that it rests.
+    """Wait until several consecutive fresh reports show standstill.
 
-    :raises DeviceTimeout: they do not, or its feedback is lost.
-    :raises AdapterUnavailable: it is lost meanwhile.
+    :raises DeviceTimeout: they do not, or feedback is lost.
+    :raises AdapterUnavailable: the drive is lost meanwhile.
     """
     begun = axis.status.counts["velocity"]
     end = time.monotonic() + _REST

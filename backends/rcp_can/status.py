@@ -1,4 +1,4 @@
-"""What a drive said last, and when: each signal has an age of its own."""
+"""The last reports of a drive, each signal with its own age."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 __all__ = ["Fault", "Status"]
 
-_WINDOW = 0.1  # s over which a velocity is taken from positions
-_SHORTEST = 0.04  # s: positions nearer together than this make no velocity
+_WINDOW = 0.1  # s over which a velocity is derived from positions
+_SHORTEST = 0.04  # s: positions closer together than this give no velocity
 
 
 class Fault(NamedTuple):
-    """A fault that stands."""
+    """An active fault."""
 
     name: str
     text: str
@@ -21,17 +21,18 @@ class Fault(NamedTuple):
 
 
 class Status:
-    """What the drive said last; rad, rad/s and N·m at its own shaft, None where it says nothing.
+    """The last reports of a drive; rad, rad/s and N·m at its own shaft, None if it reports nothing.
 
-    Setting `position`, `velocity` or `enabled` notes the time: a profile sets them from a frame
-    that carries them, and from nothing else.
+    Setting `position`, `velocity` or `enabled` records the time: a profile sets them only from a
+    frame
+    that carries them.
     """
 
     def __init__(self) -> None:
         self.at: dict[str, float] = {}
-        """When each signal was told last, by the monotonic clock."""
+        """When each signal was last reported, monotonic time in s."""
         self.counts: Counter[str] = Counter()
-        """How often each signal was told."""
+        """How often each signal was reported."""
         self._position: float | None = None
         self._velocity: float | None = None
         self._enabled: bool | None = None
@@ -42,20 +43,20 @@ class Status:
         self.motor_temperature: float | None = None
         self.voltage: float | None = None
         self.holding: bool | None = None
-        """Whether it holds torque although it is not enabled; None: `enabled` says it all."""
+        """Whether it holds torque although it is not enabled; None: `enabled` tells."""
         self.faults: tuple[Fault, ...] = ()
         self.reached: bool | None = None
         self.homed: bool | None = None
         self.beat = 0.0
-        """When it sent its last heartbeat, by the monotonic clock."""
+        """When it sent its last heartbeat, monotonic time in s."""
         self.moved = 0
-        """Counts news of the motion."""
+        """Counts reports of motion."""
         self.reports = 0
-        """Counts news of anything else."""
+        """Counts all other reports."""
         self.resets = 0
-        """Counts boots that were seen."""
+        """Counts observed boots."""
         self.twins = 0
-        """Counts signs that two drives answer to one id."""
+        """Counts signs that two drives have the same id."""
 
     def _note(self, signal: str) -> float:
         now = time.monotonic()
@@ -65,7 +66,7 @@ class Status:
 
     @property
     def position(self) -> float | None:
-        """Where its shaft is."""
+        """Position of its shaft, rad."""
         return self._position
 
     @position.setter
@@ -75,7 +76,7 @@ class Status:
             self.at.pop("position", None)
             return
         now = self._note("position")
-        if self._velocity is None:  # this drive tells none: positions must do
+        if self._velocity is None:  # this drive reports no velocity: derive it from positions
             past = self._past
             past.append((now, value))
             while now - past[0][0] > 2 * _WINDOW:
@@ -85,7 +86,7 @@ class Status:
 
     @property
     def velocity(self) -> float | None:
-        """How fast it turns; from its positions where it tells no velocity."""
+        """Velocity of its shaft, rad/s; derived from positions if the drive reports none."""
         if self._velocity is not None or len(self._past) < 2:
             return self._velocity
         last, here = self._past[-1]
@@ -105,7 +106,7 @@ class Status:
 
     @property
     def enabled(self) -> bool | None:
-        """Whether it takes set-points, by its own word; None before it has said anything."""
+        """Whether it accepts set-points, as it reports; None before the first report."""
         return self._enabled
 
     @enabled.setter
@@ -118,5 +119,5 @@ class Status:
 
     @property
     def energised(self) -> bool | None:
-        """Whether it gives torque, or holds it after a stop."""
+        """Whether it applies torque, or holds it after a stop."""
         return self._enabled if self.holding is None else self.holding

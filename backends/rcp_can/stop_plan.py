@@ -1,4 +1,4 @@
-"""What the guard process sends on each bus when the gateway's own loop has stopped."""
+"""The frames that the guard process sends on each bus when the gateway has failed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["stop_plans"]
 
 _SHARED = frozenset(("socketcan", "socketcand", "udp_multicast"))
-"""Interfaces that a second process can open while the gateway has them."""
+"""Interfaces that a second process can open while the gateway uses them."""
 
 
 def stop_plans(
@@ -25,9 +25,10 @@ def stop_plans(
 ) -> dict[str, StopPlan]:
     """Return a plan per bus that another process can open and on which something can be stopped.
 
-    Every drive with a stop that cannot switch it on is in it, one with a watchdog of its own too:
-    the frames do no harm to a drive that rests, and a watchdog may have been set by somebody else
-    since. A drive that only its watchdog can stop safely (moteus) is left to that.
+    It includes every drive with a stop that cannot switch it on, also a drive with its own
+    watchdog:
+    the frames do not disturb a drive at rest, and another tool may have changed the watchdog since.
+    A drive that only its watchdog can stop safely (moteus) is left out.
     """
     frames: dict[str, list[StopFrame]] = {}
     for axis in axes:

@@ -1,4 +1,4 @@
-"""A beat that an event loop cannot keep by itself: its timers are no finer than a millisecond."""
+"""A periodic timer finer than the event loop's, whose resolution is a millisecond."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from contextlib import contextmanager
 
 __all__ = ["Ticker"]
 
-_LATE = 0.1  # s: what is later than this is not made up for
+_LATE = 0.1  # s: beats that are later than this are not made up for
 
 
 class Ticker:
-    """Wakes one task of the loop at a rate; a beat that finds the task at work is left out."""
+    """Wakes one task of the event loop at a rate; a beat is skipped if the task is still busy."""
 
     def __init__(self, rate: float) -> None:
         self._period = 1 / rate
@@ -26,7 +26,7 @@ class Ticker:
 
     @contextmanager
     def running(self) -> Generator[None]:
-        """Keep the beat while entered."""
+        """Run the timer while entered."""
         self._thread.start()
         try:
             yield

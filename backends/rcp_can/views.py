@@ -1,4 +1,4 @@
-"""What is shown of a motor, in the words of the motor model."""
+"""The published values of a motor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["health", "motion", "state"]
 
 
 def motion(axis: AxisState) -> m.Motion:
-    """Return what the drive measured last, at the joint; what is too old is left out."""
+    """Return the last measurements at the joint, without stale ones."""
     status = axis.status
     return m.Motion(
         position=axis.position if axis.is_fresh("position") else None,
@@ -30,7 +30,7 @@ def health(axis: AxisState) -> m.Health:
 
 
 def state(axis: AxisState) -> m.MotorState:
-    """Return how it stands."""
+    """Return the state of the motor."""
     return m.MotorState(
         state=axis.state,
         mode=axis.mode,

@@ -1,6 +1,7 @@
-"""One opened python-can bus with its two threads: one reads, one writes, neither waits for us.
+"""One open python-can bus, with a reading and a writing thread.
 
-What is read is handed to the event loop in batches: while the loop is busy, frames gather.
+Neither thread blocks the event loop. Received frames are handed to it in batches: while the loop is
+busy, frames accumulate.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Wire"]
 
-_RECV = 0.1  # s a reader waits at most, so that it sees the end
-_SEND = 0.2  # s that one frame may need until the interface has taken it
-_INBOX = 16_384  # frames that wait for a busy event loop; older ones are lost, and counted
-_FAILURES = 8  # failed sends in a row, after which the interface counts as lost
-_ECHOES = 1024  # sent frames whose own echo is still awaited
+_RECV = 0.1  # s a reader blocks at most, so that it notices the end
+_SEND = 0.2  # s the interface may take to accept one frame
+_INBOX = 16_384  # frames queued for a busy event loop; older ones are dropped and counted
+_FAILURES = 8  # consecutive failed sends after which the interface counts as lost
+_ECHOES = 1024  # sent frames whose own echo is still expected
 
 
 class Wire:
-    """An open bus; lives until it is closed or `lost` is called with the reason, once."""
+    """An open bus, until it is closed or `lost` is called once with the reason."""
 
     def __init__(
         self,
@@ -62,7 +63,7 @@ class Wire:
 
     @property
     def waiting(self) -> int:
-        """How many frames wait to be sent."""
+        """The number of frames that wait to be sent."""
         return len(self._outbox)
 
     @property
@@ -78,12 +79,13 @@ class Wire:
         urgent: bool,
         sender: Hashable = None,
     ) -> None:
-        """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent ones go first.
+        """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent frames go first.
 
-        What is urgent brings something to rest: no frame with a lifetime that its sender has waiting is
-        sent after it. Those of others are: a motor that is stopped must not silence its neighbours.
+        An urgent frame brings something to rest, so queued frames with a lifetime from the same
+        sender are
+        dropped. Those of other senders stay: stopping one motor must not silence its neighbours.
 
-        :raises QueueFull: too many wait already; an urgent one takes the place of the last.
+        :raises QueueFull: the queue is full; an urgent frame replaces the last one instead.
         :raises AdapterUnavailable: the wire is closed.
         """
         if self._closing:
@@ -108,7 +110,7 @@ class Wire:
         self._wake.set()
 
     async def close(self) -> None:
-        """Send what is queued, as far as it goes, and let go of the bus."""
+        """Send the queued frames as far as possible, and release the bus."""
         self._closing = True
         self._wake.set()
         await asyncio.get_running_loop().run_in_executor(None, self._end)
@@ -116,10 +118,10 @@ class Wire:
     def _end(self) -> None:
         for thread in reversed(self._threads):
             thread.join(2.0)
-        with suppress(Exception):  # an interface that is gone cannot be closed well
+        with suppress(Exception):  # an interface that is gone cannot be closed cleanly
             self._bus.shutdown()
 
-    # The threads
+    # Threads
 
     def _read(self) -> None:
         recv, inbox = self._bus.recv, self._inbox
@@ -202,5 +204,5 @@ class Wire:
     def _soon(self, function: Callable[..., object], *args: Any) -> None:
         try:
             self._loop.call_soon_threadsafe(function, *args)
-        except RuntimeError:  # the loop has ended, and with it everybody who would listen
+        except RuntimeError:  # the event loop has ended, and with it every receiver
             self._closing = True

@@ -18,5 +18,5 @@ __all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2"
 
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
-    """Connect a ROS 2 domain."""
+    """Register the ROS 2 backend."""
     return [BackendKind("ros2", Ros2Config, open_ros2, "ROS 2 robots.")]

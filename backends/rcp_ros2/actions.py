@@ -1,4 +1,4 @@
-"""Actions: goal, feedback, result, cancel, and goals whose server dies."""
+"""Actions: goals, feedback, results, cancellation, and goals whose server fails."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from rcp_ros2.types import example_of, inward
 
 __all__ = ["Goal", "Run"]
 
-_FIRST_POLL = 0.3  # s after which a server that blocks its node while it works does so by now
-_POLL = 1.0  # s between looks after a running goal's server
+_FIRST_POLL = 0.3  # s until the first poll; a server that blocks its node does so by now
+_POLL = 1.0  # s between two polls of a running goal's server
 _REST = 4.0  # s for a cancelled goal to come to rest
-_LATE = 2.0  # s that a cancel waits for the acceptance of its goal
+_LATE = 2.0  # s that a cancel waits for its goal to be accepted
 _MATCH = 2.0  # s for a client to find a server that the graph lists
-_RACE = 0.1  # s for the result of a goal that has ended just before its cancel came
-_PAUSE = 0.02  # s between looks whether it has
-_FEEDBACK = 0.05  # s between looks whether a running goal is measured
+_RACE = 0.1  # s to wait for the result of a goal that ended just before its cancel
+_PAUSE = 0.02  # s between two polls of the result
+_FEEDBACK = 0.05  # s between two checks of a running goal's feedback
 _UNKNOWN, _SUCCEEDED, _CANCELED, _ABORTED = 0, 4, 5, 6  # action_msgs/msg/GoalStatus
 _ACCEPTED, _REFUSED = 0, 1  # action_msgs/srv/CancelGoal
 
 
 class Run(Binding):
-    """An action of the tree."""
+    """An action resource."""
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, action: Any) -> None:
         self.action = action
@@ -126,7 +126,7 @@ class Run(Binding):
             )
 
     def is_ready(self) -> bool:
-        """Tell whether a server is available, in the ROS thread."""
+        """Return whether a server is available; called in the ROS thread."""
         if self.client is None:
             from rclpy.action.client import ActionClient
 
@@ -135,7 +135,7 @@ class Run(Binding):
         return self.client.server_is_ready()
 
     def servers(self) -> frozenset[bytes]:
-        """Return the publisher of the action's status: a new one means a restarted server."""
+        """Return the publishers of the action's status: a new one means a restarted server."""
         topic = f"{self.mapping.target}/_action/status"
         endpoints = self.shared.ros.node.get_publishers_info_by_topic(topic)
         named = [name for name in map(node_of, endpoints) if name is not None]
@@ -148,11 +148,11 @@ class Run(Binding):
         return self.shared.pulses.is_silent(self._node)
 
     def pulse(self) -> Pulse | None:
-        """Return the pulse of the server's node."""
+        """Return the liveness monitor of the server's node."""
         return self.shared.pulses.of(self._node)
 
     async def halt(self) -> None:
-        """Cancel every running goal, and return when the server has confirmed it."""
+        """Cancel every running goal; return when the server has confirmed it."""
         await asyncio.gather(*(goal.stop() for goal in list(self._goals)))
 
     def close(self) -> None:
@@ -167,7 +167,7 @@ class Run(Binding):
 
 
 def _is_refused(answer: Any) -> bool:
-    """Tell whether a server refuses a cancel; rclpy's cancels nothing in that case."""
+    """Return whether a server refused a cancel; rclpy then returns an empty list of goals."""
     nothing = answer.return_code == _ACCEPTED and not answer.goals_canceling
     return nothing or answer.return_code == _REFUSED
 
@@ -185,11 +185,11 @@ class Goal:
         self._result = Ticket(run.shared.host)
         self._pulse: Pulse | None = None
         self._answers = 0
-        """The node's number of responses when it was first polled for this goal."""
+        """The node's response count when it was first polled for this goal."""
         self._servers: frozenset[bytes] = frozenset()
         self._last_message_at = time.monotonic()
         self._seen: Any = None
-        """The goal's handle in the ROS thread."""
+        """The goal handle; used only in the ROS thread."""
         self._sent = False
         self._result_requested = False
         self._abandoned = False
@@ -197,7 +197,7 @@ class Goal:
         self._id = uuid.uuid4().bytes
 
     async def run(self) -> Any:
-        """Run the goal to its end; a cancellation reaches the server before this returns."""
+        """Run the goal to its end; a cancellation is sent to the server before this returns."""
         try:
             await self._run.reach()
             await self._run.need_feedback()
@@ -214,7 +214,7 @@ class Goal:
                 raise
             return result[0]
         except (AdapterUnavailable, DeviceTimeout):
-            # Should the server live after all, its goal must not go on with nobody watching.
+            # If the server is alive after all, its goal must not continue unobserved.
             if self._run.shared.config.on_loss != "continue":
                 self._abandon()
             raise
@@ -248,7 +248,7 @@ class Goal:
     async def _need_feedback(self) -> None:
         """Cancel the goal if its feedback is lost.
 
-        :raises DeviceTimeout: it is not.
+        :raises DeviceTimeout: the feedback was lost.
         """
         feedback = self._run.feedback
         if feedback is None or feedback.is_fresh():
@@ -261,7 +261,7 @@ class Goal:
         )
 
     async def _poll(self) -> None:
-        """Monitor the server; a goal must not wait for a dead one."""
+        """Monitor the server, so that the goal does not wait for a dead one."""
         ready = await self._ros.call(self._inspect)
         if self._result.done:
             return
@@ -273,8 +273,8 @@ class Goal:
         if pulse is None:
             return
         silent = time.monotonic() - max(self._last_message_at, pulse.last_response)
-        # A server that blocks its node while it works cannot answer, and is not dead for that:
-        # only one that has answered while it ran this goal is missed.
+        # A server that blocks its node while it works cannot respond although it is alive:
+        # only a server that has responded during this goal can be reported as lost.
         if pulse.answers > self._answers and silent > self._run.silence:
             raise DeviceTimeout(
                 f"the server of {self._name} sent nothing for {silent:.1f} s while it ran the goal",
@@ -301,17 +301,17 @@ class Goal:
         )
 
     async def _cancelled(self) -> tuple[Any] | None:
-        """End the goal. Return its result if it succeeded before the cancel came."""
+        """Cancel the goal; return its result if it succeeded before the cancel."""
         if not await self.stop():
             return None
         status, value = self._result.result()
         return (value,) if status == _SUCCEEDED else None
 
     async def stop(self) -> bool:
-        """Cancel the goal and wait until it has ended; tell whether there was anything to cancel.
+        """Cancel the goal and wait until it has ended; return whether there was one to cancel.
 
         :raises DeviceRejected: the server refuses to cancel.
-        :raises DeviceTimeout: it has not confirmed it.
+        :raises DeviceTimeout: the server has not confirmed the cancel.
         """
         self._stopping = True
         if not self._sent:
@@ -367,7 +367,7 @@ class Goal:
             self._cancel_unseen()
 
     def _cancel_unseen(self) -> None:
-        """Cancel an abandoned goal, now or when its server responds again."""
+        """Cancel an abandoned goal, now or as soon as its server responds again."""
         self._abandoned = True
         server = self._run.shared.keeper.servers.get(self._name)
         if server is not None:
@@ -387,7 +387,7 @@ class Goal:
 
     def _request_cancel(self, handle: Any, answer: Ticket) -> None:
         answer.follow(handle.cancel_goal_async())
-        if not self._result_requested:  # the cancel came between acceptance and this question
+        if not self._result_requested:  # cancelled between acceptance and the result request
             self._request_result(handle)
 
     def _on_feedback(self, message: Any) -> None:
@@ -397,7 +397,7 @@ class Goal:
 
     def _inspect(self) -> bool:
         servers = self._run.servers()
-        if servers - self._servers:  # a new server knows nothing of this goal, and says so
+        if servers - self._servers:  # a new server does not know this goal
             self._servers |= servers
             self._request_result(self._seen)
         pulse = self._run.pulse()

@@ -43,7 +43,7 @@ MEDIA = {
     ".jpg": "image/jpeg",
     ".jpeg": "image/jpeg",
 }
-"""Supported file name endings with their media types."""
+"""Supported file name extensions with their media types."""
 _NAMED = re.compile(r"""=\s*["']\s*package://([A-Za-z][A-Za-z0-9_-]*)/""")
 _URI = re.compile(r"package://([A-Za-z][A-Za-z0-9_-]*)/([^\x00-\x1f\\]+)")
 
@@ -75,9 +75,9 @@ def packages_of(description: str) -> frozenset[str]:
 
 
 def find(uri: str, packages: Iterable[str], config: AssetsConfig) -> Path:
-    """Return the file of a `package://` URI, in the folder of a package that is named.
+    """Return the file of a `package://` URI, within the folder of one of `packages`.
 
-    :raises InvalidValue: it is no such URI, its package is not named, or it is no mesh or texture.
+    :raises InvalidValue: the URI, its package or its file type is not allowed.
     :raises AdapterUnavailable: the package is not on this machine.
     :raises DeviceRejected: there is no such file in the package's folder.
     :raises PayloadTooLarge: it is larger than the configuration allows.
@@ -89,7 +89,7 @@ def find(uri: str, packages: Iterable[str], config: AssetsConfig) -> Path:
         )
     package, rest = found.groups()
     parts = rest.split("/")
-    if not all(part.strip(". ") for part in parts):  # nothing empty, and neither `.` nor `..`
+    if not all(part.strip(". ") for part in parts):  # neither empty parts nor `.` and `..`
         raise _wrong(f"{uri!r} is not a plain path to a file", "Remove `.`, `..` and empty parts.")
     if package not in packages:
         named = ", ".join(sorted(packages)) or "none"
@@ -105,12 +105,12 @@ def find(uri: str, packages: Iterable[str], config: AssetsConfig) -> Path:
 
 
 def _within(folder: Path, rest: str, package: str, most: int) -> Path:
-    """Return a file below a folder, whatever links lead to."""
+    """Return a file below a folder; symbolic links must not lead out of it."""
     try:
         file = (folder / rest).resolve(strict=True)
         there = file.is_relative_to(folder) and file.is_file()
         size = file.stat().st_size
-    except (OSError, RuntimeError):  # not there, not ours to read, or links in a ring
+    except (OSError, RuntimeError):  # missing, not readable, or a cycle of links
         there, size = False, 0
         file = folder
     if not there or file.suffix.lower() not in MEDIA:
@@ -148,14 +148,14 @@ def _wrong(message: str, remedy: str) -> InvalidValue:
 
 
 class Assets:
-    """Offers the files of each robot description that is mapped or exposed."""
+    """Provides the files of each robot description that is mapped or exposed."""
 
     def __init__(self, shared: Shared, matters: Callable[[str], bool]) -> None:
         self._shared = shared
         self._matters = matters
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return a service for each description."""
+        """Return a service for each description in the graph."""
         found: dict[str, Offer] = {}
         for topic, type_ in graph.topics.items():
             if topic.endswith(_TOPIC) and type_ == _STRING and self._matters(topic):
@@ -167,11 +167,11 @@ class Assets:
 
 
 class Fetching(Binding):
-    """The files of one description."""
+    """The file service of one description."""
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping) -> None:
         self._packages: frozenset[str] | None = None
-        """Packages in the description; None before it was received."""
+        """Packages that the description refers to; None before it was received."""
         self._follows = False
         self._key = f"{mapping.target} assets"
         text = f"Return a mesh or texture of a package that {mapping.target} refers to"
@@ -194,9 +194,9 @@ class Fetching(Binding):
         self._packages = packages_of(text.data)
 
     async def execute(self, value: Any, progress: Progress) -> Asset:
-        """Read the file, as `find` finds it; the description is followed from the first one on.
+        """Return a file; the first call subscribes to the description.
 
-        :raises DeviceTimeout: nobody tells the description.
+        :raises DeviceTimeout: no description is received.
         """
         self._follow()
         patience = self.shared.settling + self.timeout
@@ -211,7 +211,7 @@ class Fetching(Binding):
         return Asset(MEDIA[file.suffix.lower()], data)
 
     def close(self) -> None:
-        """Follow the description no more."""
+        """Unsubscribe from the description."""
         if self._follows:
             self.shared.ros.post(self.shared.subscriptions.untap, self.mapping.target, self._key)
 

@@ -1,4 +1,4 @@
-"""Several parameters of a node, set atomically."""
+"""A service that sets several parameters of a node atomically."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["AtomicParameters"]
 
 
 class AtomicParameters(Binding):
-    """Sets parameters of one node atomically."""
+    """The service for one node."""
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class AtomicParameters(Binding):
     ) -> None:
         self._node = node
         self._kinds = {f"p{n}": one for n, one in enumerate(described)}
-        """A parameter's name need not be one of Python's."""
+        """Field names: parameter names are not always Python identifiers."""
         text = f"Set parameters of {node.node} atomically: all of them, or none"
         facts = common(name, mapping, text, node=node.node)
         super().__init__(shared, Resource(input=self._input(mapping), **facts), mapping)
@@ -48,7 +48,7 @@ class AtomicParameters(Binding):
         )
 
     async def execute(self, value: Any, progress: Progress) -> None:
-        """Set them.
+        """Set the given parameters.
 
         :raises DeviceRejected: the node refused, and has changed none of them.
         """

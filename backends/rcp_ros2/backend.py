@@ -22,7 +22,7 @@ from rcp_ros2.stops import Stops
 
 __all__ = ["Ros2Backend", "open_ros2"]
 
-_SETTLE = 0.6  # s from the beginning; a gateway waits 1 s for its backends
+_SETTLE = 0.6  # s for discovery at the start; a gateway waits 1 s for its backends
 
 
 class Ros2Backend(BaseBackend):
@@ -52,7 +52,7 @@ class Ros2Backend(BaseBackend):
         return await self._binding(name).execute(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Subscribe while entered; what replaces a resource meanwhile is watched too."""
+        """Subscribe while entered, also to a binding that replaces the current one."""
         return self._watch(name, math.inf if rate is None else rate)
 
     @asynccontextmanager
@@ -79,15 +79,15 @@ class Ros2Backend(BaseBackend):
             binding.unwatched()
 
     async def halt(self) -> None:
-        """Publish safe values on all actuators, cancel every goal, use all configured means.
+        """Publish safe values, cancel every goal and use all configured means of stopping.
 
         :raises AdapterUnavailable: it is unknown whether everything is at rest.
-        :raises DeviceTimeout: something is not.
+        :raises DeviceTimeout: something is not at rest.
         """
         await self._stops.halt(None)
 
     async def halt_robot(self, robot: str) -> None:
-        """Do so for one of the robots."""
+        """Stop one robot, as `halt`."""
         await self._stops.halt(robot)
 
     def motion(self, robot: str | None) -> MotionState:
@@ -107,13 +107,13 @@ class Ros2Backend(BaseBackend):
         return await self._stops.recover(robot)
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """List that none is known."""
+        """Report per robot that no watchdog is known."""
         return self._stops.watchdogs()
 
 
 @asynccontextmanager
 async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backend]:
-    """Join a ROS 2 domain; leaving releases everything in it.
+    """Join a ROS 2 domain; release everything on exit.
 
     :raises ConfigError: rclpy is missing.
     :raises NotReady: ROS 2 did not start, or failed later.
@@ -149,9 +149,9 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
 
 
 async def _settle(catalog: Catalog, limit: float) -> None:
-    """Give discovery its usual time, so that most paths are there when the backend is ready.
+    """Wait for discovery, so that most paths exist when the backend is ready.
 
-    Now and then it takes 3 s: a gateway does not wait for that with its start.
+    Discovery occasionally takes 3 s, for which the gateway's start does not wait.
     """
     if limit > 0:
         with contextlib.suppress(TimeoutError):

@@ -19,7 +19,7 @@ __all__ = ["Absent", "Binding", "Construct", "Offer", "Shared", "common"]
 
 
 class Shared(RosLink):
-    """What all bindings of a backend work with: the connection, and what keeps robots stopped."""
+    """The shared collaborators of all bindings: the connection, and what keeps robots stopped."""
 
     def __init__(self, ros: Ros, config: Ros2Config, host: Host) -> None:
         super().__init__(ros, config, host)
@@ -27,14 +27,14 @@ class Shared(RosLink):
 
 
 class Binding:
-    """One resource and its implementation; refuses what a subclass does not override."""
+    """One resource and its implementation; operations it does not override are refused."""
 
     def __init__(self, shared: Shared, resource: Resource, mapping: Mapping) -> None:
         self.shared = shared
         self.resource = resource
         self.mapping = mapping
         self.feedback: Feedback | None = None
-        """Feedback of the motion that it causes, if mapped."""
+        """Feedback of the motion that the resource causes, if mapped."""
 
     @property
     def is_barred(self) -> bool:
@@ -44,9 +44,9 @@ class Binding:
         return moves or resource.energises
 
     def admit(self) -> None:
-        """Check a command that moves or energises; in the ROS thread, just before it is sent.
+        """Check a command that moves or energises; called in the ROS thread just before sending.
 
-        :raises EstopActive: the robot was stopped since.
+        :raises EstopActive: the robot has been stopped since the request.
         """
         if not self.is_barred:
             return
@@ -55,7 +55,7 @@ class Binding:
 
     @property
     def timeout(self) -> float:
-        """Time-out in s for one response of the robot."""
+        """Time-out in s for one response from the robot."""
         return self.mapping.timeout or self.shared.config.timeout
 
     async def read(self) -> Any:
@@ -67,31 +67,31 @@ class Binding:
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be written")
 
     async def execute(self, value: Any, progress: Progress) -> Any:
-        """Run it to its end."""
+        """Run the service or action to its end."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be executed")
 
     def watched(self, rate: float) -> None:
-        """Publish at most `rate` values per second; infinity: all of them."""
+        """Publish at most `rate` values per second; infinity publishes all of them."""
 
     def unwatched(self) -> None:
         """Stop publishing."""
 
     def placed(self) -> None:
-        """Publish what is already known, after the resource was declared."""
+        """Publish values received before the resource was declared."""
 
     async def halt(self) -> None:
-        """Stop what it moves."""
+        """Stop the motion that the resource causes."""
 
     def close(self) -> None:
         """Release its ROS entities."""
 
     def late(self, what: str) -> DeviceTimeout:
-        """Make the error for a missing response."""
+        """Return the error for a missing response from `what`."""
         return DeviceTimeout(f"{what} did not respond within {self.timeout:g} s")
 
 
 class Absent(Binding):
-    """A mapping that is not available: its type is missing or not known yet."""
+    """A mapping that is not available: its type is missing or unknown so far."""
 
     def __init__(
         self, shared: Shared, resource: Resource, mapping: Mapping, why: str, remedy: str
@@ -104,15 +104,15 @@ class Absent(Binding):
         return AdapterUnavailable(self.why, remedy=self._remedy)
 
     async def read(self) -> Any:
-        """Refuse, with the reason."""
+        """Raise the reason."""
         raise self._error()
 
     async def write(self, value: Any) -> Any:
-        """Refuse, with the reason."""
+        """Raise the reason."""
         raise self._error()
 
     async def execute(self, value: Any, progress: Progress) -> Any:
-        """Refuse, with the reason."""
+        """Raise the reason."""
         raise self._error()
 
 
@@ -120,21 +120,21 @@ class Offer(NamedTuple):
     """A path provided by a ROS convention."""
 
     mapping: Mapping
-    """Its mapping."""
+    """Target of the path."""
     make: Callable[[], Binding]
-    """Called in the ROS thread; raises `MissingType`."""
+    """Creates the binding; called in the ROS thread, raises `MissingType`."""
 
 
 class Construct(Protocol):
-    """A convention of ROS that is more than one topic or service: nodes with a lifecycle."""
+    """A ROS convention of several topics or services, such as lifecycle nodes."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return the current paths; on the event loop, at each poll of the graph."""
+        """Return the current paths; called on the event loop after each poll of the graph."""
         ...
 
 
 def common(name: str, mapping: Mapping, description: str, **facts: Any) -> dict[str, Any]:
-    """Return the arguments of a `Resource` that every kind takes from its mapping."""
+    """Return the `Resource` arguments that every kind of mapping shares."""
     text = (mapping.description or description).rstrip()
     out: dict[str, Any] = {
         "name": name,

@@ -1,4 +1,4 @@
-"""The client of a service: made once, and calls that end when its server does."""
+"""A service client: created once, and calls that end if their server disappears."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rcp_ros2.ros import Ticket
 
 __all__ = ["Caller"]
 
-_POLL = 0.5  # s between looks whether the server is still there
-_MATCH = 1.0  # s for a client to find a server that the graph lists
-_PAUSE = 0.02  # s between looks whether it has
+_POLL = 0.5  # s between two checks that the server still exists
+_MATCH = 1.0  # s for a client to discover a server that the graph lists
+_PAUSE = 0.02  # s between two checks of discovery
 _UNMATCHED = object()
 
 
@@ -36,18 +36,18 @@ class Caller:
         self._srv = srv
         self._name = name
         self._presence = presence or ("service", name)
-        """What must be in the graph: the service, or the kind of node that serves it."""
+        """What must be in the graph: the service, or the kind of node that provides it."""
         self._convert = convert
-        """Run on the response, in the ROS thread."""
+        """Called with the response, in the ROS thread."""
         self._admit = admit
-        """Run before a request is sent, in the ROS thread: raises if it must not be."""
+        """Called before a request is sent, in the ROS thread; raises to refuse it."""
         self._client: Any = None
 
     async def call(self, request: Any, limit: float) -> Any:
-        """Call the service, and return the response within `limit` seconds.
+        """Call the service and return the response within `limit` seconds.
 
-        :raises AdapterUnavailable: no node offers the service, or the one that did has gone.
-        :raises DeviceTimeout: no answer came in time.
+        :raises AdapterUnavailable: no node offers the service, or its node has disappeared.
+        :raises DeviceTimeout: no response arrived in time.
         """
         await self._link.present(*self._presence)
         until = time.monotonic() + min(limit, _MATCH)
@@ -58,7 +58,7 @@ class Caller:
         return answer
 
     async def _request(self, request: Any, limit: float) -> Any:
-        """Find the server and send the request in one turn of the thread, which costs 0.1 ms."""
+        """Find the server and send the request in one visit to the ROS thread (0.1 ms)."""
         ticket = Ticket(self._link.host)
         sent: list[Any] = []
         self._link.ros.submit(self._send, request, ticket, sent)
@@ -92,7 +92,7 @@ class Caller:
             ticket.fail(error)
 
     def prepare(self) -> None:
-        """Have a client, so that the server is discovered; in the ROS thread."""
+        """Create the client early, so that it discovers the server; called in the ROS thread."""
         if self._client is None:
             self._client = self._link.ros.node.create_client(self._srv, self._name)
 

@@ -1,4 +1,4 @@
-"""Calls of services by any client, if the node has introspection enabled."""
+"""Observed service calls of any client, if the node has introspection enabled."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["Calls", "calls_of"]
 
 Step = Literal["request_sent", "request_received", "response_sent", "response_received"]
 _STEPS: tuple[Step, ...] = Step.__args__
-"""Steps by their number in service_msgs/msg/ServiceEventInfo."""
+"""Event types by their number in service_msgs/msg/ServiceEventInfo."""
 
 
 def _call_type(srv: Any) -> type[msgspec.Struct]:
-    """Return the type of one step of a call; contents are optional, as the node may omit them."""
+    """Return the type of one call event; its contents are optional, as the node may omit them."""
     return msgspec.defstruct(
         f"{srv.__name__}Call",
         [
@@ -40,14 +40,14 @@ def _call_type(srv: Any) -> type[msgspec.Struct]:
 
 
 class _Steps(Codec):
-    """Decodes the event type that rosidl makes for a service."""
+    """Decodes the event type that rosidl generates for a service."""
 
     def __init__(self, srv: Any, event: Any) -> None:
         super().__init__(event)
         self.type = _call_type(srv)
 
     def decode(self, data: bytes) -> Any:
-        """Return one step of a call."""
+        """Return one call event."""
         event = super().decode(data)
         info = event.info
         return self.type(
@@ -59,21 +59,21 @@ class _Steps(Codec):
         )
 
     def stamp(self, data: bytes) -> int | None:
-        """Return when it happened, ns since the epoch."""
+        """Return the time of the event, ns since the epoch."""
         stamp = super().decode(data).info.stamp
         return stamp.sec * 1_000_000_000 + stamp.nanosec or None
 
 
 class Calls:
-    """Offers the calls of each exposed service with introspection."""
+    """Provides the calls of each exposed service with introspection."""
 
     def __init__(self, shared: Shared, services: AbstractSet[str]) -> None:
         self._shared = shared
         self._services = services
-        """Kept by the catalog."""
+        """A live set, maintained by the catalog."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return an event for each service whose introspection is on."""
+        """Return an event resource for each service with introspection enabled."""
         found: dict[str, Offer] = {}
         for service in self._services:
             type_ = graph.services.get(service)
@@ -85,7 +85,7 @@ class Calls:
 
 
 def calls_of(shared: Shared, name: str, mapping: Mapping, type_: str) -> Binding:
-    """Make the event of a service's calls; in the ROS thread.
+    """Create the event resource of a service's calls; called in the ROS thread.
 
     :raises MissingType: the service's type is not installed.
     """

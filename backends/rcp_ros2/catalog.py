@@ -1,4 +1,4 @@
-"""The catalog of paths: those of the map always, those of the patterns while in the graph."""
+"""The catalog of paths: mapped paths always, exposed paths while they are in the graph."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from rcp_ros2.wanted import Wanted, type_of
 __all__ = ["Catalog"]
 
 log = structlog.get_logger("rcp.ros2")
-_PLACING = 2.0  # s for the types of the map to be imported
-_LINGER = 5.0  # s for which something exposed may be gone before its path goes too
-_AGAIN = 5.0  # s before a node is asked again that did not describe its parameters
-_SOON = 0.5  # s before a type is asked for again while nodes are still being discovered
-_QUIET = 0.5  # s without a new path, after which discovery is taken to have ended
-_AT_ONCE = 4  # nodes asked at the same time
+_PLACING = 2.0  # s to import the types of the map
+_LINGER = 5.0  # s for which an exposed name may be missing before its path is removed
+_AGAIN = 5.0  # s before parameters of a node are requested again after a failure
+_SOON = 0.5  # s before a type is requested again while nodes are still being discovered
+_QUIET = 0.5  # s without a new path, after which discovery counts as complete
+_AT_ONCE = 4  # nodes queried concurrently
 
 
 class Catalog:
@@ -84,19 +84,19 @@ class Catalog:
         self._gone: dict[str, float] = {}
         """Exposed names no longer in the graph, with the time this was noticed."""
         self._types: dict[str, str] = {}
-        """The type that each binding was made for."""
+        """The type for which each binding was created."""
         self._made_of: dict[str, Mapping] = {}
-        """The mapping that each binding was made for."""
+        """The mapping for which each binding was created."""
         self._later: dict[str, float] = {}
-        """When to retry what could not be created."""
+        """When to retry a binding that could not be created."""
         self._building: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._queries = asyncio.Semaphore(_AT_ONCE)
         self.complete = asyncio.Event()
-        """Set once every mapping has its binding, and what is exposed has stopped growing."""
+        """Set once every mapping has its binding, and discovery counts as complete."""
         self._placed = 0.0
 
-    # -- what is wanted --------------------------------------------------------------------------
+    # -- required paths --------------------------------------------------------------------------
 
     def update(self, graph: Graph) -> None:
         """Apply a new poll of the graph."""
@@ -161,7 +161,7 @@ class Catalog:
             return
         self._start(name, self._bind(name, mapping, type_))
 
-    # -- making them -----------------------------------------------------------------------------
+    # -- creating bindings -----------------------------------------------------------------------
 
     def _start(self, key: str, work: Any) -> None:
         if key in self._building:
@@ -187,7 +187,7 @@ class Catalog:
             else:
                 binding = await self._made(name, mapping, type_)
         except MissingType as error:
-            if mapping.topic is not None:  # a node that comes may tell it
+            if mapping.topic is not None:  # a node that appears later may provide the type
                 self._later[name] = time.monotonic() + (_SOON if self._shared.settling else _AGAIN)
                 type_ = ""
                 if isinstance(self.bindings.get(name), Absent):
@@ -292,7 +292,7 @@ class Catalog:
         self._types[key] = "parameters"
 
     def _changed(self, node: str, kinds: dict[str, int]) -> None:
-        """Ask a node anew that has declared parameters, or changed the kind of one."""
+        """Query a node again after it has declared parameters or changed the type of one."""
         settings = [b for b in self.bindings.values() if isinstance(b, Setting)]
         known = {b.described.name: b for b in settings if b.mapping.node == node}
         for name, kind in kinds.items():
@@ -318,7 +318,7 @@ class Catalog:
         )
         return Absent(self._shared, resource, mapping, why, remedy)
 
-    # -- placing and removing --------------------------------------------------------------------
+    # -- adding and removing ---------------------------------------------------------------------
 
     def _place(self, name: str, binding: Binding) -> None:
         old = self.bindings.get(name)

@@ -1,11 +1,11 @@
-"""A decoder of CDR, compiled for each message type: straight-line code, no interpretation.
+"""A CDR decoder, compiled for each message type: straight-line code, no interpretation.
 
-Runs of fixed-size fields become one `struct` call, alignment is worked out when the code is made
-wherever it is known then, and only what a projection wants is built. Bytes that nobody looks at
-are never decoded: a `Native` decodes when it is asked, once.
+Runs of fixed-size fields become one `struct` call, alignment is computed at compile time wherever
+possible, and only the fields of a projection are built. Values that nobody uses are never decoded:
+a `Native` decodes on first access.
 
-The encoding is XCDR version 1 as every ROS 2 middleware writes it: a header of four bytes, then
-each primitive aligned to its size counted from the end of the header.
+The encoding is XCDR version 1, as every ROS 2 middleware writes it: a header of four bytes, then
+each primitive aligned to its size, counted from the end of the header.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Malformed(ValueError):
 
 
 class Codec:
-    """The decoder of one type, or of one part of it."""
+    """The decoder of a message type, or of one part of it."""
 
     def __init__(self, cls: Any, path: str | None = None, unit: str | None = None) -> None:
         self.name = full_name(cls)
@@ -43,7 +43,7 @@ class Codec:
     def decode(self, data: bytes) -> Any:
         """Return the typed value.
 
-        :raises Malformed: the bytes are cut short, or of another encoding.
+        :raises Malformed: the bytes are truncated, or in another encoding.
         """
         decoder = self._decoders.get(data[:2]) or self._compiled(data[:2])
         try:
@@ -52,7 +52,7 @@ class Codec:
             raise Malformed(f"cannot decode {len(data)} bytes as {self.name}: {error}") from None
 
     def stamp(self, data: bytes) -> int | None:
-        """Return the time of the message's header, ns since the epoch; None if it has none."""
+        """Return the time in the message's header, ns since the epoch; None without a header."""
         if not self._stamped or len(data) < _HEADER + 8:
             return None
         order = _ORDERS.get(data[:2], "<")
@@ -93,7 +93,7 @@ def _text(data: bytes) -> str:
 
 
 def _wide(data: bytes, at: int, count: int, order: str) -> str:
-    """Read UTF-16 units, each of which stands in four bytes."""
+    """Decode UTF-16 code units, each stored in four bytes."""
     units = struct.unpack_from(f"{order}{count}I", data, at)
     try:
         return struct.pack(f"<{count}H", *units).decode("utf-16-le", "replace")
@@ -129,7 +129,7 @@ class _Module:
         return self.names["decode"]
 
     def bind(self, value: Any, letter: str) -> str:
-        """Give a value a name that the generated code can use."""
+        """Return a name by which the generated code can refer to a value."""
         for name, known in self.names.items():
             if known is value:
                 return name
@@ -138,7 +138,7 @@ class _Module:
         return name
 
     def part(self, cls: Any, type_: Any) -> str:
-        """Return the name of the function that decodes one element of a sequence."""
+        """Return the name of a function that decodes one element of a sequence."""
         if type_ not in self._parts:
             name = self._parts[type_] = f"D{len(self._parts)}"
             body = _Function(self)
@@ -151,9 +151,9 @@ class _Module:
 
 
 class _Function:
-    """Code that is being written: statements so far, and the run of fixed fields at their end.
+    """A function being generated: its statements so far, and a pending run of fixed fields.
 
-    `self._mod` and `self._rest` say what is known of the position: its remainder by `_mod`.
+    The position is known modulo `self._mod`, where its remainder is `self._rest`.
     """
 
     def __init__(self, module: _Module, offset: int | None = None) -> None:
@@ -173,7 +173,7 @@ class _Function:
     # -- fixed runs ------------------------------------------------------------------------------
 
     def _take(self, letter: str, width: int, count: int = 1, *, packed: bool = False) -> str:
-        """Append fixed data to the run; return the expression of its value (a slice for many)."""
+        """Append fixed data to the run; return its expression (a slice if `count` > 1)."""
         align = 1 if packed else width
         pad = self._pad(align)
         if not self._run:
@@ -192,7 +192,7 @@ class _Function:
         return f"{self._tuple}[{start}:{start + count}]"
 
     def _pad(self, align: int) -> int:
-        """Return the padding before something aligned; align at run time where it is unknown."""
+        """Return the padding before an aligned field; align at run time if it is unknown."""
         if self._mod < align:
             self.flush()
             if align == 8:
@@ -206,7 +206,7 @@ class _Function:
         return pad
 
     def flush(self) -> None:
-        """Write the run down as one unpacking."""
+        """Emit the pending run as one `unpack` call."""
         if not self._run:
             return
         unpack = struct.Struct(self._module.order + "".join(self._run))
@@ -217,12 +217,12 @@ class _Function:
     # -- types -----------------------------------------------------------------------------------
 
     def message(self, cls: Any, type_: Any, path: list[str] | None) -> str:
-        """Write the code for a message; return the expression of its value (or of its part).
+        """Generate the code for a message; return the expression of its value, or of its part.
 
-        Without a type the message is only passed over.
+        Without a type, the message is only skipped.
         """
         fields = fields_of(cls)
-        if not fields:  # C forbids empty structs: rosidl puts one byte there
+        if not fields:  # C forbids empty structs: rosidl inserts one byte
             self._take("B", 1)
         values: list[str] = []
         for field in fields:
@@ -289,7 +289,7 @@ class _Function:
             self._mod, self._rest = 1, 0
             return v
         letter, width = WIDTHS[item.name]
-        # An empty sequence ends at its length: nothing is aligned for elements that are not there.
+        # An empty sequence ends after its length: there is no padding for missing elements.
         align = "p = ((p + 3) & -8) + 4; " if width == 8 else ""
         self._lines.append(f"{v} = ()")
         self._lines.append(
@@ -308,7 +308,7 @@ class _Function:
         return v
 
     def _element(self, item: Type, typed: Any) -> str:
-        """Return one line that decodes an element and appends it to `{v}`."""
+        """Return a statement that decodes an element and appends it to `{v}`."""
         if isinstance(item, Text):
             size = f"F('{self._module.order}I', b, (p := (p + 3) & -4))[0]"
             if item.wide:
@@ -322,10 +322,10 @@ class _Function:
 
 
 def _declared(type_: Any, name: str) -> Any:
-    """Return the declared type of a field of a made type."""
+    """Return the type of a field of a generated type."""
     return bare(type_.__annotations__[name])
 
 
 def _element_of(type_: Any) -> Any:
-    """Return the type of the elements of a list type, bounded or not."""
+    """Return the element type of a list type, bounded or not."""
     return bare(type_).__args__[0]

@@ -30,14 +30,14 @@ Time = Annotated[float, Meta(extra_json_schema={"unit": "s"})]
 
 
 class ClockJump(msgspec.Struct, frozen=True):
-    """The robot's time went back: a simulation was reset, or a recording restarted."""
+    """The robot's time jumped back: a simulation was reset, or a recording restarted."""
 
     before: Time
     after: Time
 
 
 class Clock:
-    """Follows the robot's time, and notifies listeners when it jumps back."""
+    """Follows the robot's time and notifies listeners when it jumps back."""
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
@@ -46,7 +46,7 @@ class Clock:
         self.on_jump: list[Callable[[], None]] = []
         """Called in the ROS thread."""
         self.now: int | None = None
-        """The robot's time, ns; in the ROS thread."""
+        """The robot's time, ns; used only in the ROS thread."""
         if self._wanted:
             shared.subscriptions.now = lambda: self.now
             shared.ros.post(self._open)
@@ -85,7 +85,7 @@ class Clock:
 
 
 class Jumps(Binding):
-    """The event that time went back."""
+    """The event of a jump back in time."""
 
     def __init__(self, shared: Shared, mapping: Mapping) -> None:
         text = "The robot's time went back: history kept by that time is cleared"
@@ -93,7 +93,7 @@ class Jumps(Binding):
         super().__init__(shared, Resource(value=ClockJump, live=True, **facts), mapping)
 
     async def read(self) -> Any:
-        """Say that it has not; the kernel would have answered with the last time it did."""
+        """Raise: no jump has happened yet, or the kernel would have returned the last one."""
         raise AdapterUnavailable(
             "the robot's time has not gone back so far",
             remedy="Subscribe to it to receive the next one.",

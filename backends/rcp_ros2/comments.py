@@ -1,7 +1,7 @@
-"""What the authors of a type say of it: the comments of its `.msg`, `.srv` or `.action` text.
+"""Comments on types and fields, from their `.msg`, `.srv` or `.action` text.
 
-ROS keeps the text in the compiled type support of every type, from Iron on; those made of text or
-learnt bring their own.
+From Iron on, ROS includes the text in the compiled type support of every type; types defined at
+run time provide their own.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ __all__ = ["Comments", "comments_of", "first_sentence", "remember"]
 
 _LONGEST = 400  # characters of one comment
 _PARTS = {"Request": 0, "Response": 1, "Goal": 0, "Result": 1, "Feedback": 2}
-"""Which part of its parent's text a class is, by the end of its name."""
+"""The section of its parent's text that describes a class, by the end of the class name."""
 _SOURCES = {"msg": 5, "srv": 10, "action": 7}
-"""Where the function that returns the texts stands in the type support of each kind."""
+"""Offset of the function that returns the texts in each kind of type support."""
 _FIELD = re.compile(r"\s*[A-Za-z][\w/]*(?:<=\d+)?(?:\[(?:<=)?\d*\])?\s+(\w+)\s*(=?)\s*([^#]*)")
 _END = re.compile(r"(?<=[.!?])\s")
 _texts: dict[str, str] = {}
@@ -32,7 +32,7 @@ class Comments(NamedTuple):
     """The comments on a type and on each of its fields."""
 
     whole: str = ""
-    fields: dict[str, str] = {}  # noqa: RUF012 - never written
+    fields: dict[str, str] = {}  # noqa: RUF012 - never modified
 
 
 class _String(ctypes.Structure):
@@ -58,7 +58,7 @@ class _Sources(ctypes.Structure):
 
 
 def remember(name: str, text: str) -> None:
-    """Keep the text of a type `pkg/msg/Name` that has no compiled code."""
+    """Register the text of a type `pkg/msg/Name` without compiled code."""
     _texts[name] = text
 
 
@@ -84,11 +84,11 @@ def _text(name: str) -> str:
 
 
 def _compiled(cls: Any, place: int) -> str:
-    """Read the text out of a class's type support; empty before Iron, which has none."""
+    """Read the text from a class's type support; empty before Iron, which has none."""
     if importlib.util.find_spec("type_description_interfaces") is None:
         return ""
     kind = type(cls)
-    if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - rclpy has it under this name
+    if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - the name rclpy uses
         kind.__import_type_support__()
     pointer = ctypes.pythonapi.PyCapsule_GetPointer
     pointer.restype = ctypes.c_void_p
@@ -103,11 +103,11 @@ def _compiled(cls: Any, place: int) -> str:
 
 
 def parsed(text: str) -> Comments:
-    """Take the comments out of a text: before and behind each field, and above them all."""
+    """Extract the comments: before and after each field, and above all fields."""
     whole: list[str] | None = None
     above: list[str] = []
     last: list[str] = []
-    """What is said of the field before."""
+    """The comment on the previous field."""
     fields: dict[str, list[str]] = {}
     values: list[tuple[str, str]] = []
     for line in text.splitlines():
@@ -115,7 +115,7 @@ def parsed(text: str) -> Comments:
         words = comment.strip("#! \t")
         field = _FIELD.match(code)
         if field is not None:
-            if whole is None:  # what stands right above the first is said of all of it
+            if whole is None:  # a comment directly above the first field describes the whole type
                 whole, above = above, []
             last = []
             if field[2]:
@@ -140,7 +140,7 @@ def parsed(text: str) -> Comments:
 
 
 def _choices(field: str, values: list[tuple[str, str]]) -> Iterator[str]:
-    """Name the constants that begin with the field's name."""
+    """List the constants whose names begin with the field's name."""
     start = field.upper() + "_"
     named = [
         f"{value} {name[len(start) :].lower()}" for name, value in values if name.startswith(start)

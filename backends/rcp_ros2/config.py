@@ -36,7 +36,7 @@ Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
 
 
 class Qos(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """QoS policies to use instead of those that the other side offers."""
+    """QoS policies that replace those derived from the other endpoints."""
 
     reliability: Literal["reliable", "best_effort"] | None = None
     durability: Literal["volatile", "transient_local"] | None = None
@@ -61,14 +61,14 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """With `parameter` or `parameters`: the node that owns them."""
     parameter: str | None = None
     parameters: tuple[str, ...] = ()
-    """For a service that sets them atomically; `*` is every parameter of the node."""
+    """For a service that sets them atomically; `*` selects every parameter of the node."""
     type: TypeName | None = None
-    """`nav_msgs/msg/Odometry`; without it, the type is read from the graph."""
+    """`nav_msgs/msg/Odometry`; read from the graph by default."""
     field: FieldPath | None = None
-    """Only this part of the messages of a sensor or event: `pose.pose`."""
+    """Select only this part of the messages of a sensor or event: `pose.pose`."""
     unit: str | None = None
-    """UCUM unit of numbers whose unit is not known otherwise: a parameter, a custom
-    message. ROS's definitions carry none."""
+    """UCUM unit of numbers without a known unit: a parameter, a custom message.
+    ROS message definitions contain no units."""
     frame: str | None = None
     """`frame_id` in the schema of a value without a header: a `pose.pose`, a velocity."""
     qos: Qos = Qos()
@@ -88,12 +88,15 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     require_subscriber: bool = True
     """Refuse a write that no node would receive."""
     moves: bool | None = None
-    """Whether it may move the robot: refused under an e-stop. None: every actuator and action does,
-    and every service but those of types that are known to ask only."""
+    """Whether it may move the robot and is refused during an e-stop. None: every actuator and
+    action
+    does, and every service except those of known read-only types."""
     energises: bool | None = None
-    """Whether it arms the robot or applies torque to its motors: refused under an e-stop."""
+    """Whether it arms the robot or applies torque; refused during an e-stop."""
     feedback: RosName | None = None
-    """Topic with the measured velocity of an actuator or action: without feedback, no motion."""
+    """Topic with the measured velocity of an actuator or action; without fresh feedback,
+    commands are
+    refused."""
     feedback_timeout: Seconds | None = None
     """Maximum age of that feedback; None uses `stop.max_age`."""
 
@@ -157,9 +160,9 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings for the tree of frames, if `/tf` and `/tf_static` are exposed."""
 
     targets: tuple[str, ...] = ("earth", "map", "odom", "base_link")
-    """Frames in which every other frame that is connected gets a sensor; roots are added."""
+    """Frames in which every other connected frame gets a sensor; roots are added."""
     names: dict[str, tuple[str, str]] = {}
-    """Sensors by names of one's own: each with the frame that is the target, and the source."""
+    """Sensors with custom names: each a target and a source frame."""
     buffer: Annotated[float, Meta(gt=0, le=600, extra_json_schema={"unit": "s"})] = 10.0
     """History of moving frames."""
     rate: Annotated[float, Meta(gt=0, le=200, extra_json_schema={"unit": "Hz"})] = 30.0
@@ -172,41 +175,44 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class StopService(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A service that stops the robot: called at each stop, before it is confirmed."""
+    """A service that stops the robot, called at each stop before the stop is confirmed."""
 
     name: RosName
     type: TypeName | None = None
-    """`std_srvs/srv/SetBool`; without it, read from the graph."""
+    """`std_srvs/srv/SetBool`; read from the graph by default."""
     request: dict[str, Any] = {}
     released: dict[str, Any] | None = None
-    """What it is called with when the e-stop is reset; None calls nothing."""
+    """Request sent when the e-stop is reset; None sends none."""
 
 
 class StopTopic(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A topic that stops the robot: published for as long as the e-stop is latched."""
+    """A topic that stops the robot, published while the e-stop is latched."""
 
     name: RosName
     type: TypeName = "std_msgs/msg/Bool"
     value: dict[str, Any] = field(default_factory=lambda: {"data": True})
     released: dict[str, Any] | None = field(default_factory=lambda: {"data": False})
-    """What is published when the e-stop is reset; None publishes nothing."""
+    """Message published when the e-stop is reset; None publishes none."""
 
 
 class Stop(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How a robot is stopped and confirmed at rest. Relative names are each robot's own."""
+    """How a robot is stopped and confirmed at rest. Relative names apply to each robot."""
 
     feedback: RosName | bool = True
-    """Topic of the measured velocity, without which a stop is not confirmed; true takes the
-    odometry that `map` or `expose` names, if there is one; false measures nothing."""
+    """Topic of the measured velocity, required to confirm a stop; true uses the odometry in
+    `map` or
+    `expose`, if any; false uses no measurement."""
     speed: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "m/s"})] = 0.05
     """Speed at or below which the robot counts as at rest."""
     turn: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.1
-    """The same for its rotation, and for the velocities of joints."""
+    """Rate of turn at or below which the robot counts as at rest; also applies to joint
+    velocities."""
     max_age: Seconds = 0.5
     """Maximum age of a measurement."""
     rate: Annotated[float, Meta(ge=10, le=100, extra_json_schema={"unit": "Hz"})] = 20.0
-    """At which the safe values are repeated, at least; three times as fast as whoever else
-    publishes, up to 100 Hz."""
+    """Minimum rate at which safe values are repeated; three times the rate of any competing
+    publisher,
+    up to 100 Hz."""
     actions: tuple[RosPattern, ...] = ("**",)
     """Action servers whose goals are cancelled, besides those of `map` and `expose`."""
     service: StopService | None = None
@@ -233,15 +239,16 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     node: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = "rcp_gateway"
     """Name of the gateway's own node."""
     namespace: RosName = "/"
-    """That of the gateway's node; what lies in it has paths without it."""
+    """Namespace of the gateway's node; paths of names in it omit it."""
     robots: tuple[RobotPattern, ...] = ()
-    """Namespaces each of which is a robot: `/fleet/*`. What lies in one has its paths below the
-    name that `*` stands for, or the last segment: `sensor/<robot>/…`."""
+    """Namespaces that each contain one robot: `/fleet/*`. Their paths are below the part that `*`
+    matches, or the last segment: `sensor/<robot>/…`."""
     nice_names: bool = True
     """Give well-known topics of well-known types conventional paths."""
     expose: tuple[RosPattern, ...] = ()
-    """Names of topics, services, actions and nodes to offer as they come; `*` is one segment of
-    a name, `**` any number. Nothing is offered that no pattern and no mapping names."""
+    """Names of topics, services, actions and nodes to offer under their own names; `*` is one
+    segment,
+    `**` any number. Names that match no pattern and no mapping are not offered."""
     hide: tuple[RosPattern, ...] = ()
     """Names to exclude from `expose`."""
     map: dict[str, Mapping] = {}
@@ -254,9 +261,9 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     assets: Assets = Assets()
     stop: Stop = Stop()
     on_loss: Literal["hold", "continue"] = "hold"
-    """What to do with a goal or command that was lost with its node, once the node is back."""
+    """Behaviour after a node with a running goal or command is lost and returns."""
     graph: bool = False
-    """Offer the graph itself as `sensor/ros/graph`."""
+    """Provide the graph itself as `sensor/ros/graph`."""
     use_sim_time: bool = False
     """Use `/clock` as the robot's time."""
     timeout: Seconds = 5.0

@@ -1,7 +1,7 @@
 """Message types created at run time from their `.msg` text or a node's type description.
 
-There is no code that would turn an object of such a type into its bytes: what is published is
-encoded by `writer.py`. What rclpy wants of it is in `support.py`.
+Objects of such types have no serialization code: `writer.py` encodes published values, and
+`support.py` provides the type support that rclpy requires.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _NEXT = re.compile(r"^={10,}\s*\n\s*MSG:\s*(\S+)\s*\n", re.MULTILINE)
 _OLD = {"byte": "octet", "char": "uint8", "Header": "std_msgs/msg/Header"}
 _NAMES = {id_: name for name, id_ in IDS.items()}
 _STRINGS = {17: (False, False), 18: (True, False), 21: (False, True), 22: (True, True)}
-"""type_description_interfaces/msg/FieldType, with whether it is wide, and bounded."""
+"""Types of type_description_interfaces/msg/FieldType; flags: wide string, bounded string."""
 _DUMMY = "structure_needs_at_least_one_member"
 
 
@@ -36,24 +36,24 @@ class BadText(ValueError):
 
 
 class Part(NamedTuple):
-    """A field whose type may not be known yet."""
+    """A field whose type may not be loaded yet."""
 
     name: str
     base: str
     """A primitive, or the full name of another message."""
     shape: Callable[[Type], Type]
-    """Makes the field's type of its base."""
+    """Builds the field's type from the base type."""
 
 
 def is_made(cls: Any) -> bool:
-    """Tell whether a class was made at run time."""
+    """Return whether a class was created at run time."""
     return isinstance(cls, _Made)
 
 
 def parse(name: str, text: str) -> dict[str, list[Part]]:
-    """Read the text of a message, with those that it refers to behind it, as `gendeps` writes them.
+    """Parse the text of a message with the texts it refers to, as `gendeps` writes them.
 
-    :raises BadText: a line is none of a `.msg` file.
+    :raises BadText: a line is not valid in a `.msg` file.
     """
     return {key: _parsed(key, body) for key, body in _texts(name, text).items()}
 
@@ -64,9 +64,9 @@ def _texts(name: str, text: str) -> dict[str, str]:
 
 
 def define_text(name: str, text: str) -> None:
-    """Make the type `pkg/msg/Name`; an installed one goes before it.
+    """Define the type `pkg/msg/Name`; an installed type takes precedence.
 
-    :raises BadText: as `parse`.
+    :raises BadText: as for `parse`.
     """
     for key, body in _texts(name, text).items():
         _define(key, _parsed(key, body))
@@ -74,9 +74,9 @@ def define_text(name: str, text: str) -> None:
 
 
 def define_described(description: Any, sources: Iterable[Any] = ()) -> None:
-    """Make the types of a type_description_interfaces/msg/TypeDescription, with their texts.
+    """Define the types of a type_description_interfaces/msg/TypeDescription, with their texts.
 
-    :raises MissingType: one has a field of a kind that the gateway does not know.
+    :raises MissingType: a field has an unsupported type.
     """
     for one in (description.type_description, *description.referenced_type_descriptions):
         parts = [_described(f) for f in one.fields if f.name != _DUMMY]
@@ -87,27 +87,27 @@ def define_described(description: Any, sources: Iterable[Any] = ()) -> None:
 
 def _define(name: str, parts: list[Part]) -> None:
     bad = next((word for word in (name, *(p.name for p in parts)) if not _WORD.match(word)), None)
-    if bad is not None:  # a node can say anything
+    if bad is not None:  # nodes are not trusted
         raise MissingType(name, f"{bad[:80]!r} is not a valid name")
     package, _, leaf = name.split("/")
-    kind = type(f"Metaclass_{leaf}", (_Made,), {})  # one for each type holds its support
+    kind = type(f"Metaclass_{leaf}", (_Made,), {})  # a metaclass per type holds its support
     define_class(kind(leaf, (), {"__module__": f"{package}.msg", "parts": parts}))
 
 
 class _Made(type):
-    """The class of made classes: rclpy looks here for what makes a type usable."""
+    """The metaclass of classes created at run time, where rclpy looks for the type support."""
 
     parts: list[Part]
     _TYPE_SUPPORT: Any = None
     _CREATE_ROS_MESSAGE = _CONVERT_FROM_PY = _CONVERT_TO_PY = _DESTROY_ROS_MESSAGE = ""
 
     def prepare(cls) -> None:
-        """Get the type support that rclpy wants, once."""
+        """Create the type support that rclpy requires, once."""
         if cls._TYPE_SUPPORT is None:
             type(cls)._TYPE_SUPPORT = forge(cls, cls.described())  # noqa: SLF001 - its own
 
     def described(cls) -> tuple[Field, ...]:
-        """Return the fields; the types they refer to are loaded only now."""
+        """Return the fields; the types they refer to are loaded on demand."""
         return tuple(Field(name, shape(_base(base))) for name, base, shape in cls.parts)
 
 
@@ -127,7 +127,7 @@ def _parsed(name: str, text: str) -> list[Part]:
 
 
 def _part(type_name: str, line: str) -> Part | None:
-    """Return the field of a line; None for a constant."""
+    """Parse the field on a line; None for a constant."""
     found = _LINE.match(line)
     if found is None:
         raise BadText(f"{line!r} in the text of {type_name} is not valid in a .msg file")

@@ -1,4 +1,4 @@
-"""`/diagnostics`: each status as a sensor, each change of a level as an event."""
+"""`/diagnostics`: each status as a sensor, each change of level as an event."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["ARRAY", "Diagnostics"]
 ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 Level = Literal["ok", "warn", "error", "stale"]
 _LEVELS: tuple[Level, ...] = ("ok", "warn", "error", "stale")
-_MOST = 1000  # statuses of one topic; a name that changes with every message would fill the tree
+_MOST = 1000  # statuses per topic; names that change with every message would fill the tree
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
@@ -39,9 +39,9 @@ class DiagnosisChange(msgspec.Struct, frozen=True):
     """A component whose level has changed."""
 
     path: str
-    """The resource that has the status, below the robot."""
+    """Path of the status resource below the robot."""
     was: Level | None
-    """None: not reported before."""
+    """None: first report."""
     now: Diagnosis
 
 
@@ -51,11 +51,11 @@ class _Status:
     diagnosis: Diagnosis
     stamp: int | None
     updated_at: float
-    """In monotonic time."""
+    """Monotonic time, s."""
 
 
 class Diagnostics:
-    """Finds the topics of diagnostics that are exposed, and the statuses on them."""
+    """Finds the exposed diagnostics topics and the statuses on them."""
 
     def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
         self._shared = shared
@@ -63,7 +63,7 @@ class Diagnostics:
         self._boards: dict[str, _Board] = {}
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return an event for each topic, and a sensor for each status on it."""
+        """Return an event for each topic and a sensor for each of its statuses."""
         found: dict[str, Offer] = {}
         for topic, type_ in graph.topics.items():
             if type_ == ARRAY and topic not in self._boards and self._exposes(topic):
@@ -75,7 +75,7 @@ class Diagnostics:
 
 
 class _Board:
-    """The statuses of one topic; on the event loop."""
+    """The statuses of one topic; used on the event loop."""
 
     def __init__(self, shared: Shared, topic: str) -> None:
         self.shared = shared
@@ -84,13 +84,13 @@ class _Board:
         self.statuses: dict[str, _Status] = {}
         self._paths: set[str] = set()
         self._early: list[DiagnosisChange] | None = []
-        """Changes from before the event was declared."""
+        """Changes that occurred before the event was declared."""
         self._mapping = Mapping(topic=topic)
         self._offers = {self.event: Offer(self._mapping, self._change)}
         shared.ros.post(shared.listen, topic, ARRAY, f"{topic} statuses", self._on_array)
 
     def offers(self) -> dict[str, Offer]:
-        """Return the paths that the topic has brought so far."""
+        """Return the paths of the statuses received so far."""
         return self._offers
 
     def _change(self) -> Binding:
@@ -148,13 +148,13 @@ class _Board:
             self.shared.host.publish(self.event, change, status.stamp)
 
     def placed(self) -> None:
-        """Publish changes from before the event was declared."""
+        """Publish changes that occurred before the event was declared."""
         early, self._early = self._early, None
         for change in early or ():
             self.shared.host.publish(self.event, change)
 
     def sweep(self) -> None:
-        """Mark statuses that have become stale."""
+        """Mark statuses that have not been updated as stale."""
         limit = self.shared.config.diagnostics.stale
         oldest = time.monotonic() - limit
         for status in self.statuses.values():
@@ -191,17 +191,17 @@ class StatusOf(Binding):
         super().__init__(board.shared, Resource(value=Diagnosis, live=True, **facts), mapping)
 
     async def read(self) -> Any:
-        """Return the latest."""
+        """Return the latest status."""
         return self._status.diagnosis
 
     def placed(self) -> None:
-        """Publish the message that announced it."""
+        """Publish the message in which the status first appeared."""
         status = self._status
         self.shared.host.publish(status.path, status.diagnosis, status.stamp)
 
 
 class Changes(Binding):
-    """The changes of the levels on one topic."""
+    """The event of level changes on one topic."""
 
     def __init__(self, board: _Board, name: str, mapping: Mapping) -> None:
         text = f"A status on {board.topic} changed its level, or was not OK in its first report."
@@ -210,7 +210,7 @@ class Changes(Binding):
         self.placed = board.placed
 
     async def read(self) -> Any:
-        """Say that nothing changed; the kernel would have answered with the last one."""
+        """Raise: nothing has changed yet, or the kernel would have returned the last change."""
         raise AdapterUnavailable(
             "no status has changed its level so far",
             remedy="Subscribe to it to receive the next one.",

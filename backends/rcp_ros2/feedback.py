@@ -1,6 +1,6 @@
 """The measured velocity of a robot: whether it is at rest, and the age of the measurement.
 
-Samples are taken in the ROS thread; any thread may ask what they say.
+Samples are received in the ROS thread; the state can be queried from any thread.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from rcp_ros2.topics import Tap
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
-_SETTLE = 0.1  # s that it must have been measured at rest: a velocity may only pass through zero
+_SETTLE = 0.1  # s of measured rest required: a velocity may merely cross zero
 Measured = tuple[float, float]
-"""Speed in m/s, and rate of turn in rad/s."""
+"""Speed in m/s and rate of turn in rad/s."""
 
 
 def _twist(value: Any) -> Measured:
@@ -36,7 +36,7 @@ def _twist(value: Any) -> Measured:
 def _joints(velocities: Sequence[float]) -> Measured | None:
     if not len(velocities):
         return None
-    # NaN is no velocity, and `max` would pass over it.
+    # `max` would ignore a NaN
     return 0.0, math.nan if any(map(math.isnan, velocities)) else max(map(abs, velocities))
 
 
@@ -48,7 +48,7 @@ _MEASURES: dict[str, tuple[str | None, Callable[[Any], Measured | None]]] = {
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist", _twist),
     "sensor_msgs/msg/JointState": ("velocity", _joints),
 }
-"""The part of each type that tells a velocity, and what reads it."""
+"""The field of each type that contains the velocity, and the function that reads it."""
 
 
 class Feedback:
@@ -65,7 +65,7 @@ class Feedback:
         self.topic = topic
         self.robot = robot
         self.demanded = False
-        """Whether the configuration says that nothing is confirmed without it."""
+        """Whether the configuration requires it to confirm a stop."""
         self.max_age = max_age
         self._limits = limits
         self._restored = restored
@@ -74,14 +74,14 @@ class Feedback:
         self._stamp: int | None = None
         self._speed: Measured = (0.0, 0.0)
         self._rest: float | None = None
-        """Time since which it has been measured at rest."""
+        """Monotonic time since which rest has been measured."""
         self.type: str | None = None
 
     def tap(self, type_: str) -> tuple[Any, Tap]:
-        """Return the class and the tap that a subscription to it takes.
+        """Return the message class and the tap for its subscription.
 
         :raises MissingType: the type is not installed.
-        :raises ValueError: it tells no velocity.
+        :raises ValueError: the type contains no velocity.
         """
         if type_ not in _MEASURES:
             known = ", ".join(sorted(_MEASURES))
@@ -99,7 +99,7 @@ class Feedback:
     def _take(self, value: Value, codec: Codec) -> None:
         stamp = codec.stamp(value.data)
         if stamp is not None and stamp == self._stamp:
-            return  # a driver that repeats its last measurement measures nothing
+            return  # a driver that repeats its last measurement provides no new one
         try:
             found = self._measure(value.decode())
         except Malformed:
@@ -125,7 +125,7 @@ class Feedback:
         return None if self._at is None else time.monotonic() - self._at
 
     def is_fresh(self, max_age: float | None = None) -> bool:
-        """Tell whether the newest sample is recent enough."""
+        """Return whether the newest sample is recent enough."""
         age = self.age()
         return age is not None and age <= (max_age or self.max_age)
 
@@ -148,16 +148,16 @@ class Feedback:
 
 
 class Feedbacks:
-    """All topics with a measured velocity."""
+    """The topics with a measured velocity."""
 
     def __init__(self, link: RosLink, restored: Callable[[str | None], None]) -> None:
         self._link = link
         self._restored = restored
-        """Called on the event loop with the robot whose feedback returned."""
+        """Called on the event loop with a robot whose feedback has returned."""
         self._all: dict[tuple[str, str | None], Feedback] = {}
 
     def follow(self, topic: str, robot: str | None, type_: str | None) -> Feedback:
-        """Subscribe to a topic for a robot as soon as its type is known; on the event loop."""
+        """Subscribe to a topic for a robot once its type is known; called on the event loop."""
         stop = self._link.config.stop
         key = (topic, robot)
         found = self._all.get(key)
@@ -182,7 +182,7 @@ class Feedbacks:
         return found
 
     def drop(self, robots: Iterable[str | None]) -> None:
-        """Forget robots that have left for good."""
+        """Unsubscribe for robots that have been removed."""
         gone = set(robots)
         for key in [key for key in self._all if key[1] in gone]:
             self._link.ros.post(
@@ -191,14 +191,14 @@ class Feedbacks:
             del self._all[key]
 
     def of(self, robot: str | None) -> list[Feedback]:
-        """Return the feedback of a robot."""
+        """Return the feedback topics of a robot."""
         return [one for one in list(self._all.values()) if one.robot == robot]
 
     @property
     def robots(self) -> set[str | None]:
-        """The robots that are measured."""
+        """The robots with feedback."""
         return {robot for _, robot in self._all}
 
     def find(self, topic: str, robot: str | None) -> Feedback | None:
-        """Return the feedback of a topic."""
+        """Return the feedback of a topic for a robot."""
         return self._all.get((topic, robot))

@@ -1,4 +1,4 @@
-"""Conversion of typed values to ROS messages: published, requested, or set as a goal.
+"""Conversion of typed values to ROS messages, for publishing, requests and goals.
 
 The generated classes check nothing by default and their C code trusts its input, so each value is
 given exactly the Python type that rosidl expects.
@@ -21,7 +21,7 @@ Fill = Callable[[Any], Any]
 
 @lru_cache(maxsize=4096)
 def filler(cls: Any) -> Fill:
-    """Return the function that makes a message of a class from its typed value."""
+    """Return a function that converts a typed value to a message of a class."""
     steps = [(field.name, _converter(field.type)) for field in fields_of(cls)]
 
     def fill(value: Any) -> Any:
@@ -52,7 +52,7 @@ def _converter(type_: Type) -> Fill:
 
 
 def _text(value: str) -> str:
-    # C strings end at NUL, and lone surrogates have no UTF-8: neither may cut a text short.
+    # C strings end at NUL, and lone surrogates cannot be encoded: neither may truncate a text.
     return value.replace("\0", "").encode("utf-8", "replace").decode()
 
 
@@ -60,7 +60,7 @@ def _many(item: Type, *, fixed: bool) -> Fill:
     if item == Primitive("octet"):
         return lambda value: [bytes((one,)) for one in value]
     if isinstance(item, Primitive) and item.name != "bool":
-        if fixed:  # numpy arrays, which take any list of numbers
+        if fixed:  # numpy arrays accept any list of numbers
             return list
         letter = WIDTHS[item.name][0]
         if is_bytes(item):

@@ -1,7 +1,7 @@
 """The tree of coordinate frames over time.
 
-A frame is known by its transforms to the frame above it: one that stands for ever, or a row in
-the order of their times. Written in the ROS thread and read on the event loop, under a lock.
+Each frame is stored with its transforms to its parent: one static transform, or a list ordered by
+time. Written in the ROS thread and read on the event loop, under a lock.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 __all__ = ["Extrapolation", "Frames", "NotConnected", "Place", "UnknownFrame"]
 
-_STRAYS = 3  # transforms in a row from before all that is remembered: the clock was set back
-_DEEP = 1000  # frames in one chain; more is a ring
+_STRAYS = 3  # consecutive transforms older than the buffer: the clock was set back
+_DEEP = 1000  # frames in one chain; more means a cycle
 
 
 class Place(NamedTuple):
@@ -48,20 +48,20 @@ class NotConnected(Exception):
 
 
 class Extrapolation(Exception):
-    """A frame was not known yet, or is not known any more, at the time asked for."""
+    """A frame has no transform at the requested time."""
 
     def __init__(self, child: str, at: int, first: int, last: int) -> None:
-        super().__init__(f"the frame '{child}' is known at other times")
+        super().__init__(f"the frame '{child}' is not known at this time")
         self.child = child
         self.at = at
         self.first = first
-        """Earliest and latest time that is known, ns."""
+        """Earliest and latest known time, ns."""
         self.last = last
 
 
 @dataclass(slots=True)
 class _Track:
-    """One frame in those above it."""
+    """The transforms of one frame to its parents."""
 
     static: bool
     times: list[int] = field(default_factory=list[int])
@@ -70,7 +70,7 @@ class _Track:
     strays: int = 0
 
     def at(self, child: str, time: int | None) -> tuple[str, Place]:
-        """Return parent and place; None is the latest."""
+        """Return parent and transform at a time in ns; None is the latest."""
         if self.static or time is None:
             return self.parents[-1], self.places[-1]
         after = bisect_left(self.times, time)
@@ -135,11 +135,11 @@ class Frames:
         track.parents.insert(at, parent)
         track.places.insert(at, place)
         old = bisect_left(track.times, track.times[-1] - self._span)
-        if old > len(track.times) // 4:  # now and then, for it moves all that stay
+        if old > len(track.times) // 4:  # rarely, because it moves all remaining entries
             del track.times[:old], track.parents[:old], track.places[:old]
 
     def forget_moving(self) -> None:
-        """Drop everything except static transforms: time has jumped back."""
+        """Drop everything except static transforms, after a jump back in time."""
         with self._lock:
             self._tracks = {child: t for child, t in self._tracks.items() if t.static}
             self.version += 1
@@ -150,7 +150,7 @@ class Frames:
             return {child: track.parents[-1] for child, track in self._tracks.items()}
 
     def is_static(self, target: str, source: str) -> bool:
-        """Tell whether all transforms between two frames are static."""
+        """Return whether all transforms between two frames are static."""
         with self._lock:
             try:
                 return self._common_time(target, source) is None
@@ -158,11 +158,11 @@ class Frames:
                 return False
 
     def lookup(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
-        """Return where `source` is in `target`, and when: at `time`, or at the latest all know.
+        """Return the pose of `source` in `target`, at `time` or the latest common time.
 
-        The time is None where all of it stands for ever.
+        Times are in ns. The time of the pose is returned too; None if all transforms are static.
 
-        :raises UnknownFrame: nobody has said anything about one of them.
+        :raises UnknownFrame: one of the frames is unknown.
         :raises NotConnected: there is no chain between them.
         :raises Extrapolation: a part of the chain is not known at that time.
         """
@@ -188,7 +188,7 @@ class Frames:
             raise UnknownFrame(name, sorted(known))
 
     def _common_time(self, target: str, source: str) -> int | None:
-        """Return the latest time that every moving frame of the chain is known for."""
+        """Return the latest time at which every moving frame of the chain is known."""
         ups = self._chain(source, None)
         downs = self._chain(target, None)
         common = {name for name, _ in ups} & {name for name, _ in downs}
@@ -199,7 +199,7 @@ class Frames:
         return min((t.times[-1] for t in tracks if not t.static), default=None)
 
     def _chain(self, name: str, time: int | None) -> list[tuple[str, Place]]:
-        """Return the frames from one up to its root, each with its place in the next."""
+        """Return the chain from a frame up to its root, each with its pose in the next."""
         chain: list[tuple[str, Place]] = []
         while (track := self._tracks.get(name)) is not None:
             parent, place = track.at(name, time)
@@ -211,7 +211,7 @@ class Frames:
         return chain
 
     def _meet(self, target: str, source: str, time: int | None) -> tuple[list[Place], list[Place]]:
-        """Return the places from each frame up to the first that both chains have."""
+        """Return the poses from each frame up to their nearest common ancestor."""
         ups, downs = self._reach(source, target, time), self._reach(target, source, time)
         above = {name: at for at, (name, _) in enumerate(downs)}
         for at, (name, _) in enumerate(ups):
@@ -220,7 +220,7 @@ class Frames:
         raise NotConnected(f"the frames '{source}' and '{target}' were not connected at that time")
 
     def _reach(self, name: str, other: str, time: int | None) -> list[tuple[str, Place]]:
-        """Return the chain at a time; what lies above the frame that both have is not asked for."""
+        """Return the chain at a time, without the frames above the common ancestor."""
         latest = {n for n, _ in self._chain(other, None)}
         chain: list[tuple[str, Place]] = []
         while (track := self._tracks.get(name)) is not None and len(chain) <= _DEEP:
@@ -245,7 +245,7 @@ def _rotated(q: Place, x: float, y: float, z: float) -> tuple[float, float, floa
 
 
 def _joined(outer: Place, inner: Place) -> Place:
-    """Place `inner`, which is given in `outer`, where `outer` is given."""
+    """Return the pose of `inner`, which is given in `outer`, in the parent of `outer`."""
     x, y, z = _rotated(outer, inner.x, inner.y, inner.z)
     a, b = outer, inner
     return Place(
@@ -266,7 +266,7 @@ def _inverse(place: Place) -> Place:
 
 
 def _between(a: Place, b: Place, part: float) -> Place:
-    """Interpolate: straight for the position, along the great circle for the rotation."""
+    """Interpolate: linear for the position, spherical for the rotation."""
     dot = a.qx * b.qx + a.qy * b.qy + a.qz * b.qz + a.qw * b.qw
     sign = -1.0 if dot < 0 else 1.0
     angle = math.acos(min(1.0, abs(dot)))

@@ -27,7 +27,7 @@ Status = Literal[
     "unknown", "accepted", "executing", "canceling", "succeeded", "canceled", "aborted"
 ]
 _STATUSES: tuple[Status, ...] = Status.__args__
-"""By their number in action_msgs/msg/GoalStatus."""
+"""Status by number in action_msgs/msg/GoalStatus."""
 
 
 class GoalState(msgspec.Struct, frozen=True):
@@ -40,7 +40,7 @@ class GoalState(msgspec.Struct, frozen=True):
 
 
 class _Statuses(Codec):
-    """Decodes action_msgs/msg/GoalStatusArray to what people call its parts."""
+    """Decodes action_msgs/msg/GoalStatusArray."""
 
     def __init__(self, shared: Shared) -> None:
         super().__init__(load(_TYPE))
@@ -48,7 +48,7 @@ class _Statuses(Codec):
         self._shared = shared
 
     def decode(self, data: bytes) -> list[GoalState]:
-        """Return the goals, the newest first."""
+        """Return the goals, newest first."""
         found = [self._state(one) for one in super().decode(data).status_list]
         return sorted(found, key=lambda goal: -goal.accepted)
 
@@ -60,15 +60,15 @@ class _Statuses(Codec):
 
 
 class Goals:
-    """Offers the goals of each action that the patterns offer."""
+    """Provides the goals of each exposed action."""
 
     def __init__(self, shared: Shared, actions: AbstractSet[str]) -> None:
         self._shared = shared
         self._actions = actions
-        """Kept by the catalog."""
+        """A live set, maintained by the catalog."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return a sensor for each."""
+        """Return a sensor for each action."""
         found: dict[str, Offer] = {}
         for action in self._actions:
             name = self._shared.naming.path("sensor", action, before=("goals",))
@@ -78,7 +78,7 @@ class Goals:
 
 
 def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
-    """Make the sensor of an action's goals; in the ROS thread."""
+    """Create the sensor of an action's goals; called in the ROS thread."""
     action = mapping.target
     text = f"Goals of action {action} from any client, newest first."
     facts = common(name, mapping, text, action=action)
@@ -89,7 +89,7 @@ def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
 
 
 class _Goals(Observed):
-    """The goals; a server that has never received one publishes nothing."""
+    """The goals; an action server without goals so far publishes nothing."""
 
     @property
     def timeout(self) -> float:

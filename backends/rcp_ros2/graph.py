@@ -1,7 +1,7 @@
 """Polls the graph once per second, in the ROS thread.
 
-rclpy tells of no change by itself. A node that was killed stays in the graph until the middleware
-gives it up (20 s with Fast DDS), so that being listed is no proof of life.
+rclpy does not report changes. A killed node stays in the graph until the middleware drops it (20 s
+with Fast DDS), so being listed does not prove that a node is alive.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from rcp_ros2.ros import Ros, guarded
 
 __all__ = ["CALLS", "GOALS", "Graph", "GraphWatch"]
 
-_FAST = 0.1  # s between looks while the graph is being discovered
+_FAST = 0.1  # s between two polls while the graph is being discovered
 CALLS = "/_service_event"
-"""What a service's topic ends with that tells of its calls."""
+"""Suffix of the topic with a service's call events."""
 GOALS = "/_action/status"
-"""What an action's topic ends with that tells of its goals."""
+"""Suffix of the topic with an action's goal statuses."""
 _SEND_GOAL = "/_action/send_goal"
 _LIST = "/list_parameters"
 _CHANGE = "/change_state"
@@ -34,22 +34,22 @@ class Graph:
     topics: dict[str, str] = field(default_factory=dict[str, str])
     """Every topic with its type."""
     services: dict[str, str] = field(default_factory=dict[str, str])
-    """The services that matter here, with a server each."""
+    """The relevant services that have a server."""
     actions: dict[str, str] = field(default_factory=dict[str, str])
     servers: frozenset[str] = frozenset()
-    """Every action that has a server, whether it matters here or not: a stop cancels its goals."""
+    """Every action with a server, relevant or not: a stop cancels its goals."""
     nodes: frozenset[str] = frozenset()
-    """Nodes that have parameters."""
+    """Nodes with parameters."""
     lifecycle: frozenset[str] = frozenset()
-    """Nodes with a lifecycle."""
+    """Lifecycle nodes."""
     publishers: dict[str, int] = field(default_factory=dict[str, int])
-    """Others' publishers of the topics that matter here."""
+    """Number of publishers of other nodes on the relevant topics."""
     subscribers: dict[str, int] = field(default_factory=dict[str, int])
     disputed: dict[str, str] = field(default_factory=dict[str, str])
-    """Topics that are published with several types, with words about it."""
+    """Topics that are published with several types, with a description."""
 
     def has(self, noun: str, name: str) -> bool:
-        """Tell whether somebody offers a topic, service, action, or is a node of the kind wanted."""
+        """Return whether the graph has a topic, service, action or node of this name."""
         match noun:
             case "topic":
                 return bool(self.publishers.get(name) or self.subscribers.get(name))
@@ -64,14 +64,14 @@ class Graph:
 
 
 def _owner(service: str) -> str:
-    """Return the service (or topic) itself, or the action or node that it is a part of."""
+    """Return the action or node of an internal topic or service; others unchanged."""
     for ending in (_SEND_GOAL, GOALS, CALLS, _LIST, _CHANGE):
         service = service.removesuffix(ending)
     return service
 
 
 class GraphWatch:
-    """Polls the graph, and notifies the event loop."""
+    """Polls the graph and notifies the event loop."""
 
     def __init__(
         self, ros: Ros, matters: Callable[[str], bool], on_change: Callable[[Graph], None]
@@ -82,12 +82,12 @@ class GraphWatch:
         self._next = 0.0
         self._settled = 0.0
         self._chosen: dict[str, str] = {}
-        """The type of each topic that has had several."""
+        """The chosen type of each topic that has had several."""
         self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread at each poll."""
 
     def start(self) -> None:
-        """Begin, in the ROS thread."""
+        """Start polling; called in the ROS thread."""
         self._settled = time.monotonic() + self._ros.config.grace
         self._ros.node.create_timer(_FAST, guarded(self._tick))
 
@@ -98,7 +98,7 @@ class GraphWatch:
         settled = now > self._settled
         self._next = now + (self._ros.config.poll - _FAST / 2 if settled else 0.0)
         for poll in self.on_poll:
-            guarded(poll)()  # what one thing runs into is not the others' fault
+            guarded(poll)()  # one failing poll must not stop the others
         self._ros.host.call_soon(self._on_change, self._snapshot())
 
     def _snapshot(self) -> Graph:
@@ -129,7 +129,7 @@ class GraphWatch:
             if self._matters(name) or self._matters(_owner(name)):
                 publishers[name] = node.count_publishers(name) - (name in own_publishers)
                 subscribers[name] = node.count_subscribers(name) - (name in own_subscriptions)
-                # One of the gateway's own that was just made anew is listed twice for a moment.
+                # An endpoint of the gateway that was just recreated is briefly listed twice.
                 own = name in own_subscriptions
                 if subscribers[name] and (own or not publishers[name]):
                     subscribers[name] = self._strangers(name)
@@ -147,14 +147,14 @@ class GraphWatch:
         )
 
     def _strangers(self, topic: str) -> int:
-        """Count the subscribers except gateways: a gateway that subscribes does not obey."""
+        """Count the subscribers except gateways, whose subscriptions do not execute commands."""
         node: Any = self._ros.node
         own = node.get_fully_qualified_name()
         found = node.get_subscriptions_info_by_topic(topic)
         return sum(node_of(info) != own for info in found)
 
     def _choose(self, name: str, types: list[str], disputed: dict[str, str]) -> str:
-        """Return the type that a topic has for whoever publishes it: the gateway lists its own."""
+        """Return the type that other publishers use; the gateway also lists its own type."""
         node: Any = self._ros.node
         own = node.get_fully_qualified_name()
         offers: dict[str, str] = {
@@ -167,6 +167,8 @@ class GraphWatch:
         if chosen not in offered:
             chosen = self._chosen[name] = offered[0]
         if len(offers) > 1:
-            each = ", ".join(f"{type_} by {who}" for type_, who in sorted(offers.items()))
+            each = ", ".join(
+                f"{type_} by {publisher}" for type_, publisher in sorted(offers.items())
+            )
             disputed[name] = f"{name} is published as {each}; only {chosen} is read"
         return chosen

@@ -1,7 +1,7 @@
-"""JPEG of `sensor_msgs/msg/Image`, and the message around it.
+"""JPEG encoding of `sensor_msgs/msg/Image`, and the CompressedImage message.
 
-libjpeg-turbo by simplejpeg, which lets go of the interpreter while it works, so that a thread of
-its own is one.
+Uses libjpeg-turbo through simplejpeg, which releases the GIL, so that a separate thread runs in
+parallel.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from rcp_kernel.errors import DeviceRejected
 
 __all__ = ["SUPPORTED", "compress", "is_here", "wrapped"]
 
-_EDGE = 65_500  # pixels that libjpeg takes on a side
+_EDGE = 65_500  # pixels per side that libjpeg accepts
 _FORMAT = b"jpeg\0"
 _BAYER = {"rggb": (0, 1, 2, 3), "bggr": (3, 1, 2, 0), "gbrg": (2, 0, 3, 1), "grbg": (1, 0, 3, 2)}
-"""Where in a square of 2 x 2 (0 1 / 2 3) red, the two greens and blue stand."""
+"""Positions of red, both greens and blue in a square of 2 x 2 (0 1 / 2 3)."""
 
 
 def is_here() -> bool:
-    """Tell whether the library is installed."""
+    """Return whether the library is installed."""
     return find_spec("simplejpeg") is not None
 
 
 def compress(image: Any, quality: int) -> bytes:
-    """Make a JPEG of an image; of depths past eight bits the upper eight.
+    """Encode an image as JPEG; of more than eight bits per channel, the upper eight are used.
 
-    :raises DeviceRejected: of its encoding none is made, or it contradicts itself.
+    :raises DeviceRejected: its encoding is not supported, or its sizes contradict each other.
     """
     how = _HOW.get(image.encoding)
     if how is None:
@@ -52,7 +52,7 @@ def compress(image: Any, quality: int) -> bytes:
 
 
 def wrapped(message: bytes, jpeg: bytes) -> bytes:
-    """Make the serialised CompressedImage of a serialised Image: its header, and the JPEG."""
+    """Return a serialized CompressedImage with the header of a serialized Image."""
     order = "<" if message[1] == 1 else ">"
     (length,) = struct.unpack_from(order + "I", message, 12)
     head = bytearray(message[: 16 + length])
@@ -91,7 +91,7 @@ def _mosaic(pattern: str) -> Callable[[Any, int], bytes]:
     encode = _as("RGB")
 
     def make(pixels: Any, quality: int) -> bytes:
-        """Take each square of the mosaic as one colour, as large as it was."""
+        """Demosaic by replacing each 2 x 2 square by one colour, at full size."""
         import numpy as np
 
         grey = pixels[: len(pixels) // 2 * 2, : pixels.shape[1] // 2 * 2, 0]
@@ -106,7 +106,7 @@ def _mosaic(pattern: str) -> Callable[[Any, int], bytes]:
 
 
 def _packed(luma: int) -> Callable[[Any, int], bytes]:
-    """Take apart 4:2:2, which is what a JPEG holds anyway; `luma` is where Y comes first."""
+    """Unpack 4:2:2, which JPEG stores natively; `luma` is the index of the first Y."""
 
     def make(pixels: Any, quality: int) -> bytes:
         import numpy as np
@@ -147,5 +147,5 @@ _HOW: dict[str, tuple[Callable[[Any, int], bytes], int, int]] = {
         for bits in (8, 16)
     },
 }
-"""How each encoding is made one: with what, in how many channels of how many bytes."""
+"""Conversion of each encoding: function, number of channels, bytes per channel."""
 SUPPORTED = tuple(_HOW)

@@ -1,7 +1,8 @@
-"""Keeps a stopped robot stopped: repeated in the ROS thread, independent of the event loop.
+"""Keeps a stopped robot stopped, from the ROS thread and independent of the event loop.
 
-A hold begins with a stop. One of an e-stop lasts until the event loop has seen the latch reset: an
-event loop that has frozen cannot reset it. One without a latch ends by itself.
+A hold begins with a stop. A latched hold lasts until the event loop has seen the e-stop reset,
+which
+a frozen event loop cannot do. A hold without a latch expires.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ __all__ = ["Hold", "Keeper"]
 
 log = structlog.get_logger("rcp.ros2")
 _TICK = 0.01  # s
-_POLL = 0.25  # s between looks at who else publishes
+_POLL = 0.25  # s between two checks for other publishers
 
 
 @dataclass(slots=True)
@@ -31,17 +32,17 @@ class Hold:
     """A stopped robot."""
 
     began: float
-    """Monotonic."""
+    """Monotonic time, s."""
     until: float
-    """When it ends, unless it is latched."""
+    """When it ends, unless it is latched; monotonic time, s."""
     latched: bool
-    """Whether an e-stop holds it: the configured means of stopping are used too, until its reset."""
+    """Whether an e-stop holds the robot: then the configured means of stopping are used too."""
     begun: bool = False
-    """Whether the ROS thread has begun it."""
+    """Whether the ROS thread has started it."""
 
 
 class Keeper:
-    """The holds of a backend, and what they hold."""
+    """The holds of a backend, and the actuators and action servers that they stop."""
 
     def __init__(self, link: RosLink) -> None:
         self._link = link
@@ -49,7 +50,7 @@ class Keeper:
         self.servers: dict[str, ActionServer] = {}
         self.signals: list[StopSignal] = []
         self.holds: dict[str | None, Hold] = {}
-        """By robot; None is what belongs to none of several."""
+        """By robot; None stands for everything that belongs to no single robot."""
         self._timer: Any = None
         self._poll_due = 0.0
         self._reported: dict[str, tuple[str, ...]] = {}
@@ -57,7 +58,7 @@ class Keeper:
     # -- from the event loop ---------------------------------------------------------------------
 
     def hold(self, robot: str | None, seconds: float, *, latched: bool) -> Hold:
-        """Hold a robot, or continue to hold it; a new hold begins with every means of stopping."""
+        """Start or extend the hold of a robot; a new hold uses every means of stopping."""
         now = time.monotonic()
         found = self.holds.get(robot)
         if found is None:
@@ -70,7 +71,7 @@ class Keeper:
         return found
 
     def again(self, robot: str | None) -> None:
-        """Send everything that stops a robot once more."""
+        """Repeat every stop command to a robot."""
         self._link.ros.submit(guarded(self._begin, robot))
 
     def release(self, robot: str | None) -> None:
@@ -80,7 +81,7 @@ class Keeper:
     # -- ROS thread ------------------------------------------------------------------------------
 
     def admit(self, robot: str | None) -> None:
-        """Let a command to a robot pass, which ends a hold without a latch.
+        """Admit a command to a robot, which ends a hold without a latch.
 
         :raises EstopActive: an e-stop holds the robot.
         """
@@ -92,7 +93,7 @@ class Keeper:
         del self.holds[robot]
         for rest in self.rests:
             if rest.robot == robot:
-                rest.leave()  # or it would counter the command that passes, as if another node's
+                rest.leave()  # or the admitted command would be countered as a foreign one
 
     def on_goals(self, server: ActionServer) -> None:
         """Cancel the goals of a stopped robot as soon as they appear."""
@@ -112,7 +113,7 @@ class Keeper:
             rest.leave()
 
     def follow(self, names: dict[str, str | None]) -> None:
-        """Set the action servers, each with its robot."""
+        """Set the action servers and the robot of each."""
         for name in self.servers.keys() - names.keys():
             self.servers.pop(name).close()
         for name in names.keys() - self.servers.keys():

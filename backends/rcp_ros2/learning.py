@@ -13,14 +13,14 @@ from rcp_ros2.pulse import node_of
 
 __all__ = ["learn"]
 
-_TRIES = 3  # nodes that are asked
-_PATIENCE = 2.0  # s for one of them
+_TRIES = 3  # nodes queried
+_PATIENCE = 2.0  # s for the response of a node
 
 
 async def learn(link: RosLink, topic: str, type_: str) -> bool:
-    """Ask the nodes on a topic for its type; tell whether one of them has said it.
+    """Request a type from the nodes on a topic; return whether one of them provided it.
 
-    :raises MissingType: it has a field of a kind that the gateway does not know.
+    :raises MissingType: the type has a field of an unsupported type.
     """
     for node, digest in await link.ros.call(_nodes, link, topic):
         response = await _request_type(link, topic, node, type_, digest)
@@ -47,7 +47,7 @@ async def _request_type(link: RosLink, topic: str, node: str, type_: str, digest
     request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=True)
     try:
         return await caller.call(request, _PATIENCE)
-    except RcpError:  # a node without this service, or one that has gone
+    except RcpError:  # a node without this service, or one that has disappeared
         return None
     finally:
         caller.close()

@@ -1,4 +1,4 @@
-"""Nodes with a lifecycle: their state as a sensor, their transitions as a service."""
+"""Lifecycle nodes: their state as a sensor, their transitions as a service."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from rcp_ros2.topics import Tap
 
 __all__ = ["Lifecycles"]
 
-_MARGIN = 1.0  # s that the gateway waits longer than the node has
-_ANSWER = 1.0  # s for an answer, before the question is put again
-_MISSES = 3  # looks without an answer, after which the last state counts as stale
+_MARGIN = 1.0  # s that the gateway waits longer than the node may take
+_ANSWER = 1.0  # s for a response, before the request is repeated
+_MISSES = 3  # polls without a response, after which the last state counts as stale
 
 State = Literal[
     "unknown",
@@ -49,14 +49,14 @@ State = Literal[
 ]
 Transition = Literal["configure", "cleanup", "activate", "deactivate", "shutdown"]
 
-# lifecycle_msgs/msg/Transition; a shutdown has another number in each state.
+# lifecycle_msgs/msg/Transition; shutdown has a different number in each state.
 _POSSIBLE: dict[str, dict[Transition, int]] = {
     "unconfigured": {"configure": 1, "shutdown": 5},
     "inactive": {"cleanup": 2, "activate": 3, "shutdown": 6},
     "active": {"deactivate": 4, "shutdown": 7},
 }
 _ENERGISING = ("configure", "activate")
-"""Transitions that may give motors torque, or begin to move them."""
+"""Transitions that may apply torque to motors, or start to move them."""
 _GOALS: dict[Transition, State] = {
     "configure": "inactive",
     "cleanup": "unconfigured",
@@ -92,7 +92,7 @@ class Lifecycles:
         self._exposes = exposes
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return a sensor and a service for each."""
+        """Return a sensor and a service for each node."""
         found: dict[str, Offer] = {}
         for node in filter(self._exposes, graph.lifecycle):
             for kind, made in (("sensor", StateOf), ("service", ChangeOf)):
@@ -103,7 +103,7 @@ class Lifecycles:
 
 
 class _Question:
-    """Asks a node for its state."""
+    """Requests the state of a node."""
 
     def __init__(self, shared: Shared, node: str) -> None:
         srv = load("lifecycle_msgs/srv/GetState")
@@ -131,10 +131,11 @@ class _Question:
 
 
 class StateOf(Binding):
-    """The state of a lifecycle node: asked for, and told by the node itself when it changes.
+    """The state of a lifecycle node: polled, and updated by the node's transition events.
 
-    A watched one is asked as often as the graph is looked at, because a node that is restarted
-    tells nothing; one that has died goes stale.
+    While subscribed, the node is polled with the graph, because a restarted node publishes nothing;
+    the
+    state of a dead node goes stale.
     """
 
     def __init__(self, shared: Shared, name: str, node: str, mapping: Mapping) -> None:
@@ -153,7 +154,7 @@ class StateOf(Binding):
         return await self._question.get_state(self.timeout)
 
     def watched(self, rate: float) -> None:
-        """Publish the state, and each change of it."""
+        """Publish the state and each change of it."""
         if self._query is None:
             tap = Tap(self.resource.name, self._codec, taker=self._on_transition)
             self.shared.ros.post(
@@ -170,7 +171,7 @@ class StateOf(Binding):
 
     async def _query_state(self) -> None:
         while True:
-            with contextlib.suppress(RcpError):  # it goes stale
+            with contextlib.suppress(RcpError):  # the state goes stale
                 self._publish(await self.read())
             await asyncio.sleep(self.shared.config.poll)
 
@@ -183,7 +184,7 @@ class StateOf(Binding):
             self.shared.host.publish(self.resource.name, state)
 
     def close(self) -> None:
-        """Publish no more, and let go of the client."""
+        """Stop publishing, and destroy the client."""
         self.unwatched()
         self._question.close()
 
@@ -208,7 +209,7 @@ class ChangeOf(Binding):
             node=node,
         )
         facts["timeout"] = shared.config.transition_timeout + shared.config.timeout + _MARGIN
-        facts["policy"] = "reject"  # one transition at a time, as the node itself has it
+        facts["policy"] = "reject"  # one transition at a time, as in the node itself
         resource = Resource(
             input=LifecycleChange,
             output=LifecycleState,
@@ -218,15 +219,16 @@ class ChangeOf(Binding):
         super().__init__(shared, resource, mapping)
 
     def _admit(self) -> None:
-        """Let a transition pass that energises; the others do not, so that the path is not barred."""
+        """Check a transition that energises; others must stay possible during an e-stop."""
         check_fence()
         self.shared.keeper.admit(self.resource.robot)
 
     async def execute(self, value: Any, progress: Progress) -> LifecycleState:
         """Run a transition of the node.
 
-        :raises EstopActive: it would energise a robot that is stopped; it can be led down always.
-        :raises DeviceRejected: it is not possible from the present state, or the node failed at it.
+        :raises EstopActive: it would energise a stopped robot; transitions towards shutdown are
+            allowed.
+        :raises DeviceRejected: it is not possible from the current state, or it failed in the node.
         """
         transition: Transition = value.transition
         energises = transition in _ENERGISING
@@ -265,7 +267,7 @@ class ChangeOf(Binding):
         try:
             return await self._question.get_state(self.timeout)
         except (AdapterUnavailable, DeviceTimeout):
-            # Many end with their shutdown.
+            # Many nodes exit after their shutdown.
             return _state(_GOALS[transition] if succeeded else "unknown")
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The connection to ROS 2 that everything of a backend works with."""
+"""The ROS 2 connection shared by all parts of a backend."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from rcp_ros2.topics import Tap, TopicSubscriptions
 
 __all__ = ["RosLink"]
 
-_DEPTH = 200  # messages of a construct that may wait: they come in bursts
-_GOALS = 1000  # of the gateway's own whose ids are remembered
-_PAUSE = 0.05  # s between looks at something that is about to come
+_DEPTH = 200  # queue depth for the messages of a construct, which come in bursts
+_GOALS = 1000  # goals of the gateway whose ids are remembered
+_PAUSE = 0.05  # s between two checks of a condition
 
 
 class RosLink:
-    """The node, the latest look at its graph, what is subscribed, and what is wrong."""
+    """The node, the latest poll of its graph, the subscriptions and the active problems."""
 
     def __init__(self, ros: Ros, config: Ros2Config, host: Host) -> None:
         self.ros = ros
@@ -43,9 +43,10 @@ class RosLink:
         self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
         self.pulses = Pulses(ros, self.complain)
         self.on_poll: list[Callable[[], None]] = []
-        """Called in the ROS thread at each poll of the graph."""
+        """Called in the ROS thread with each poll of the graph."""
         self.refresh: Callable[[], None] = lambda: None
-        """Has the paths made that a construct has found since the last look; on the event loop."""
+        """Creates the paths that a construct has found since the last poll; called on the event
+        loop."""
         self.needed: set[str] = set()
         """Names that are relevant although no path maps to them."""
         self.sent_goals: dict[bytes, None] = {}
@@ -58,14 +59,14 @@ class RosLink:
         return max(0.0, self._settled - time.monotonic())
 
     def trouble(self, key: str, detail: str | None) -> None:
-        """Set or clear the complaint about one thing."""
+        """Set or clear the problem with a key."""
         if detail is not None:
             self._troubles[key] = detail
         else:
             self._troubles.pop(key, None)
 
     def report(self) -> None:
-        """Report all complaints, or once that there are none."""
+        """Report all problems, or once that there are none."""
         detail = "; ".join(self._troubles.values()) or None
         if detail is not None or self._reported:
             self._reported = detail is not None
@@ -78,7 +79,7 @@ class RosLink:
             del self.sent_goals[next(iter(self.sent_goals))]
 
     def complain(self, key: str, detail: str | None) -> None:
-        """Set a complaint from the ROS thread; only changes wake the event loop."""
+        """Set a problem from the ROS thread; only changes wake the event loop."""
         if self._complaints.get(key) != detail:
             self._complaints[key] = detail
             self.host.call_soon(self.trouble, key, detail)
@@ -93,7 +94,7 @@ class RosLink:
     ) -> None:
         """Call a function with each message of a topic; in the ROS thread.
 
-        A type that is not installed is a trouble, told with its remedy.
+        A type that is not installed is reported as a problem, with its remedy.
         """
         try:
             cls = load(type_)
@@ -104,7 +105,7 @@ class RosLink:
         self.subscriptions.tap(topic, cls, qos, tap)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
-        """Wait for a condition on the graph, for as long as discovery may take."""
+        """Wait until a condition on the graph holds, at most `seconds`; return whether it does."""
         end = time.monotonic() + seconds
         while not holds():
             if time.monotonic() >= end:
@@ -115,7 +116,7 @@ class RosLink:
     async def present(self, noun: str, name: str) -> None:
         """Wait until a node offers something.
 
-        :raises AdapterUnavailable: nobody does.
+        :raises AdapterUnavailable: no node does.
         """
         if await self.until(lambda: self.graph.has(noun, name), self.settling):
             return

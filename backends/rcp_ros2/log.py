@@ -22,9 +22,9 @@ __all__ = ["Log"]
 
 _NAME = "event/log"
 _TOPIC = "/rosout"
-_DEPTH = 1000  # records that may wait, as many as ROS itself keeps
+_DEPTH = 1000  # queue depth in records, the same as in ROS itself
 _LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
-_LEVEL_AT = 12  # header of the encoding, stamp: the byte that holds the level
+_LEVEL_AT = 12  # header of the encoding, stamp: the offset of the level
 
 Level = Literal["debug", "info", "warn", "error", "fatal"]
 
@@ -41,16 +41,16 @@ class LogRecord(msgspec.Struct, frozen=True):
 
 
 class _Records(Codec):
-    """Decodes rcl_interfaces/msg/Log to what people call its parts."""
+    """Decodes rcl_interfaces/msg/Log."""
 
     def decode(self, data: bytes) -> LogRecord:
-        """Return the record; its level is the next lower one that has a name."""
+        """Return the record; an unnamed level is reported as the next lower named one."""
         log = super().decode(data)
         level: Any = next((n for n, least in _FALLING if log.level >= least), "debug")
         return LogRecord(level, log.name, log.msg, log.file, log.function, log.line)
 
     def stamp(self, data: bytes) -> int | None:
-        """Return when the node logged it, ns since the epoch."""
+        """Return the time of the record, ns since the epoch."""
         second = int.from_bytes(data[4:8], self._order(data))
         nano = int.from_bytes(data[8:12], self._order(data))
         return second * 1_000_000_000 + nano if second > 0 else None
@@ -70,7 +70,7 @@ class Log:
         self._exposed = exposes(_TOPIC)
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return the event."""
+        """Return the event resource."""
         if not self._exposed:
             return {}
         mapping = Mapping(topic=_TOPIC)
@@ -102,7 +102,7 @@ class Records(Binding):
             self.shared.outbox.put(_NAME, value, self._codec.stamp(value.data))
 
     async def read(self) -> Any:
-        """Say that nothing came; the kernel would have answered with the last one."""
+        """Raise: no record has come yet, or the kernel would have returned the last one."""
         raise AdapterUnavailable(
             "no node has logged at this level so far",
             remedy="Subscribe to it to receive the next one.",

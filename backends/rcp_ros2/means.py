@@ -33,7 +33,7 @@ class StopSignal:
         self.robot = robot
         self.stopped = fill(msgspec.convert(config.value, type_))
         self.data = serialised(self.stopped)
-        """What says that it is stopped, in CDR."""
+        """The message that signals the stop, in CDR."""
         self.engaged = False
         self._delivered = True
         released = config.released
@@ -66,13 +66,13 @@ class StopSignal:
         )
 
     def poll(self) -> None:
-        """Adapt to the current subscribers."""
+        """Match the current subscribers."""
         self._outlet.poll()
 
     def _send(self, message: Any) -> None:
         try:
             self._delivered = self._outlet.send(message, anyhow=True) != "nobody"
-        except AdapterUnavailable:  # told as a complaint of the outlet
+        except AdapterUnavailable:  # reported as a problem of the outlet
             self._delivered = False
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class StopCall:
         """Whether the service has reported success since the stop began."""
         self.error: str | None = None
         self.plan: dict[str, Any] | None = None
-        """What the guard process calls, as soon as the type is known."""
+        """The call for the guard process, once the type is known."""
         self._link = link
         self._config = config
         self._caller: Caller | None = None
@@ -100,13 +100,13 @@ class StopCall:
 
     @property
     def type(self) -> str | None:
-        """The service's type, as soon as it is known."""
+        """The service's type, once it is known."""
         return self._config.type or self._link.graph.services.get(self.name)
 
     async def engage(self) -> None:
-        """Call it; concurrent calls wait for the same response.
+        """Call the service; concurrent calls wait for the same response.
 
-        :raises RcpError: it cannot be reached, does not answer, or says that it failed.
+        :raises RcpError: it cannot be reached, does not respond, or reports failure.
         """
         self.engaged = True
         if self._running is None:
@@ -122,7 +122,7 @@ class StopCall:
         self._link.trouble(f"stop service {self.name}", self.error)
 
     def release(self) -> None:
-        """Call it with the release request, if configured."""
+        """Call the service with the release request, if configured."""
         engaged, self.engaged, self.done = self.engaged, False, False
         if engaged and self._config.released is not None:
             task = asyncio.ensure_future(self._call(self._config.released))
@@ -134,7 +134,7 @@ class StopCall:
         self._link.trouble(f"stop service {self.name}", text)
 
     def prepare(self) -> None:
-        """Find the service, so that it is discovered by the time it is needed; in the ROS thread."""
+        """Create the client early, so that it discovers the service; called in the ROS thread."""
         if self._caller is not None or self.type is None:
             return
         try:

@@ -1,7 +1,7 @@
-"""Whether the middleware that the environment asks for can be loaded, found out in another process.
+"""Check in another process that the middleware selected by the environment can be loaded.
 
-rcl looks at it when its library is loaded and ends the process with code 102 if it is another one
-than `RMW_IMPLEMENTATION` says: in C, so that no exception handler is asked.
+rcl checks it when its library is loaded, and ends the process with code 102 if it differs from
+`RMW_IMPLEMENTATION`: in C, so that no exception handler runs.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _LOADS = 10.0  # s to import rclpy on a slow machine
 
 
 def check_middleware() -> None:
-    """Import rclpy elsewhere before it is imported here; called in a thread that may wait.
+    """Import rclpy in another process first; blocks, so called in a worker thread.
 
-    :raises ConfigError: the environment asks for a middleware that is not there.
-    :raises NotReady: that could not be found out in time.
+    :raises ConfigError: the environment selects a middleware that is not available.
+    :raises NotReady: that could not be determined in time.
     """
     requested = " ".join(f"{name}={os.environ[name]}" for name in _NAMES if os.environ.get(name))
     if not requested or "rclpy" in sys.modules:

@@ -1,4 +1,4 @@
-"""Names of ROS 2 and paths of the tree: patterns, translation, and what is hidden."""
+"""Names of ROS 2 and paths of the tree: patterns, translation and hidden names."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _PLUMBING = re.compile(
 )
 _HIDDEN_PARAMETERS = ("qos_overrides.", "start_type_description_service")
 _NOT_A_SEGMENT = re.compile(r"[^A-Za-z0-9_.-]+")
-_LONGEST = 200  # characters of a text that a path keeps
+_LONGEST = 200  # characters of a text kept in a path
 
 
 def absolute(name: str, namespace: str = "/") -> str:
-    """Write a ROS name as the graph knows it."""
+    """Return the absolute form of a ROS name."""
     if name.startswith("/"):
         return name
     return f"{namespace.rstrip('/')}/{name}"
 
 
 def allows(patterns: Iterable[str]) -> Callable[[str], bool]:
-    """Compile patterns in which `*` is one segment and `**` any number."""
+    """Compile name patterns, in which `*` is one segment and `**` any number."""
     found = [re.compile(_expression(pattern)).match for pattern in patterns]
     return lambda name: any(match(name) for match in found)
 
@@ -41,23 +41,23 @@ def _expression(pattern: str) -> str:
 
 
 def is_internal(name: str) -> bool:
-    """Tell whether a topic or service is ROS's own plumbing, or hidden by its underscore."""
+    """Return whether a topic or service is internal to ROS, or hidden by an underscore."""
     return _PLUMBING.match(name) is not None
 
 
 def is_internal_parameter(name: str) -> bool:
-    """Tell whether a parameter is one that every node has for ROS's own sake."""
+    """Return whether a parameter is one of those that every ROS node has."""
     return name.startswith(_HIDDEN_PARAMETERS)
 
 
 def legal(text: str, taken: Container[str] = ()) -> str:
-    """Make segments of any text, slashes and all; a digest keeps apart those that would be one."""
+    """Convert a text to path segments; a digest resolves collisions with `taken`."""
     found = [_NOT_A_SEGMENT.sub("_", s).strip("_") for s in text.split("/")]
     short = "/".join(s for s in found if s.strip("."))[:_LONGEST].rstrip("/") or "unnamed"
     return f"{short}-{zlib.crc32(text.encode()):08x}" if short in taken else short
 
 
 def resource_name(branch: str, *names: str) -> str:
-    """Make a resource's name of ROS names, slashes and all."""
+    """Build a resource name from ROS names, which may contain slashes."""
     segments = [s for name in names for s in name.split("/") if s]
     return "/".join([branch, *(_NOT_A_SEGMENT.sub("_", s) for s in segments)])

@@ -19,18 +19,18 @@ COMMANDS = {
     "ackermann_msgs/msg/AckermannDriveStamped",
     "trajectory_msgs/msg/JointTrajectory",
 }
-"""Types of topics that are there to be written to, whoever else writes to them."""
+"""Types of topics that are commands, even if other nodes publish on them too."""
 
 
 class Nice(NamedTuple):
     """The conventional path of a topic or action of a well-known type and name."""
 
     ends: tuple[str, ...]
-    """What its ROS name must end with, by whole segments."""
+    """Suffixes of the ROS name, in whole segments."""
     name: str
-    """What stands for that."""
+    """The conventional name."""
     field: str | None = None
-    """Only this part of it; the whole keeps its own name beside it."""
+    """Select only this field; the whole message keeps its own path."""
 
 
 _IMAGE = Nice(("image_raw",), "image")
@@ -62,7 +62,7 @@ _TABLE: dict[tuple[str, str], tuple[Nice, ...]] = {
 
 
 def nice(branch: str, name: str, type_: str) -> Iterable[tuple[str, str | None]]:
-    """Return the ROS-like names that stand for a name of the graph, each with its part."""
+    """Return the conventional names of a ROS name, each with the selected field."""
     for one in _TABLE.get((branch, type_), ()):
         end = next((e for e in one.ends if name.endswith(f"/{e}")), None)
         if end is not None:
@@ -70,7 +70,7 @@ def nice(branch: str, name: str, type_: str) -> Iterable[tuple[str, str | None]]
 
 
 class Naming:
-    """The paths of a configuration."""
+    """The naming rules of a configuration."""
 
     def __init__(self, config: Ros2Config) -> None:
         self._root = config.namespace.rstrip("/")
@@ -78,7 +78,7 @@ class Naming:
         self.split = lru_cache(8192)(self._split)
 
     def _split(self, name: str) -> tuple[str | None, str, str]:
-        """Take a name of the graph apart: the robot, its namespace, and the rest of the name."""
+        """Split a name into the robot, its namespace, and the rest."""
         for pattern in self._robots:
             found = pattern.match(name)
             if found is not None:
@@ -92,12 +92,12 @@ class Naming:
     def path(
         self, branch: str, name: str, before: tuple[str, ...] = (), after: tuple[str, ...] = ()
     ) -> str:
-        """Return the path of a name of the graph, with segments before and after its own."""
+        """Return the path of a ROS name, with segments before and after it."""
         robot, _, rest = self.split(name)
         return resource_name(branch, robot or "", *before, rest, *after)
 
     def below(self, path: str, robot: str | None) -> str:
-        """Return the path of one robot for a path that the configuration gives to each."""
+        """Return one robot's path for a mapping that applies to each robot."""
         branch, _, rest = path.partition("/")
         return f"{branch}/{robot}/{rest}" if robot else path
 

@@ -1,4 +1,4 @@
-"""From the ROS thread to the event loop: a bounded queue per name, one wake-up for many values."""
+"""Transfer from the ROS thread to the event loop: a bounded queue per name, batched wake-ups."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from rcp_ros2.cdr import Value
 
 __all__ = ["Outbox"]
 
-_DEPTH = 256  # values of one name that wait for the event loop
-_FEW = 4  # of them, where each is big
+_DEPTH = 256  # queued values per name
+_FEW = 4  # queued values per name if they are large
 _BIG = 65_536  # bytes
 
 
 class Outbox:
-    """Values on their way out; the oldest of a name give way when the event loop is late."""
+    """Queued values; if the event loop is late, the oldest of a name are dropped."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -27,7 +27,7 @@ class Outbox:
         """Number of dropped values."""
 
     def put(self, name: str, value: Value, timestamp: int | None) -> None:
-        """Hand a value over, in the ROS thread."""
+        """Queue a value; called in the ROS thread."""
         queue = self._queues.get(name)
         if queue is None:
             queue = self._queues[name] = deque()
@@ -41,7 +41,7 @@ class Outbox:
                 self._host.call_soon(self._drain)
 
     def _drain(self) -> None:
-        self._woken = False  # before the queues are emptied: what comes now wakes the loop again
+        self._woken = False  # before the queues are emptied, so that new values wake the loop again
         publish: Any = self._host.publish
         for name, queue in list(self._queues.items()):
             while queue:
@@ -49,5 +49,5 @@ class Outbox:
                 publish(name, value, timestamp)
 
     def forget(self, name: str) -> None:
-        """Drop what a name still holds, on the event loop."""
+        """Drop the queued values of a name; called on the event loop."""
         self._queues.pop(name, None)

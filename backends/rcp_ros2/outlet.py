@@ -14,7 +14,7 @@ from rcp_ros2.qos import Profile, for_publisher, unreached_subscribers
 __all__ = ["Hearing", "Outlet"]
 
 Hearing = Literal["heard", "nobody", "silent"]
-"""Whether somebody hears what is sent; silent are nodes that used to answer and do not any more."""
+"""Who receives what is sent; `silent` means nodes that responded before and no longer do."""
 
 
 class Outlet:
@@ -32,21 +32,21 @@ class Outlet:
         self._nodes: frozenset[str] = frozenset()
 
     def poll(self) -> None:
-        """Suit those who listen now, before it is needed, so that it is discovered by then."""
-        with contextlib.suppress(AdapterUnavailable):  # which is told as a complaint
+        """Match the current subscribers early, so that the first command reaches them."""
+        with contextlib.suppress(AdapterUnavailable):  # reported as a problem
             self.match()
 
     def match(self) -> None:
-        """Suit those who listen now.
+        """Match the current subscribers.
 
-        :raises AdapterUnavailable: the middleware refuses; one topic has one type in a process.
+        :raises AdapterUnavailable: the middleware refuses; a topic has only one type in a process.
         """
         from rclpy.event_handler import PublisherEventCallbacks
 
         node = self._node()
         endpoints = node.get_subscriptions_info_by_topic(self._topic)
         named = {name for name in map(node_of, endpoints) if name is not None}
-        self._nodes = frozenset(named - {node.get_fully_qualified_name()})  # it may listen itself
+        self._nodes = frozenset(named - {node.get_fully_qualified_name()})  # it may subscribe too
         self._pulses.want(f"topic {self._topic}", self._nodes)
         profile = for_publisher(endpoints, self._wanted)
         self._complain(
@@ -70,7 +70,7 @@ class Outlet:
             raise AdapterUnavailable(why) from error
 
     def send(self, message: Any, *, anyhow: bool) -> Hearing:
-        """Publish if there is a subscriber, or anyway; tell who receives it."""
+        """Publish if there is a subscriber or `anyhow` is set; return who receives it."""
         if self._publisher is None:
             self.match()
         assert self._publisher is not None
@@ -90,14 +90,14 @@ class Outlet:
         return self._profile is None or self._profile.reliable
 
     def acked(self) -> bool:
-        """Tell whether all reliable subscribers have acknowledged what was published until now."""
+        """Return whether all reliable subscribers have acknowledged everything published so far."""
         from rclpy.duration import Duration
 
         if self._publisher is None:
             return False
         try:
             return self._publisher.wait_for_all_acked(Duration(nanoseconds=0))
-        except Exception:  # a middleware that cannot tell
+        except Exception:  # a middleware without acknowledgements
             return True
 
     def count(self) -> int:

@@ -1,4 +1,4 @@
-"""Parameters: described by their node, with its ranges; set by it, or refused with its reason."""
+"""Node parameters: described with their ranges, set, or refused with a reason, by the node."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FIELDS = {
     8: "double_array_value",
     9: "string_array_value",
 }
-"""rcl_interfaces/msg/ParameterType, with the field of ParameterValue that holds it."""
+"""rcl_interfaces/msg/ParameterType, with the field of ParameterValue that holds the value."""
 _INT: dict[str, Any] = {"ge": -(2**63), "le": 2**63 - 1}
 
 
@@ -45,7 +45,7 @@ class Described(NamedTuple):
     bounds: dict[str, Any]
 
     def type(self, unit: str | None) -> Any:
-        """Return the type of its values; its numbers are in `unit`."""
+        """Return the type of the values; numbers have the unit `unit`."""
         extra: Any = {} if unit is None else {"unit": unit}
         match self.kind:
             case 1 | 6:
@@ -53,7 +53,7 @@ class Described(NamedTuple):
             case 2 | 7:
                 plain_type = Annotated[int, Meta(**(_INT | self.bounds), extra_json_schema=extra)]
             case 3 | 8:
-                if not self.bounds:  # a parameter may well be NaN: not set
+                if not self.bounds:  # NaN is a common marker for an unset parameter
                     extra[NONFINITE] = True
                 plain_type = Annotated[float, Meta(**self.bounds, extra_json_schema=extra)]
             case 4 | 9:
@@ -89,7 +89,7 @@ class NodeParameters:
         return [n for n in response.result.names if not is_internal_parameter(n)]
 
     async def describe(self, names: list[str]) -> list[Described]:
-        """Return type, range and text of parameters; those that have no type yet are left out."""
+        """Return type, range and text of parameters; those without a type so far are omitted."""
         response = await self._call(
             self._srv.DescribeParameters, "describe_parameters", names=names
         )
@@ -98,7 +98,7 @@ class NodeParameters:
     async def get(self, name: str, kind: int) -> Any:
         """Return the current value; None if the node has no such parameter of this kind."""
         response = await self._call(self._srv.GetParameters, "get_parameters", names=[name])
-        # With a name among them that is not declared, rclpy answers with an empty list.
+        # If one of several names is not declared, rclpy returns an empty list.
         if len(response.values) != 1 or response.values[0].type != kind:
             return None
         return plain(response.values[0])
@@ -114,7 +114,7 @@ class NodeParameters:
         self._check(response.results[0] if response.results else None, f"set '{name}'")
 
     async def set_together(self, values: dict[str, tuple[int, Any]]) -> None:
-        """Set several parameters, given with their kinds: all of them or none.
+        """Set several parameters, given with their types: all of them or none.
 
         :raises DeviceRejected: the node refused, with its reason.
         """
@@ -145,7 +145,7 @@ def _wrapped(name: str, kind: int, value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Take the value out of a ParameterValue."""
+    """Return the value in a ParameterValue."""
     found = getattr(value, _FIELDS[value.type])
     if value.type == 5:
         return b"".join(found)
@@ -183,9 +183,9 @@ class Events:
         self._subscription: Any = None
 
     def follow(self, node: str, on_change: Callable[[dict[str, int]], None]) -> None:
-        """Call a function, on the event loop, with the kinds of parameters that a node has changed.
+        """Call a function on the event loop with the names and types of changed parameters.
 
-        Kind 0 is a parameter that is gone.
+        Type 0 is a parameter that was removed.
         """
         self._followers[node] = on_change
         self._shared.ros.post(self._open)
@@ -196,7 +196,7 @@ class Events:
             self._shared.ros.post(self._close)
 
     def lost(self, node: str, parameter: str) -> None:
-        """Tell those who follow a node that it does not have a parameter any more."""
+        """Notify the followers of a node that a parameter no longer exists."""
         self._shared.host.call_soon(self._follow, node, {parameter: 0})
 
     def listen(self, node: str, parameter: str, on_change: Callable[[Any], None]) -> None:
@@ -253,7 +253,7 @@ class Events:
 
 
 class Setting(Binding):
-    """A parameter of the tree."""
+    """A parameter resource."""
 
     def __init__(
         self,
@@ -275,19 +275,19 @@ class Setting(Binding):
         super().__init__(shared, Resource(value=described.type(mapping.unit), **facts), mapping)
 
     async def read(self) -> Any:
-        """Read from the node.
+        """Read the parameter from the node.
 
-        :raises AdapterUnavailable: it has the parameter no more, or is not there.
+        :raises AdapterUnavailable: the parameter no longer exists, or the node is not running.
         """
         value = await self._node.get(self.described.name, self.described.kind)
-        if value is None:  # not every node tells that it takes one back
+        if value is None:  # not every node announces removed parameters
             name = self.described.name
             self._events.lost(self._node.node, name)
             raise AdapterUnavailable(f"{self._node.node} no longer has a parameter '{name}'")
         return value
 
     async def write(self, value: Any) -> Any:
-        """Set it on the node; return the resulting value."""
+        """Set the parameter on the node; return the resulting value."""
         await self._node.set(self.described.name, self.described.kind, value)
         return None
 
@@ -298,7 +298,7 @@ class Setting(Binding):
             self._first = asyncio.ensure_future(self._publish_present())
 
     async def _publish_present(self) -> None:
-        with contextlib.suppress(RcpError):  # a dead node tells its value when it is back
+        with contextlib.suppress(RcpError):  # a node that is down publishes it when back
             self.shared.host.publish(self.resource.name, await self.read())
 
     def unwatched(self) -> None:

@@ -1,4 +1,4 @@
-"""Cameras as JPEG: one more sensor per image sensor, encoded only while subscribed."""
+"""Cameras as JPEG: an additional sensor per image sensor, encoded only while subscribed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LEAF = "/jpeg"
 
 
 class Pictures:
-    """Offers `<sensor>/jpeg` for each sensor of whole images."""
+    """Provides `<sensor>/jpeg` for each sensor of whole images."""
 
     def __init__(self, shared: Shared, bindings: Bindings[str, Binding]) -> None:
         self._shared = shared
@@ -51,7 +51,7 @@ def _is_camera(binding: Observed) -> bool:
 
 
 class Picture(Binding):
-    """One camera's JPEG. During encoding, only the newest image is queued."""
+    """One camera's JPEG; while encoding, only the newest image is queued."""
 
     def __init__(self, shared: Shared, source: Observed) -> None:
         self._source = source
@@ -84,13 +84,13 @@ class Picture(Binding):
     def unwatched(self) -> None:
         """End the subscription."""
         self._source.untap(self.resource.name)
-        with self._lock:  # an image that is still in work must not complain after this
+        with self._lock:  # an image being encoded must not report a problem after this
             self._wanted = False
             self._next = None
             self.shared.complain(self.resource.name, None)
 
     def close(self) -> None:
-        """End the subscription, and the thread."""
+        """End the subscription and the thread."""
         self.unwatched()
         self._pool.shutdown(wait=False)
 
@@ -98,8 +98,8 @@ class Picture(Binding):
         """Return a JPEG of the next image.
 
         :raises AdapterUnavailable: no node publishes the topic.
-        :raises DeviceTimeout: nothing came in time.
-        :raises DeviceRejected: of such images none is made.
+        :raises DeviceTimeout: no image arrived in time.
+        :raises DeviceRejected: the image encoding is not supported.
         """
         image = await self._source.following()
         loop = asyncio.get_running_loop()

@@ -1,8 +1,8 @@
-"""Liveness of nodes, polled once per second because the graph notices a death late.
+"""Liveness of nodes, polled once per second because the graph detects a dead node late.
 
-A node that was killed is listed until the lease of its process ends, 20 s with Fast DDS. What
-answers for it at once is its own parameter service, which every ordinary node has: asking for no
-parameters costs it nothing. A node that has never answered is not judged.
+A killed node is listed until the lease of its process ends, 20 s with Fast DDS. Every ordinary node
+has a parameter service, and an empty request to it is cheap. A node that has never responded is not
+judged.
 
 Everything here runs in the ROS thread.
 """
@@ -17,12 +17,12 @@ from rcp_ros2.ros import Ros
 
 __all__ = ["Pulse", "Pulses", "node_of"]
 
-_EVERY = 0.9  # s between two questions
-_DUE = 0.4  # s for an answer, before another question makes sense
+_EVERY = 0.9  # s between two requests
+_DUE = 0.4  # s for a response, before another request makes sense
 
 
 def node_of(endpoint: Any) -> str | None:
-    """Return the full name of the node of an endpoint; None while it is not known."""
+    """Return the full name of the node of an endpoint; None while it is unknown."""
     if endpoint.node_name.startswith("_"):  # _NODE_NAME_UNKNOWN_
         return None
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
@@ -39,9 +39,9 @@ class Pulse:
         self._pending: Any = None
         self._requested_at = 0.0
         self.answers = 0
-        """Number of the node's responses."""
+        """Number of responses from the node."""
         self.last_response = 0.0
-        """Monotonic time of the last response."""
+        """Monotonic time of the last response, s."""
 
     def ping(self) -> None:
         """Send a request; an older one is abandoned, unless a response may still arrive."""
@@ -64,7 +64,7 @@ class Pulse:
 
     @property
     def silence(self) -> float:
-        """Seconds since its last response, while one is due; 0 for a node that never responded."""
+        """Seconds since the last response while one is due; 0 for a node that never responded."""
         if not self.answers or self._pending is None:
             return 0.0
         return time.monotonic() - self.last_response
@@ -85,7 +85,7 @@ class Pulses:
         self._next = 0.0
 
     def want(self, key: str, nodes: Iterable[str]) -> None:
-        """Set the nodes that a caller monitors; none ends it."""
+        """Set the nodes that the caller `key` monitors; none ends it."""
         named = frozenset(nodes)
         if self._wanted.get(key, frozenset()) == named:
             return
@@ -101,29 +101,29 @@ class Pulses:
             self._complain(node, None)
 
     def of(self, node: str) -> Pulse | None:
-        """Return the pulse of a monitored node."""
+        """Return the monitor of a node, if it is monitored."""
         return self._pulses.get(node)
 
     def ping(self, nodes: Iterable[str]) -> None:
-        """Poll some nodes now: those that respond are alive."""
+        """Poll some nodes now; those that respond are alive."""
         for node in nodes:
             if (pulse := self._pulses.get(node)) is not None:
                 pulse.ping()
 
     def poll(self) -> None:
-        """Poll every node, and report those that have stopped responding."""
+        """Poll every node and report those that have stopped responding."""
         now = time.monotonic()
         due = now >= self._next
         if due:
             self._next = now + _EVERY
         for node, pulse in self._pulses.items():
-            if pulse.answers and not due:  # the first answer is wanted soon
+            if pulse.answers and not due:  # get the first response soon
                 continue
             gone = self.is_silent(node)
             self._complain(node, f"the node {node} no longer responds" if gone else None)
             pulse.ping()
 
     def is_silent(self, node: str) -> bool:
-        """Tell whether a node that responded before no longer does."""
+        """Return whether a node that responded before no longer does."""
         pulse = self._pulses.get(node)
         return pulse is not None and pulse.silence > self._ros.config.silence

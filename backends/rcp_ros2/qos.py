@@ -1,4 +1,4 @@
-"""Quality of service: request what is offered, and describe mismatches."""
+"""Quality of service: derive compatible profiles, and describe mismatches."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = [
 ]
 
 _DEPTH = 10
-_EVER = 2**63 - 1  # ns, as rclpy has infinity
+_EVER = 2**63 - 1  # ns, the infinity of rclpy
 
 
 class Profile(NamedTuple):
@@ -28,16 +28,16 @@ class Profile(NamedTuple):
     latched: bool
     """Transient local: late joiners get the last values."""
     depth: int = _DEPTH
-    """How many values wait; 0 keeps all."""
+    """Length of the queue; 0 keeps all."""
     deadline: int = _EVER
-    """Longest time between two messages, ns."""
+    """Maximum time between two messages, ns."""
     lifespan: int = _EVER
     """Lifespan of a message, ns."""
     manual: bool = False
     lease: int = _EVER
 
     def to_ros(self) -> Any:
-        """Return it as an rclpy profile."""
+        """Convert it to an rclpy profile."""
         from rclpy.duration import Duration
         from rclpy.qos import (
             DurabilityPolicy,
@@ -71,7 +71,7 @@ class Profile(NamedTuple):
         )
 
     def terms(self, node: str) -> Terms:
-        """Return what it means to the other side."""
+        """Return the policies as the other side sees them."""
         return Terms(node, self.reliable, self.latched, self.deadline, self.manual, self.lease)
 
 
@@ -81,7 +81,7 @@ def _offers(endpoint: Any) -> tuple[bool, bool]:
 
 
 def for_subscription(publishers: Iterable[Any], wanted: Qos) -> Profile:
-    """Match every publisher: best effort if any is, latched only if all are, nothing promised."""
+    """Match every publisher: best effort if any is, latched if all are, no deadline."""
     offers = [_offers(endpoint) for endpoint in publishers]
     reliable = bool(offers) and all(r for r, _ in offers)
     latched = bool(offers) and all(t for _, t in offers)
@@ -89,9 +89,11 @@ def for_subscription(publishers: Iterable[Any], wanted: Qos) -> Profile:
 
 
 def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
-    """Match every subscription: reliable suits all, the rest is offered to those that ask.
+    """Match every subscription: reliable suits all, other policies are offered as requested.
 
-    A deadline or lease that is not kept is told to whoever asked for it: better than silence.
+    A missed deadline or lease is reported to the subscriber that requested it, which is better than
+    no
+    match.
     """
     requested = [Terms.of(endpoint) for endpoint in subscriptions]
     matched = Profile(
@@ -105,7 +107,7 @@ def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
 
 
 def _override(wanted: Qos, matched: Profile) -> Profile:
-    said: dict[str, Any] = {
+    overrides: dict[str, Any] = {
         "reliable": _is(wanted.reliability, "reliable"),
         "latched": _is(wanted.durability, "transient_local"),
         "manual": _is(wanted.liveliness, "manual_by_topic"),
@@ -114,11 +116,11 @@ def _override(wanted: Qos, matched: Profile) -> Profile:
         "lifespan": _ns(wanted.lifespan),
         "lease": _ns(wanted.lease),
     }
-    return matched._replace(**{key: value for key, value in said.items() if value is not None})
+    return matched._replace(**{key: value for key, value in overrides.items() if value is not None})
 
 
-def _is(said: str | None, word: str) -> bool | None:
-    return None if said is None else said == word
+def _is(policy: str | None, word: str) -> bool | None:
+    return None if policy is None else policy == word
 
 
 def _ns(seconds: float | None) -> int | None:
@@ -126,14 +128,14 @@ def _ns(seconds: float | None) -> int | None:
 
 
 def clash(topic: str, ours: Profile, publishers: Iterable[Any]) -> str | None:
-    """Describe the publishers that a subscription cannot receive, and why; None if there are none."""
+    """Describe the publishers that a subscription cannot receive; None if there are none."""
     requested = ours.terms("the gateway")
     lost = [words for offer in publishers for words in mismatches(Terms.of(offer), requested)]
     return f"{topic} is not received from every publisher: {'; '.join(lost)}" if lost else None
 
 
 def unreached_subscribers(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
-    """Describe the subscribers that a publisher cannot reach, and why; None if there are none."""
+    """Describe the subscribers that a publisher cannot reach; None if there are none."""
     offered = ours.terms("the gateway")
     lost = [words for request in subscriptions for words in mismatches(offered, Terms.of(request))]
     return f"{topic} does not reach every subscriber: {'; '.join(lost)}" if lost else None
@@ -146,15 +148,15 @@ class Terms(NamedTuple):
     reliable: bool
     latched: bool
     deadline: int = _EVER
-    """Longest time between two messages, ns."""
+    """Maximum time between two messages, ns."""
     manual: bool = False
-    """The node itself has to say that it lives, topic by topic."""
+    """Whether the node has to assert its liveliness per topic."""
     lease: int = _EVER
     """Liveliness lease duration, ns."""
 
     @classmethod
     def of(cls, endpoint: Any) -> Terms:
-        """Read the terms of an endpoint of the graph."""
+        """Return the policies of an endpoint of the graph."""
         profile = endpoint.qos_profile
         return cls(
             f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}",

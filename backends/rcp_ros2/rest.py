@@ -1,7 +1,7 @@
-"""A topic that moves a robot, its safe value, and its other publishers.
+"""The safe value of an actuator topic, and its other publishers.
 
-A subscriber obeys whoever published last, so that a stop must keep publishing for as long as
-others do. Everything here runs in the ROS thread, but for what only tells.
+A subscriber follows the last publisher, so a stop must keep publishing while others do. Everything
+here runs in the ROS thread, except for the queries.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from rcp_ros2.topics import Tap
 
 __all__ = ["Rest"]
 
-_QUIET = 0.5  # s without a command of others, after which they count as silent
+_QUIET = 0.5  # s without a foreign command, after which other publishers count as silent
 _FASTEST = 100.0  # Hz
-_AHEAD = 3.0  # times as fast as others publish
-_BURST = 5  # times that it is sent in quick succession at first: some may be lost
+_AHEAD = 3.0  # repetition rate relative to other publishers
+_BURST = 5  # transmissions in quick succession at first: some may be lost
 _QUICK = 0.015  # s between two of those
-_ANSWER = 0.002  # s between two answers to others' commands, at least
-_KNOWN = 20  # commands of others that their rate is taken from
+_ANSWER = 0.002  # s between two replies to foreign commands, at least
+_KNOWN = 20  # foreign commands used to compute their rate
 
 
 class Rest:
-    """The safe value of one actuator: repeated while its robot is stopped."""
+    """The safe value of one actuator, repeated while its robot is stopped."""
 
     def __init__(
         self,
@@ -50,21 +50,21 @@ class Rest:
         self.type = full_name(cls)
         self.robot: str | None = None
         self.needed = True
-        """Whether a stop without a receiving node is not confirmed."""
+        """Whether a stop needs a receiving node to be confirmed."""
         self.measured = False
-        """Whether the configuration names what measures it."""
+        """Whether the configuration names its feedback."""
         self.others: tuple[str, ...] = ()
-        """The other nodes that publish the topic."""
+        """The other nodes that publish on the topic."""
         self.commanded = False
-        """Whether the last that the gateway published was not the safe value."""
+        """Whether the gateway's last message was not the safe value."""
         self.delivered_at: float | None = None
         """Monotonic time when the safe value was last published to a receiving node."""
         self.data = message if isinstance(message, bytes) else _serialised(message)
-        """It in CDR."""
+        """The safe value in CDR."""
         self.outlet = outlet
         self._link = link
         self._wake = wake
-        """Has what is held repeated."""
+        """Repeats the stop of held robots."""
         self._cls = cls
         self._message = message
         self._codec = Codec(cls)
@@ -72,17 +72,17 @@ class Rest:
         self._tap: Tap | None = None
         self._due = 0.0
         self._burst = 0
-        """How often it is still to be sent in quick succession."""
+        """Remaining transmissions in quick succession."""
         self._answered = 0.0
         self._foreign: deque[float] = deque(maxlen=_KNOWN)
-        """Times of others' commands."""
+        """Times of foreign commands, monotonic."""
         self.acked = False
-        """Whether every reliable subscriber has acknowledged what was published before."""
+        """Whether every reliable subscriber has acknowledged the messages published so far."""
 
-    # -- what it tells, to any thread ------------------------------------------------------------
+    # -- queries, from any thread ----------------------------------------------------------------
 
     def contested(self) -> float:
-        """Return the rate in Hz at which others send different commands; 0 if they do not."""
+        """Return the rate in Hz of differing commands from other nodes; 0 if there are none."""
         times = list(self._foreign)
         if not times or time.monotonic() - times[-1] > _QUIET:
             return 0.0
@@ -102,13 +102,13 @@ class Rest:
     # -- ROS thread ------------------------------------------------------------------------------
 
     def sent(self, *, rests: bool, published: bool, delivered: bool) -> None:
-        """Note what the gateway has published itself."""
+        """Record a message published by the gateway."""
         if not published:
             return
         now = time.monotonic()
         if rests and delivered:
             self.delivered_at = now
-        if rests and self.commanded:  # the dead-man, or a client that lets go
+        if rests and self.commanded:  # the dead-man, or a client that stops commanding
             self._burst, self._due = _BURST - 1, now + _QUICK
             self._wake()
         elif not rests:
@@ -116,13 +116,13 @@ class Rest:
         self.commanded = not rests
 
     def begin(self, now: float) -> None:
-        """Publish the safe value, and again soon."""
+        """Publish the safe value, and repeat it in quick succession."""
         self._burst = _BURST
         self.publish(now)
 
     @property
     def is_bursting(self) -> bool:
-        """Whether it is to be sent again, held or not."""
+        """Whether quick repetitions remain, held or not."""
         return self._burst > 0
 
     def publish(self, now: float) -> None:
@@ -134,19 +134,19 @@ class Rest:
         try:
             self.acked = self.outlet.acked()
             delivered = self.outlet.send(self._message, anyhow=True)
-        except AdapterUnavailable:  # told as a complaint of the outlet
+        except AdapterUnavailable:  # reported as a problem of the outlet
             return
         self.commanded = False
         if delivered != "nobody":
             self.delivered_at = now
 
     def hold(self, now: float) -> None:
-        """Publish it again when it is due."""
+        """Publish the safe value again when it is due."""
         if now >= self._due:
             self.publish(now)
 
     def poll(self) -> None:
-        """Detect other publishers, and subscribe to their commands."""
+        """Detect other publishers and subscribe to their commands."""
         node = self._link.ros.node
         found = Counter(
             node_of(endpoint) or "an unnamed node"
@@ -157,7 +157,7 @@ class Rest:
         self.others = tuple(sorted(name for name, count in found.items() if count > 0))
 
     def listen(self) -> None:
-        """Subscribe to others' commands while the robot is stopped, to counter each of them."""
+        """Subscribe to foreign commands while the robot is stopped, to counter each of them."""
         if self.others and self._tap is None:
             self._foreign.clear()
             self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._on_message)
@@ -175,12 +175,12 @@ class Rest:
             return
         now = time.monotonic()
         self._foreign.append(now)
-        if now - self._answered >= _ANSWER:  # the robot obeys whoever spoke last
+        if now - self._answered >= _ANSWER:  # the robot follows the last command
             self._answered = now
             self.publish(now)
 
     def is_rest(self, data: bytes) -> bool:
-        """Tell whether a message says the same, whenever and whoever from."""
+        """Return whether a message equals the safe value, apart from its header."""
         try:
             return _plain(self._codec.decode(data)) == self._plain
         except Malformed:

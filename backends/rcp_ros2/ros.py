@@ -1,7 +1,7 @@
 """The ROS thread: one context, one node, one executor.
 
-rclpy is imported here and nowhere on the event loop. Whatever the event loop wants of ROS is run
-in this thread by `call` or `post`; whatever comes out of it goes through `Host.call_soon`.
+rclpy is imported here and never used on the event loop. Functions run in this thread by `call` or
+`post`; results return through `Host.call_soon`.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from rcp_ros2.middleware import check_middleware
 __all__ = ["Ros", "Ticket", "guarded", "hearing", "open_ros"]
 
 log = structlog.get_logger("rcp.ros2")
-_START = 15.0  # s to import rclpy and make a node, on a slow machine
+_START = 15.0  # s to import rclpy and create a node, on a slow machine
 _STOP = 5.0  # s for the executor to end
-_FOREVER = 1e7  # s; `spin()` of the events executor never runs anything, this way of it does
-_PATIENCE = 5.0  # s for a function to have its turn in the thread
+_FOREVER = 1e7  # s; the events executor runs nothing in `spin()`, but does with a time-out
+_PATIENCE = 5.0  # s for a function to be run in the thread
 
 
 class Ticket:
-    """A value that the ROS thread will hand to one waiter on the event loop, at most once."""
+    """A value that the ROS thread passes to one waiter on the event loop, at most once."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
         self._future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
     def give(self, value: Any) -> None:
-        """Hand the value over, from any thread."""
+        """Pass the value, from any thread."""
         with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody waits
             self._host.call_soon(self._set, value, None)
 
     def fail(self, error: BaseException) -> None:
-        """Hand an exception over, from any thread."""
+        """Pass an exception, from any thread."""
         with contextlib.suppress(RuntimeError):
             self._host.call_soon(self._set, None, error)
 
     def follow(self, ros_future: Any, convert: Callable[[Any], Any] | None = None) -> None:
-        """Hand over what a future of rclpy comes to, converted in the ROS thread."""
+        """Pass on the result of an rclpy future, converted in the ROS thread."""
 
         def done(future: Any) -> None:
             try:
@@ -65,22 +65,22 @@ class Ticket:
             return
         if error is not None:
             self._future.set_exception(error)
-            self._future.exception()  # noted: whoever waited may have been cancelled by a stop
+            self._future.exception()  # retrieved: the waiter may have been cancelled by a stop
         else:
             self._future.set_result(value)
 
     @property
     def done(self) -> bool:
-        """Whether the value is there."""
+        """Whether the value is available."""
         return self._future.done()
 
     async def wait(self, seconds: float) -> bool:
-        """Wait for at most so long; tell whether the value is there."""
+        """Wait at most `seconds`; return whether the value is available."""
         await asyncio.wait([self._future], timeout=seconds)
         return self._future.done()
 
     def result(self) -> Any:
-        """Return the value that is there, or raise the exception."""
+        """Return the value, or raise the exception."""
         return self._future.result()
 
 
@@ -103,7 +103,7 @@ class Ros:
     # -- for the event loop ----------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Start the thread and wait until its node stands."""
+        """Start the thread and wait until its node exists."""
         self._thread.start()
         if not await self._ready.wait(_START):
             raise NotReady(f"ROS 2 did not start within {_START:g} s")
@@ -122,9 +122,9 @@ class Ros:
         self._thread.join(_STOP)
 
     async def call(self, function: Callable[..., Any], *args: Any) -> Any:
-        """Run a function in the thread and return what it returns.
+        """Run a function in the thread and return its result.
 
-        :raises DeviceTimeout: the thread did not come to it.
+        :raises DeviceTimeout: the thread did not run it in time.
         :raises AdapterUnavailable: the thread has ended.
         """
         ticket = Ticket(self.host)
@@ -144,9 +144,9 @@ class Ros:
         return ticket.result()
 
     def post(self, function: Callable[..., Any], *args: Any) -> None:
-        """Run a function in the thread, some time soon; its errors are logged.
+        """Run a function in the thread soon; its errors are logged.
 
-        Nothing happens once the thread has ended: it has let go of everything.
+        Does nothing once the thread has ended: everything has been released.
         """
         with contextlib.suppress(AdapterUnavailable):
             self.submit(guarded(function, *args))
@@ -158,7 +158,7 @@ class Ros:
         """
         if self.died is not None or self._executor is None:
             raise AdapterUnavailable(self.died or "ROS 2 is not running")
-        # The permit of the request goes along, for `check_fence` just before something is sent.
+        # Keep the request's context, for `check_fence` just before something is sent.
         self._executor.create_task(copy_context().run, run, *args)
 
     # -- the thread ------------------------------------------------------------------------------
@@ -226,7 +226,7 @@ def _try(step: Callable[..., Any], *args: Any) -> None:
 
 
 def _executor(context: Any) -> Any:
-    """Make the events executor, four times as fast as the others, where this rclpy has it."""
+    """Create the events executor, four times as fast as the others, if this rclpy has it."""
     try:
         from rclpy.experimental.events_executor import EventsExecutor
 
@@ -252,7 +252,7 @@ def _explained(error: BaseException) -> BaseException:
 
 
 def guarded(function: Callable[..., Any], *args: Any) -> Callable[[], None]:
-    """Wrap a callback: an exception that left it would end the executor."""
+    """Wrap a callback: an exception that escaped would end the executor."""
 
     def run() -> None:
         try:
@@ -264,7 +264,7 @@ def guarded(function: Callable[..., Any], *args: Any) -> Callable[[], None]:
 
 
 def hearing(function: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """Wrap a callback of one argument; rclpy counts them, and gives more to those that take more."""
+    """Wrap a one-argument callback; rclpy inspects the signature and passes more to others."""
 
     def run(message: Any) -> None:
         guarded(function, message)()
@@ -274,9 +274,9 @@ def hearing(function: Callable[[Any], Any]) -> Callable[[Any], None]:
 
 @asynccontextmanager
 async def open_ros(config: Ros2Config, host: Host) -> AsyncGenerator[Ros]:
-    """Keep a ROS thread running; if it dies by itself, whatever stands inside is ended.
+    """Keep a ROS thread running; if it dies, the body is cancelled.
 
-    :raises ConfigError: rclpy is missing, or a name is not one.
+    :raises ConfigError: rclpy is missing, or a name is invalid.
     :raises NotReady: ROS 2 did not start, or failed later.
     """
     ros = Ros(config, host)

@@ -40,14 +40,14 @@ _VELOCITY = {
     "ackermann_msgs/msg/AckermannDriveStamped",
     "control_msgs/msg/JointJog",
 }
-_DEADMAN = 0.5  # s that a velocity stands, where the mapping does not say
-_MATCH = 1.0  # s for a publisher to find a subscriber that the graph lists
-_MARGIN = 1.0  # s that the gateway waits longer than a read has
-_PAUSE = 0.05  # s between looks whether it has
+_DEADMAN = 0.5  # s for which a velocity is valid unless the mapping says otherwise
+_MATCH = 1.0  # s for a publisher to discover a subscriber that the graph lists
+_MARGIN = 1.0  # s that the gateway waits longer than a read may take
+_PAUSE = 0.05  # s between two checks of discovery
 
 
 class Observed(Binding):
-    """A sensor or event: subscribed while a client subscribes, an event always."""
+    """A sensor or event, subscribed while a client subscribes; events always."""
 
     def __init__(
         self, shared: Shared, resource: Resource, mapping: Mapping, cls: Any, codec: Codec
@@ -56,12 +56,12 @@ class Observed(Binding):
         self._cls = cls
         self.codec = codec
         super().__init__(shared, resource, mapping)
-        if resource.live:  # nobody could read the last one otherwise
+        if resource.live:  # a missed event could not be read later
             self.watched(math.inf)
 
     @classmethod
     def of(cls, shared: Shared, name: str, mapping: Mapping, message: Any) -> Observed:
-        """Make the sensor or event of a topic of a message class, as its mapping wants it."""
+        """Create the sensor or event of a topic from its mapping."""
         codec = Codec(message, mapping.field, mapping.unit)
         type_name = full_name(message)
         facts = common(
@@ -104,16 +104,16 @@ class Observed(Binding):
         self.untap(self.resource.name)
 
     async def read(self) -> Any:
-        """Return the next value, or what a latched topic is at.
+        """Return the next value, or the latched value.
 
-        :raises AdapterUnavailable: no node publishes the topic, or it is an event that never came.
-        :raises DeviceTimeout: nothing came in time.
+        :raises AdapterUnavailable: no node publishes the topic, or no event has been received yet.
+        :raises DeviceTimeout: no message arrived in time.
         """
         return (await self.following()).decode()
 
     async def following(self) -> Value:
-        """Return what `read` does, still serialised."""
-        if self.resource.live:  # the kernel would have answered with the last one
+        """Return the value of `read` in serialized form."""
+        if self.resource.live:  # the kernel would have returned the last one
             raise AdapterUnavailable(
                 f"no message received on {self.topic} yet",
                 remedy="Subscribe to it to receive the next one.",
@@ -158,7 +158,7 @@ def _suffix(comment: str) -> str:
 
 
 class Commanded(Binding):
-    """An actuator: what is written is published."""
+    """An actuator: written values are published."""
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
         self.topic = mapping.target
@@ -196,7 +196,7 @@ class Commanded(Binding):
         shared.on_poll.append(self._outlet.poll)
 
     def placed(self) -> None:
-        """From now on, stop it with its robot."""
+        """Include the actuator in stops of its robot from now on."""
         if self.rest is not None:
             self.rest.robot = self.resource.robot
             self.shared.ros.post(self.shared.keeper.add, self.rest)
@@ -205,7 +205,7 @@ class Commanded(Binding):
         return self._type() if mapping.safe is None else msgspec.convert(mapping.safe, self._type)
 
     async def write(self, value: Any) -> None:
-        """Publish. What brings it to rest is sent whether it is heard or not.
+        """Publish a value; the safe value is sent even if no node receives it.
 
         :raises AdapterUnavailable: no node receives it, or none that responds.
         """
@@ -226,7 +226,7 @@ class Commanded(Binding):
     async def _need_feedback(self) -> None:
         """Wait until the feedback of the motion arrives.
 
-        :raises AdapterUnavailable: it is not, or too old: the robot cannot be controlled.
+        :raises AdapterUnavailable: it is missing or too old, so the robot cannot be controlled.
         """
         if self.mapping.feedback is None:
             return
@@ -267,9 +267,9 @@ class Commanded(Binding):
         )
 
     async def read(self) -> Any:
-        """Return the value written last.
+        """Return the last written value.
 
-        :raises AdapterUnavailable: nothing was.
+        :raises AdapterUnavailable: nothing has been written.
         """
         if self._written is None:
             raise AdapterUnavailable(
@@ -291,7 +291,7 @@ class Commanded(Binding):
         return hearing
 
     async def _until_matched(self, message: Any, *, rests: bool) -> Hearing:
-        """Try again for as long as a subscriber that the graph lists may need to be matched."""
+        """Retry while a subscriber that the graph lists may still be matched."""
         for _ in range(int(_MATCH / _PAUSE)):
             hearing: Hearing = await self.shared.ros.call(self._send, message, rests, False)
             if hearing != "nobody":

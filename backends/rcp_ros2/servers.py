@@ -1,6 +1,6 @@
-"""The action servers of a robot: the goals they run, from any client, and their cancellation.
+"""The action servers of a robot: their goals from any client, and how these are cancelled.
 
-Everything here runs in the ROS thread, but for what only tells.
+Everything here runs in the ROS thread, except for the queries.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _STATUSES = "action_msgs/msg/GoalStatusArray"
 _ACTIVE = (1, 2, 3)  # action_msgs/msg/GoalStatus: accepted, executing, canceling
 _CANCELING = 3
 _UNKNOWN, _TERMINATED = 2, 3  # action_msgs/srv/CancelGoal
-_GIVEN_UP = 100  # goals whose servers may come back
-_AGAIN = 0.2  # s between two cancels of what goes on
+_GIVEN_UP = 100  # abandoned goals whose servers may return
+_AGAIN = 0.2  # s between two cancels of a continuing goal
 _NONE = bytes(16)
-"""The id that stands for every goal."""
+"""The id that stands for all goals."""
 
 
 class ActionServer:
@@ -45,30 +45,30 @@ class ActionServer:
         self.name = name
         self.robot = robot
         self.goals: dict[bytes, int] = {}
-        """The goals that have not ended, with their status."""
+        """The unfinished goals with their status."""
         self.answered_at = 0.0
-        """When it last answered to a cancel, monotonic."""
+        """Monotonic time of the last response to a cancel."""
         self.refused = False
         """Whether it recently refused to cancel a goal."""
         self._link = link
         self._on_goals = on_goals
-        """Called when a goal goes on that is not being cancelled."""
+        """Called when a goal is active that is not being cancelled."""
         self._srv = CancelGoal
         self._client: Any = link.ros.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
         self._pending: dict[bytes, Any] = {}
         self._requested_at = 0.0
         self._abandoned: set[bytes] = set()
-        """Goals that the gateway has given up: they must not continue."""
+        """Abandoned goals of the gateway, which must not continue."""
         self._servers: frozenset[bytes] = frozenset()
-        """Who published the statuses that are known."""
+        """The publishers of the current statuses."""
         codec = Codec(load(_STATUSES))
         self._tap = Tap(f"stop {name}", codec, taker=self._on_status)
         link.subscriptions.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
 
-    # -- what it tells, to any thread ------------------------------------------------------------
+    # -- queries, from any thread ----------------------------------------------------------------
 
     def active(self) -> int:
-        """Return how many goals have not ended."""
+        """Return the number of unfinished goals."""
         return len(self.goals)
 
     def trouble(self) -> str:
@@ -82,7 +82,7 @@ class ActionServer:
     # -- ROS thread ------------------------------------------------------------------------------
 
     def cancel(self, goal: bytes = _NONE) -> None:
-        """Cancel one goal, or every goal; it is sent again by `press` if that has no effect."""
+        """Cancel one goal or all goals; `press` repeats it if that has no effect."""
         self._requested_at = time.monotonic()
         if not self._client.service_is_ready():
             return
@@ -94,11 +94,11 @@ class ActionServer:
         future.add_done_callback(hearing(partial(self._answered, goal)))
 
     def press(self, now: float, since: float) -> None:
-        """Cancel again whatever goes on; ask again a server that has not answered since a stop."""
+        """Cancel continuing goals again; query servers silent since the stop."""
         if now - self._requested_at < _AGAIN:
             return
         running = [goal for goal, status in self.goals.items() if status != _CANCELING]
-        if running:  # each by itself: rclpy's server passes over some when it refuses others
+        if running:  # one by one: rclpy's server skips some when it refuses others
             for goal in running:
                 self.cancel(goal)
         elif self.answered_at < since:
@@ -111,7 +111,7 @@ class ActionServer:
         self.cancel(goal)
 
     def poll(self) -> None:
-        """Forget what a server told that has gone; cancel what was given up and goes on."""
+        """Forget the goals of a lost server; cancel abandoned goals that continue."""
         servers = self._publishers()
         if self._servers and self._servers.isdisjoint(servers):
             self.goals = {}
@@ -131,7 +131,7 @@ class ActionServer:
         if goal not in self.goals:
             return
         if response.return_code in (_UNKNOWN, _TERMINATED):
-            del self.goals[goal]  # a server that was restarted does not know it any more
+            del self.goals[goal]  # a restarted server does not know it
         elif goal not in {bytes(info.goal_id.uuid) for info in response.goals_canceling}:
             self.refused = self.goals[goal] != _CANCELING
 

@@ -1,4 +1,4 @@
-"""Services of the tree."""
+"""Service resources."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rcp_ros2.types import example_of, inward
 
 __all__ = ["Called", "reader"]
 
-_MARGIN = 1.0  # s that the gateway waits longer than the service has
+_MARGIN = 1.0  # s that the gateway waits longer than the service may take
 _HARMLESS = {
     "composition_interfaces/srv/ListNodes",
     "lifecycle_msgs/srv/GetAvailableStates",
@@ -44,14 +44,14 @@ _HARMLESS = {
 
 
 def reader(codec: Codec) -> Callable[[Any], Any]:
-    """Return the function that makes a typed value of a message object."""
+    """Return a function that converts a message object to a typed value."""
     from rclpy.serialization import serialize_message
 
     return lambda message: codec.decode(serialize_message(message))
 
 
 class Called(Binding):
-    """A service of the tree."""
+    """A service resource."""
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, srv: Any) -> None:
         request, response = srv.Request, srv.Response
@@ -83,7 +83,7 @@ class Called(Binding):
     async def execute(self, value: Any, progress: Progress) -> Any:
         """Call the service.
 
-        :raises DeviceRejected: its answer says `success: false`.
+        :raises DeviceRejected: the response contains `success: false`.
         """
         request = self._request() if value is None else self._fill(value)
         result = await self._caller.call(request, self.timeout)

@@ -1,4 +1,4 @@
-"""Stops of the robots: commanded through the ROS thread, confirmed by what is measured there."""
+"""Stops of robots: commanded through the ROS thread, confirmed by measurements there."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from rcp_ros2.sensors import Commanded
 __all__ = ["Stops"]
 
 log = structlog.get_logger("rcp.ros2")
-_WITHIN = 2.0  # s in which a robot that was told should have come to rest
-_POLL = 0.02  # s between looks whether it has
-_FOLLOW = 0.1  # s between looks at the latches
-_LINGER = 0.5  # s for which a stop without a latch goes on
+_WITHIN = 2.0  # s within which a stopped robot should be at rest
+_POLL = 0.02  # s between two checks for rest
+_FOLLOW = 0.1  # s between two checks of the latches
+_LINGER = 0.5  # s for which a stop without a latch continues
 _PERIOD = 0.05  # s between two transmissions of the guard
 _RIDDEN = {
     "geometry_msgs/msg/Twist",
@@ -39,7 +39,7 @@ _RIDDEN = {
     "ackermann_msgs/msg/AckermannDrive",
     "ackermann_msgs/msg/AckermannDriveStamped",
 }
-"""Types that drive a base, whose odometry measures what they do."""
+"""Types that drive a base, whose odometry measures the effect."""
 _NO_WATCHDOG = "none that can be read: it is unknown whether the robot's nodes stop by themselves"
 
 
@@ -56,22 +56,22 @@ class Stops:
         self._lost: dict[str | None, set[str]] = {}
         """Unreachable parts, by robot."""
         self._met: dict[str | None, set[str]] = {}
-        """By robot: what of it has been there."""
+        """By robot: the parts that have been seen."""
         self._recovered: set[str | None] = set()
         self._contested: dict[str, tuple[str, ...] | None] = {}
-        """By topic: the nodes that command a robot that is stopped, as they were last told of."""
+        """By topic: the nodes that command a stopped robot, as last reported."""
         self._plan: dict[str, Any] = {}
         spaces = [*shared.config.robots] or [shared.config.namespace]
         patterns = shared.config.stop.actions
         self._is_own = allows(absolute(p, space) for p in patterns for space in spaces)
 
-    # -- who there is ----------------------------------------------------------------------------
+    # -- robots ----------------------------------------------------------------------------------
 
     def _bindings(self) -> list[Binding]:
         return list(self._catalog.bindings.values())
 
     def robots(self) -> set[str | None]:
-        """Return the robots, and None for what belongs to none of several."""
+        """Return the robots, and None for what belongs to no single robot."""
         return {
             binding.resource.robot
             for binding in self._bindings()
@@ -89,8 +89,8 @@ class Stops:
     async def halt(self, robot: str | None) -> None:
         """Stop a robot (None: all); return when rest is confirmed.
 
-        :raises AdapterUnavailable: one cannot be reached, or what it does is not known.
-        :raises DeviceTimeout: one was told, and has not come to rest.
+        :raises AdapterUnavailable: a robot cannot be reached, or its state is unknown.
+        :raises DeviceTimeout: a robot was commanded to stop and has not come to rest.
         """
         meant = self._meant(robot)
         now = time.monotonic()
@@ -98,13 +98,13 @@ class Stops:
             self._hold(one, again=True)
         own = [b for b in self._bindings() if b.resource.robot in meant]
         goals = [binding.halt() for binding in own if binding.is_barred]
-        # Without a latch there would be nobody to release what these do.
+        # Without a latch, nothing would release these.
         latched = {one for one in meant if self._is_latched(one)}
         calls = [c.engage() for c in self._calls.values() if c.robot in latched]
         rest = self._until_rest(meant, now)
         results = await asyncio.gather(*goals, rest, *calls, return_exceptions=True)
         if all(map(self._is_measured, meant)):
-            # A robot that is measured at rest is at rest: the failed service is told as trouble.
+            # A robot measured at rest is at rest; the failed service is reported as a problem.
             results = results[: len(goals) + 1]
         for result in results:
             if isinstance(result, BaseException):
@@ -112,7 +112,7 @@ class Stops:
 
     def hold_stop(self, robot: str | None) -> None:
         """Keep a robot (None: all) stopped; the ROS thread repeats the stop."""
-        with contextlib.suppress(AdapterUnavailable):  # ROS has ended: the backend opens again
+        with contextlib.suppress(AdapterUnavailable):  # ROS has ended: the backend reopens
             for one in self._meant(robot):
                 self._hold(one)
 
@@ -151,7 +151,7 @@ class Stops:
             return "continued"
         meant = self._meant(robot)
         first = self._recovered.isdisjoint(meant) and not self._shared.sent_goals
-        if first:  # what an earlier gateway sent is not known: nothing of it may go on
+        if first:  # commands of an earlier gateway are unknown: none may continue
             await self.halt(robot)
             self._recovered |= meant
             return "held: all goals cancelled, safe values published"
@@ -165,7 +165,7 @@ class Stops:
                 rest.begin(now)
         self.keeper.wake()
 
-    # -- what is known ---------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------
 
     def motion(self, robot: str | None) -> MotionState:
         """Report whether a robot (None: the worst of all) is at rest."""
@@ -175,7 +175,7 @@ class Stops:
         return any(one.is_fresh() for one in self.feedbacks.of(robot))
 
     def _state(self, robot: str | None, since: float | None = None) -> MotionState:
-        """Report on one robot; while it is stopped, by what was learnt since."""
+        """Report on one robot; while it is stopped, only data since the stop counts."""
         hold = self.keeper.holds.get(robot)
         if since is None and hold is not None:
             since = hold.began
@@ -188,12 +188,12 @@ class Stops:
             states += self._absent(robot) if since is not None else []
             if not states and (missing := self._missing(robot)) is not None:
                 states = [MotionState(None, missing)]
-        elif measured.at_rest is None:  # what was sent, and what goals say, is no measurement
+        elif measured.at_rest is None:  # sent commands and goal statuses are no measurement
             states = [measured]
         else:
             unmeasured = [r for r in rests if r.type not in _RIDDEN and not r.measured]
             states = [measured, *(self._sent(rest, since) for rest in unmeasured)]
-            states += [self._sent(r, since) for r in rests if r.commanded]  # it may not move yet
+            states += [self._sent(r, since) for r in rests if r.commanded]  # may not move yet
             states += self._goals(robot, None)
         found = _worst(states)
         detail = "; ".join(filter(None, [found.detail, *others, *self._about_means(robot)]))
@@ -266,17 +266,17 @@ class Stops:
         shared = self._shared
         own = [b for b in self._bindings() if b.resource.robot == robot]
         if robot is None and shared.config.robots and not own and len(self.robots()) > 1:
-            return None  # they are stopped one by one
+            return None  # they are stopped individually
         if not self._catalog.is_mapped or (not own and shared.settling):
             return "the robot is still being discovered"
         if robot is None and shared.config.robots and not own:
-            return None  # none of them is there
+            return None  # none of them exists
         if not any(shared.graph.has(b.mapping.noun, b.mapping.target) for b in own):
             return "no node of the robot is running"
         return None
 
     def _absent(self, robot: str | None) -> list[MotionState]:
-        """Report what is mapped and not there: a robot out of reach is not known to be at rest."""
+        """Report mapped parts that are missing: an unreachable robot is not known to be at rest."""
         found: list[MotionState] = []
         for binding in self._bindings():
             mapping = binding.mapping
@@ -292,12 +292,12 @@ class Stops:
         return found
 
     def watchdogs(self) -> list[Watchdog]:
-        """List that there is none, for each robot that moves."""
+        """Report for each moving robot that no watchdog is known."""
         robots = {rest.robot for rest in self.keeper.rests}
         robots |= {server.robot for server in self.keeper.servers.values()}
         return [Watchdog(_NO_WATCHDOG, None, robot=robot) for robot in sorted(robots, key=str)]
 
-    # -- following -------------------------------------------------------------------------------
+    # -- monitoring ------------------------------------------------------------------------------
 
     def update(self, graph: Graph) -> None:
         """Apply a new poll of the graph."""
@@ -337,7 +337,7 @@ class Stops:
         self._update_guard()
 
     def _each(self, name: str) -> list[tuple[str, str | None]]:
-        """Return a configured name in full, for each robot if it is relative."""
+        """Return the absolute form of a configured name, for each robot if it is relative."""
         if not self._shared.config.robots or name.startswith("/"):
             return [(absolute(name, self._shared.config.namespace), None)]
         return [(self._absolute(name, robot), robot) for robot in self.robots() if robot]
@@ -408,10 +408,10 @@ class Stops:
                 call.release()
 
     def _report_contest(self) -> None:
-        """Report who commands a stopped robot."""
+        """Report which nodes command a stopped robot."""
         for rest in self.keeper.rests:
             contested = rest.robot in self.keeper.holds and rest.contested() > 0
-            others = rest.others if contested else None  # whose names may be discovered later
+            others = rest.others if contested else None  # their names may be discovered later
             if others == self._contested.get(rest.topic):
                 continue
             self._contested[rest.topic] = others
@@ -450,13 +450,13 @@ class Stops:
         if not self._is_latched(robot):
             self._shared.host.link_restored(robot)
             return
-        self.hold_stop(robot)  # before anything else reaches it
+        self.hold_stop(robot)  # before anything else is sent to it
         self._shared.host.link_restored(robot)
 
     # -- the guard -------------------------------------------------------------------------------
 
     def _update_guard(self) -> None:
-        """Update the guard's plan, sent if the gateway's loop stops."""
+        """Update the guard's plan, which is sent if the gateway's event loop stops."""
         latched = {robot for robot, hold in self.keeper.holds.items() if hold.latched}
         publishers = [
             {

@@ -1,7 +1,7 @@
-"""Type support for a type that has no compiled code, good for raw subscriptions.
+"""Type support for types without compiled code, sufficient for raw subscriptions.
 
-A subscription that wants serialised messages needs a type's name and hash alone: the middleware
-calls none of its functions that read or write. Those of another message stand in for them.
+A subscription to serialized messages needs only a type's name and hash: the middleware never calls
+its conversion functions, so those of another message are used as placeholders.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ IDS = {
     "bool": 15,
     "octet": 16,
 }
-"""Each primitive's number in type_description_interfaces/msg/FieldType."""
+"""The number of each primitive in type_description_interfaces/msg/FieldType."""
 _ARRAY, _BOUNDED, _UNBOUNDED = 48, 96, 144
 _kept: list[Any] = []
-"""What the middleware points to for as long as the process lives."""
+"""Objects that the middleware points to until the process ends."""
 
 
 class _Hash(ctypes.Structure):
@@ -65,9 +65,9 @@ class _Callbacks(ctypes.Structure):
 
 
 def forge(cls: Any, fields: Any) -> Any:
-    """Return the capsule that rclpy takes for the type support of a class.
+    """Return a capsule that rclpy accepts as the type support of a class.
 
-    :raises MissingType: the middleware is not of the kind that this works with.
+    :raises MissingType: this does not work with the active middleware.
     """
     name = full_name(cls)
     package, middle, leaf = name.split("/")
@@ -100,11 +100,11 @@ def forge(cls: Any, fields: Any) -> Any:
 
 
 def _lent() -> tuple[_Support, Any]:
-    """Return the support of a message that is always there, and the library it came by."""
+    """Return the support of a standard message, and the library that contains it."""
     from rcl_interfaces.msg import Log
 
     kind: Any = Log.__class__
-    if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - rclpy has it under this name
+    if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - the name rclpy uses
         kind.__import_type_support__()
     pointer = ctypes.pythonapi.PyCapsule_GetPointer
     pointer.restype = ctypes.c_void_p
@@ -114,11 +114,11 @@ def _lent() -> tuple[_Support, Any]:
     find.restype = ctypes.POINTER(_Support)
     find.argtypes = (ctypes.c_void_p, ctypes.c_char_p)
     found = find(pointer(kind._TYPE_SUPPORT, None), _FASTRTPS)  # noqa: SLF001
-    return found.contents, library  # ValueError: a null pointer
+    return found.contents, library  # ValueError on a null pointer
 
 
 def type_hash(name: str, fields: Any) -> bytes:
-    """Return the hash of a type, as REP 2016 has it (RIHS01)."""
+    """Return the hash of a type (REP-2016, RIHS01)."""
     referred: dict[str, Any] = {}
     own = _individual(name, fields, referred)
     whole = {

@@ -24,11 +24,11 @@ from rcp_ros2.ros import Ros, guarded
 __all__ = ["PROFILE", "Tap", "TopicSubscription", "TopicSubscriptions"]
 
 log = structlog.get_logger("rcp.ros2")
-_LARGE = 262_144  # bytes: two of these fill what Fast DDS has by default
+_LARGE = 262_144  # bytes: two such messages fill the default shared memory of Fast DDS
 _PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE"
 PROFILE = Path(__file__).with_name("fastdds.xml")
-"""Fast DDS with shared memory enough for images and clouds."""
-_SWEEP = 0.02  # s between looks for held values whose time has come
+"""Fast DDS profile with enough shared memory for images and point clouds."""
+_SWEEP = 0.02  # s between two checks for held values that are due
 
 
 @dataclass(slots=True)
@@ -38,9 +38,9 @@ class Tap:
     name: str
     codec: Codec
     taker: Callable[[Value], None] | None = None
-    """Given each value in place of the outbox."""
+    """Called with each value instead of the outbox."""
     period: float = 0.0
-    """Seconds between two values, at least; 0 takes all."""
+    """Minimum time in s between two values; 0 takes all."""
     due: float = 0.0
     held: bytes | None = None
     """The newest value that arrived too early; published when it is due."""
@@ -74,14 +74,14 @@ class TopicSubscriptions:
         self._subscriptions: dict[str, TopicSubscription] = {}
         self._sweeper: Any = None
         self.now: Callable[[], int | None] = lambda: None
-        """The time of what carries none, ns; None is the time of receipt."""
+        """The time of messages without a stamp, ns; None uses the time of receipt."""
 
     def tap(self, topic: str, cls: Any, qos: Qos, tap: Tap) -> None:
         """Subscribe a path to a topic, or change its rate."""
         subscription = self._subscriptions.get(topic)
         if subscription is None:
             subscription = self._subscriptions[topic] = TopicSubscription(topic, cls, qos)
-        elif subscription.cls is not cls:  # the topic has another type now, and its other paths too
+        elif subscription.cls is not cls:  # the topic has a new type, and so have its other paths
             self._drop(subscription)
             subscription.taps.clear()
             subscription.cls, subscription.last, subscription.profile = cls, None, None
@@ -110,14 +110,14 @@ class TopicSubscriptions:
         self._keep_sweeping()
 
     def refresh(self) -> None:
-        """Match publishers that have appeared since."""
+        """Match publishers that have appeared in the meantime."""
         for subscription in self._subscriptions.values():
             self._match(subscription)
 
     def _match(self, subscription: TopicSubscription) -> None:
         found = self._ros.node.get_publishers_info_by_topic(subscription.topic)
         type_ = full_name(subscription.cls)
-        publishers = [one for one in found if one.topic_type == type_]  # others are never heard
+        publishers = [one for one in found if one.topic_type == type_]  # others are never received
         profile = for_subscription(publishers, subscription.wanted)
         if subscription.handle is None or (publishers and profile != subscription.profile):
             self._drop(subscription)
@@ -130,7 +130,7 @@ class TopicSubscriptions:
                     self._hearer(subscription),
                     profile,
                 )
-            except Exception as error:  # one of another type may not have left yet
+            except Exception as error:  # a subscription of another type may still exist
                 self._complain(
                     subscription.topic, f"{subscription.topic} cannot be subscribed to: {error}"
                 )
@@ -160,7 +160,7 @@ class TopicSubscriptions:
                         tap.held = data
                     else:
                         self._send(tap, data, now)
-            except Exception as error:  # it would end the executor
+            except Exception as error:  # an escaping exception would end the executor
                 log.error("ros_callback_failed", topic=subscription.topic, exc_info=error)
 
         return on_message
@@ -168,7 +168,7 @@ class TopicSubscriptions:
     def _send(self, tap: Tap, data: bytes, now: float) -> None:
         tap.held = None
         if tap.period:
-            # By the schedule and not by the clock, or jitter would cost every other value.
+            # Schedule by the due time, not by the clock, or jitter would cost every other value.
             tap.due = max(tap.due, now - tap.period) + tap.period
         if tap.taker is not None:
             tap.taker(Value(data, tap.codec))
@@ -217,7 +217,7 @@ def _subscribe(
     from rclpy.event_handler import SubscriptionEventCallbacks
 
     # No event handlers: destroying one under the events executor can crash rclpy (its #1644), and
-    # the graph says more about a mismatch than they do.
+    # the graph explains a mismatch better.
     return node.create_subscription(
         cls,
         topic,

@@ -28,7 +28,7 @@ __all__ = ["Transforms"]
 _STAMPED = "geometry_msgs/msg/TransformStamped"
 _STATIC = Qos(reliability="reliable", durability="transient_local", depth=1000)
 _MOVING = Qos(depth=1000)
-_MOST = 500  # pairs with a sensor of their own
+_MOST = 500  # pairs with their own sensor
 _SHOWN = 20  # frames that a message lists
 _REP105 = {
     "earth": "the earth's centre, fixed to the earth (REP-105)",
@@ -53,11 +53,11 @@ class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ]
         | None
     ) = None
-    """Without it, the latest that is known of both."""
+    """The latest common time by default."""
 
 
 class Transforms:
-    """Finds the trees of frames that are exposed: one for each namespace with a `tf` topic."""
+    """Finds the exposed frame trees: one per namespace with a `tf` topic."""
 
     def __init__(
         self, shared: Shared, exposes: Callable[[str], bool], on_jump: list[Callable[[], None]]
@@ -78,7 +78,7 @@ class Transforms:
         for topic in filter(self._exposes, topics):
             space = topic.rpartition("/")[0]
             self.trees.setdefault(space, Tree(self._shared, space))
-        for topic in topics:  # a tree without what stands for ever would fall apart
+        for topic in topics:  # a tree needs its static transforms
             tree = self.trees.get(topic.rpartition("/")[0])
             if tree is not None:
                 tree.follow(topic)
@@ -123,7 +123,7 @@ class Tree:
             self.shared.host.call_soon(self.shared.refresh)
 
     def offers(self) -> dict[str, Offer]:
-        """Return the lookup, and a sensor for each frame in each that matters."""
+        """Return the lookup service, and a sensor for each frame in each target frame."""
         if self.frames.version == self._version:
             return self._offers
         self._version = self.frames.version
@@ -148,7 +148,7 @@ class Tree:
         return self.shared.naming.path("sensor", f"{self.space}/tf", after=segments)
 
     def _named(self) -> dict[str, tuple[str, str]]:
-        """Return the pairs with a name of the configuration that are connected."""
+        """Return the connected pairs with configured names."""
         found: dict[str, tuple[str, str]] = {}
         robot, _, _ = self.shared.naming.split(f"{self.space}/tf")
         for path, pair in self.shared.config.tf.names.items():
@@ -174,7 +174,7 @@ class Tree:
         ]
 
     def lookup(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
-        """Return where a frame is in another, and when.
+        """Return the pose of a frame in another, and its time.
 
         :raises InvalidValue: there is no such frame.
         :raises DeviceRejected: they are not connected.
@@ -195,7 +195,7 @@ class Tree:
 
 
 def _root(frame: str, above: dict[str, str]) -> str | None:
-    """Return the frame that all hangs from; None for a ring."""
+    """Return the root of a frame's tree; None for a cycle."""
     seen = {frame}
     while frame in above:
         frame = above[frame]
@@ -233,7 +233,7 @@ def _out_of_range(error: Extrapolation) -> OutOfRange:
 
 
 def _pair_type(target: str, source: str) -> Any:
-    """Return geometry_msgs/TransformStamped with its frames in the schema."""
+    """Return geometry_msgs/TransformStamped with the frames in its schema."""
     stamped = kinds_of(outward(load(_STAMPED)))
     header = msgspec.defstruct(
         "Header",
@@ -260,7 +260,7 @@ def _frame(name: str) -> Any:
 
 
 def _maker(type_: Any) -> Callable[[str, str, Place, int | None], Any]:
-    """Return the function that makes a value of such a type."""
+    """Return a function that creates a value of such a type."""
     kinds = kinds_of(type_)
     header, transform = kinds["header"], kinds["transform"]
     stamp = kinds_of(header)["stamp"]
@@ -293,9 +293,9 @@ class Moved(Binding):
         super().__init__(tree.shared, Resource(value=type_, **facts), mapping)
 
     async def read(self) -> Any:
-        """Return the latest that is known of both.
+        """Return the transform at the latest common time.
 
-        :raises AdapterUnavailable: they are not connected any more.
+        :raises AdapterUnavailable: the frames are no longer connected.
         """
         return self._lookup()[0]
 
@@ -307,7 +307,7 @@ class Moved(Binding):
         return self._make(*self._pair, place, time), time
 
     def watched(self, rate: float) -> None:
-        """Publish whatever is new, so many times a second at most."""
+        """Publish new transforms, at most `rate` per second."""
         self.unwatched()
         pause = 1 / min(rate, self.shared.config.tf.rate)
         self._publishing = asyncio.ensure_future(self._publish_all(pause))
@@ -315,7 +315,7 @@ class Moved(Binding):
     async def _publish_all(self, pause: float) -> None:
         last: Any = None
         while True:
-            with contextlib.suppress(AdapterUnavailable):  # a part of the tree is gone for now
+            with contextlib.suppress(AdapterUnavailable):  # a part of the tree is currently missing
                 value, time = self._lookup()
                 if value != last:
                     self.shared.host.publish(self.resource.name, value, time)
@@ -351,7 +351,7 @@ class LookupTransform(Binding):
         super().__init__(tree.shared, resource, mapping)
 
     async def execute(self, value: Any, progress: Progress) -> Any:
-        """Look it up, as `Tree.look` does."""
+        """Look the transform up; raises as `Tree.lookup`."""
         at = None if value.time is None else round(value.time * 1e9)
         place, time = self._tree.lookup(value.target, value.source, at)
         return self._make(value.target.lstrip("/"), value.source.lstrip("/"), place, time)

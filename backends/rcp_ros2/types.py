@@ -1,7 +1,7 @@
 """msgspec types of ROS messages, created at run time: outputs and inputs.
 
-Outward, every field is there and every float may be NaN or infinite, because sensors say so.
-Inward, fields that are left out have ROS's own defaults, and floats are finite.
+In an output, every field is present and every float may be NaN or infinite, as sensors report it.
+In an input, omitted fields have ROS's defaults, and floats are finite.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ _made: dict[tuple[Any, bool, str | None], type[Struct]] = {}
 
 
 def outward(cls: Any, path: str | None = None, unit: str | None = None) -> Any:
-    """Return the type of what a message class (or the part of it at `path`) says.
+    """Return the output type of a message class, or of the field at `path`.
 
-    `unit` is that of the numbers of which nothing better is known.
+    `unit` applies to numbers without a known unit.
 
-    :raises ConfigError: the message has no such part.
+    :raises ConfigError: the message has no such field.
     """
     if path is None:
         return _struct(cls, out=True, unit=unit)
@@ -59,14 +59,14 @@ def outward(cls: Any, path: str | None = None, unit: str | None = None) -> Any:
 
 
 def inward(cls: Any, unit: str | None = None) -> type[Struct]:
-    """Return the type of what is sent as a message class."""
+    """Return the input type of a message class."""
     return _struct(cls, out=False, unit=unit)
 
 
 def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:
-    """Find the field at `pose.pose`: the class that holds it, its type, and an inherited unit.
+    """Find the field at `pose.pose`: its class, its type, and an inherited unit.
 
-    :raises ConfigError: the message has no such part.
+    :raises ConfigError: the message has no such field.
     """
     unit: str | None = None
     names = path.split(".")
@@ -92,24 +92,24 @@ def bare(type_: Any) -> Any:
 
 
 def kinds_of(type_: Any) -> dict[str, Any]:
-    """Return the types of a struct's fields, without what is said about them."""
+    """Return the types of a struct's fields, without annotations."""
     return {name: bare(kind) for name, kind in bare(type_).__annotations__.items()}
 
 
 def framed(type_: Any, frame: str | None) -> Any:
-    """Return a type whose schema names the frame of its values."""
+    """Return a type whose schema contains the frame of its values."""
     if frame is None:
         return type_
     return Annotated[type_, Meta(extra_json_schema={"frame_id": frame})]
 
 
 def is_bytes(item: Type) -> bool:
-    """Tell whether a sequence of `item` is a string of bytes."""
+    """Return whether a sequence of `item` is a byte string."""
     return isinstance(item, Primitive) and item.name in ("uint8", "octet")
 
 
 def example_of(type_: type[Struct]) -> tuple[Any, ...]:
-    """Show what an input looks like: the defaults, as plain data."""
+    """Return an example of an input: its defaults, as plain data."""
     try:
         plain = msgspec.to_builtins(type_())
         msgspec.convert(plain, type_)
@@ -182,7 +182,7 @@ def _number(name: str, *, out: bool, unit: str | None) -> Any:
 
 
 def _zero(type_: Type) -> Any:
-    """Return what a field of a type without code is where nothing is said."""
+    """Return the default of a field of a type without compiled code."""
     match type_:
         case Primitive("octet"):
             return b"\0"

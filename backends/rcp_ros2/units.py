@@ -1,4 +1,4 @@
-"""Units of well-known messages (UCUM). ROS's definitions carry none; REP-103 and comments do."""
+"""Units of well-known messages (UCUM), from REP-103 and comments: ROS definitions contain none."""
 
 from __future__ import annotations
 
@@ -78,6 +78,6 @@ _UNITS: dict[str, dict[str, str]] = {
 
 
 def unit_of(message: str, field: str) -> str | None:
-    """Return the unit of a field, or of every number inside it; None where nobody knows."""
+    """Return the unit of a field, or of every number inside it; None if it is unknown."""
     table = _UNITS.get(message)
     return None if table is None else table.get(field, table.get("*"))

@@ -1,7 +1,7 @@
-"""The graph as a sensor: nodes, topics with both sides of each, services, actions.
+"""The graph as a sensor: nodes, topics with their endpoints, services, actions.
 
-What it costs to look grows with the graph, so that details are asked for only while somebody
-watches, and only when names, types or numbers have changed.
+The cost of a poll grows with the graph, so details are queried only while a client subscribes, and
+only when names, types or counts have changed.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from rcp_ros2.qos import Terms, mismatches
 __all__ = ["GraphView"]
 
 _NAME = "sensor/ros/graph"
-_AGAIN = 10.0  # s after which endpoints are asked for anew: one may have taken another's place
+_AGAIN = 10.0  # s after which endpoints are queried again: one may have replaced another
 _ACTION = "/_action/"
 
 
 class Endpoint(msgspec.Struct, frozen=True):
-    """One side of a topic: its node, and the terms it offers or asks for."""
+    """An endpoint of a topic: its node, and the policies it offers or requests."""
 
     node: str
     reliability: str
@@ -61,7 +61,7 @@ class RosGraph(msgspec.Struct, frozen=True):
 
 
 class GraphView:
-    """Offers the graph, if configured."""
+    """Provides the graph, if configured."""
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
@@ -87,11 +87,11 @@ class View(Binding):
         self._known: RosGraph | None = None
 
     async def read(self) -> Any:
-        """Look."""
+        """Query the graph."""
         return await self.shared.ros.call(self._details)
 
     def watched(self, rate: float) -> None:
-        """Publish it, and each change that a poll finds."""
+        """Publish the graph, and each change that a poll detects."""
         self.shared.ros.post(self._begin)
 
     def _begin(self) -> None:
@@ -139,7 +139,7 @@ class View(Binding):
     def _details(self) -> RosGraph:
         node: Any = self.shared.ros.node
         names = node.get_node_names_and_namespaces()
-        # Clients list a service too.
+        # Clients list services too.
         services = [(n, types) for n, types in self._services() if node.count_services(n)]
         return RosGraph(
             nodes=sorted(f"{space.rstrip('/')}/{name}" for name, space in names),

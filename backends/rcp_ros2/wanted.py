@@ -1,4 +1,4 @@
-"""The paths that the configuration requests from a graph: map and patterns."""
+"""The paths that the configuration requests from a graph, by map and patterns."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rcp_ros2.naming import COMMANDS, Naming, nice
 
 __all__ = ["Wanted", "type_of"]
 
-_NEEDED = ("/clock",)  # whether it is published is asked for without any mapping
+_NEEDED = ("/clock",)  # names queried without any mapping
 
 
 class _Found(NamedTuple):
     path: str
     mapping: Mapping
     own: str | None
-    """What it is called if its path is another's; None leaves it out."""
+    """An alternative name if the path is taken; None omits the name."""
 
 
 class Wanted:
@@ -33,7 +33,7 @@ class Wanted:
     def __init__(self, config: Ros2Config, naming: Naming, needed: AbstractSet[str]) -> None:
         self._naming = naming
         self._needed = needed
-        """Names that matter for another reason."""
+        """Names that are relevant for another reason."""
         self._nice = config.nice_names
         below = [*config.robots] or [config.namespace]
         each = tuple(absolute(p, space) for p in config.expose for space in below)
@@ -43,9 +43,9 @@ class Wanted:
         """Whether a name is exposed."""
         self.exposes_log = lambda n: exposed(n) and not hidden(n)
         self._each: dict[str, Mapping] = {}
-        """What the map gives to each robot."""
+        """Mappings that apply to each robot."""
         self.mapped: dict[str, Mapping] = {}
-        """What it gives once, with ROS names in full."""
+        """Mappings that apply once, with absolute ROS names."""
         for path, mapping in config.map.items():
             relative = config.robots and not mapping.target.startswith("/")
             if relative:
@@ -55,22 +55,22 @@ class Wanted:
         self._targets = {m.target for m in self.mapped.values()}
         self._rests = {f"/{m.target}" for m in self._each.values()}
         self._spoken: set[str] = set()
-        """Topics that have been actuators: they stay it when somebody else speaks too."""
+        """Topics that have been actuators: they remain so when other nodes publish too."""
         self._commanded: set[tuple[str, ...]] = set()
-        """What the map has given a path to command by: a second one would pass its limits by."""
+        """Mapped command targets: a second path to one of them would bypass its limits."""
 
     def offers_parameter(self, node: str, parameter: str) -> bool:
-        """Tell whether an exposed node's parameter is offered: the map may have done it already."""
+        """Return whether an exposed node's parameter is offered, unless the map already does."""
         return ("param", node, parameter) not in self._commanded
 
     def matters(self, name: str) -> bool:
-        """Tell whether a name is mapped or exposed; asked in the ROS thread."""
+        """Return whether a name is mapped or exposed; called in the ROS thread."""
         if name in self._targets or name in _NEEDED or name in self._needed or self.exposes(name):
             return True
         return bool(self._rests) and self._naming.split(name)[2] in self._rests
 
     def found(self, graph: Graph) -> dict[str, Mapping]:
-        """Return the paths that the graph brings, apart from those of the map that stand always."""
+        """Return the paths that depend on the graph, besides the fixed ones of the map."""
         of_robots = self._of_robots(graph)
         self._commanded = set(filter(None, map(_command, (self.mapped | of_robots).items())))
         taken = of_robots.keys() | self.mapped.keys()
@@ -83,7 +83,7 @@ class Wanted:
                 found.setdefault(one.path, one.mapping)
             else:
                 rivals.append(one)
-        for one in rivals:  # a name that somebody has given goes before one that was made up
+        for one in rivals:  # a configured name takes precedence over a generated one
             path = one.path if one.path not in taken and one.path not in found else one.own
             if path is not None:
                 found.setdefault(path, one.mapping)
@@ -93,7 +93,7 @@ class Wanted:
         if not self._each:
             return {}
         topics = (t for t in graph.topics if t not in graph.publishers or graph.has("topic", t))
-        names = (*topics, *graph.services, *graph.nodes)  # not what the gateway alone is left on
+        names = (*topics, *graph.services, *graph.nodes)  # without the gateway's own topics
         robots = {robot: space for robot, space, _ in map(self._naming.split, names) if robot}
         return {
             self._naming.below(path, robot): _within(mapping, space)
@@ -141,7 +141,7 @@ class Wanted:
 
 
 def type_of(mapping: Mapping, graph: Graph) -> str | None:
-    """Return the type of what a path stands for, as the configuration or else the graph tells it."""
+    """Return the type of a path's target, from the configuration or the graph."""
     if mapping.type is not None:
         return mapping.type
     match mapping.noun:
@@ -172,12 +172,12 @@ def _within(mapping: Mapping, namespace: str) -> Mapping:
 
 
 def _observed(topic: str, type_: str) -> Mapping:
-    """Return the mapping of an exposed topic; a robot's description is its text alone."""
+    """Return the mapping of an exposed topic; a robot description is reduced to its text."""
     if topic.endswith("/robot_description") and type_ == "std_msgs/msg/String":
         return Mapping(topic=topic, field="data", description="The robot's description, as URDF.")
     return Mapping(topic=topic)
 
 
 def _is_taken(type_: str) -> bool:
-    """Tell whether a construct offers topics and services of this type in its own way."""
+    """Return whether a construct provides topics or services of this type in its own form."""
     return type_.startswith("lifecycle_msgs/") or type_ in (ARRAY, TF_MESSAGE)

@@ -17,11 +17,11 @@ Put = Callable[[bytearray, Any], None]
 
 
 def writer(cls: Any) -> Callable[[Any], bytes]:
-    """Return the function that encodes the typed value of a message class."""
+    """Return a function that encodes the typed value of a message class."""
     put = _struct(cls)
 
     def write(value: Any) -> bytes:
-        out = bytearray()  # alignment counts from behind the header
+        out = bytearray()  # alignment counts from the end of the header
         put(out, value)
         return _HEADER + bytes(out)
 
@@ -77,7 +77,7 @@ def _wide(out: bytearray, value: str) -> None:
     data = value.encode("utf-16-le", "replace")
     units = struct.unpack(f"<{len(data) // 2}H", data)
     _length(out, len(units))
-    out.extend(struct.pack(f"<{len(units)}I", *units))  # each stands in four bytes
+    out.extend(struct.pack(f"<{len(units)}I", *units))  # each stored in four bytes
 
 
 def _many(item: Type, *, fixed: bool) -> Put:

@@ -10,10 +10,11 @@ import asyncio
 from collections import deque
 
 from rcp_audit.log import FULL
-from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
+from rcp_kernel.errors import QueueFull
 from rcp_kernel.sessions.session import Answer
+from rcp_kernel.sessions.unrecorded import unrecorded
 from rcp_kernel.store.ledger import Ledger
-from rcp_kernel.wire import Reply, failure
+from rcp_kernel.wire import Reply
 
 __all__ = ["HeldReplies"]
 
@@ -49,9 +50,7 @@ class _Held:
             return
         self.reply = None
         if reply.final:
-            said = _unrecorded(reply)
-            said.custom = reply.custom
-            self.send(said)
+            self.send(unrecorded(reply))
 
 
 class HeldReplies:
@@ -109,14 +108,3 @@ class HeldReplies:
         self._watching = bool(self._held)
         if self._watching:
             self._loop.call_later(_LOOK, self._look)
-
-
-def _unrecorded(reply: Reply) -> Reply:
-    error = reply.error
-    outcome = reply.status if error is None else error["code"]
-    told: RcpError = DeadlineExceeded(
-        "its audit record could not be written in time, so it cannot be confirmed",
-        remedy="Check the state of the robot and /system/status before you send it again.",
-        details={"outcome": outcome},
-    )
-    return failure(told, reply.type, reply.id, reply.path, command=reply.command)

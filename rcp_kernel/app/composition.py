@@ -28,6 +28,7 @@ from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi, ClientApiParts
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
@@ -44,9 +45,9 @@ from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.discover import DiscoverHandler
 from rcp_kernel.requests.discovery import Discovery
 from rcp_kernel.requests.execute import ExecuteHandler
-from rcp_kernel.requests.history import History
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
@@ -89,6 +90,7 @@ class _Base:
     settings: Settings
     shutdown: Shutdown
     loop: asyncio.AbstractEventLoop
+    clock: Clock
     turns: Turns
     registry: Registry
     scopes: ScopeRights
@@ -112,7 +114,8 @@ class _Records:
     store: Store
     events: EventBus
     safety_events: SafetyEvents
-    history: History
+    replies: ReplyGate
+    journal: CommandJournal
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +151,6 @@ class _Requests:
     resolver: Resolver
     admission: Admission
     keys: Keys
-    replies: ReplyGate
     events: RequestEvents
 
 
@@ -176,17 +178,18 @@ def compose(
     *,
     store: Store,
     recent: Recent,
+    clock: Clock,
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway that serves nobody yet and has no backends."""
-    base = _base(config, loop)
-    records = _records(store)
+    base = _base(config, loop, clock)
+    records = _records(base, store)
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
     made = _features(base, records, motion, clients, features)
     requests = _requests(base, records, motion, made)
     system = _system(base, records, motion, clients, recent, made)
-    handlers = _handlers(base, motion, clients, requests, system, made)
+    handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
         settings=base.settings,
         shutdown=base.shutdown,
@@ -198,7 +201,7 @@ def compose(
         counts=base.counts,
         store=store,
         event_bus=records.events,
-        history=records.history,
+        journal=records.journal,
         events=base.events,
         deadman=motion.deadman,
         commands=motion.commands,
@@ -218,16 +221,17 @@ def compose(
     )
 
 
-def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
-    registry, turns = Registry(), Turns(loop)
+def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) -> _Base:
+    registry, turns = Registry(clock), Turns(loop)
     sights = Sights(registry, turns)
     hub = Hub(registry, loop, config.limits.pattern_value)
-    conditions = Conditions(hub)
+    conditions = Conditions(hub, clock)
     settings, counts = Settings(config), RequestCounts()
     return _Base(
         settings=settings,
         shutdown=Shutdown(),
         loop=loop,
+        clock=clock,
         turns=turns,
         registry=registry,
         scopes=ScopeRights(registry),
@@ -245,9 +249,11 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
     )
 
 
-def _records(store: Store) -> _Records:
+def _records(base: _Base, store: Store) -> _Records:
     events = EventBus()
-    return _Records(store, events, SafetyEvents(events), History(store))
+    replies = ReplyGate(base.settings, base.loop)
+    journal = CommandJournal(store, base.inflight, base.counts, replies)
+    return _Records(store, events, SafetyEvents(events), replies, journal)
 
 
 def _features(
@@ -277,10 +283,12 @@ def _features(
         shutdown=base.shutdown,
         turns=base.turns,
         loop=base.loop,
+        clock=base.clock,
     )
     made = make(active, host)
     records.events.on_event += made.event_listeners
-    motion.commands.on_step += made.command_listeners
+    records.journal.on_step += made.command_listeners
+    records.replies.demands += made.recorders
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
     clients.accounting.ask(made.accounting)
@@ -301,8 +309,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.history, arming.arm, base.turns)
-    commands.remember(records.history.load())
+    commands = Commands(records.journal, arming.arm, base.turns, base.loop)
     return _Motion(
         arming,
         partners,
@@ -315,11 +322,11 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.events, loop)
+    identities = Identities(settings, records.store, records.events, loop, base.clock)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
-    accounting = SessionAccounting(known, commands.running)
-    resume = SessionResume(records.store, settings, base.shutdown, loop)
+    accounting = SessionAccounting(known, records.journal.running)
+    resume = SessionResume(records.store, settings, base.shutdown, loop, base.clock)
     sessions = Sessions(
         known,
         settings=settings,
@@ -333,11 +340,12 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         links=base.links,
         outbound=outbound,
         loop=loop,
+        clock=base.clock,
     )
     # What they see is found out in steps from now on, so that a stop need not wait for it.
     for heard in (sessions.on_begin, sessions.on_renewal):
         heard.append(lambda session: base.sights.look(session.rights))
-    access = CommandAccess(commands, base.visibility, identities)
+    access = CommandAccess(records.journal, base.visibility, identities)
     return _Clients(identities, outbound, accounting, resume, sessions, access)
 
 
@@ -348,19 +356,18 @@ def _requests(
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
-    replies = ReplyGate(features.durabilities, base.settings, base.loop)
-    events = RequestEvents(records.events, replies)
+    events = RequestEvents(records.events, records.replies)
     long_bodies = LongBodies(resolver, features.actions)
     admission = Admission(
         resolver,
         base.events,
-        replies,
+        records.replies,
         base.shutdown,
         motion.arming.check_thaw,
         features.guards,
     )
-    keys = Keys(records.store, base.loop)
-    keys.load(motion.commands.find)
+    keys = Keys(records.store, base.loop, base.clock)
+    keys.load(records.journal.find)
     return _Requests(
         RequestRouter(
             base.settings,
@@ -374,7 +381,6 @@ def _requests(
         resolver,
         admission,
         keys,
-        replies,
         events,
     )
 
@@ -399,6 +405,7 @@ def _system(
         halted=features.halted,
         record=records.safety_events.estop,
         loop=base.loop,
+        clock=base.clock,
     )
     guard = GuardLink(
         motion.arming,
@@ -421,7 +428,7 @@ def _system(
         identities=clients.identities,
         sessions=clients.sessions,
         outbound=clients.outbound,
-        commands=motion.commands,
+        journal=records.journal,
         counts=base.counts,
         features=features.status,
         store=records.store,
@@ -448,6 +455,7 @@ def _system(
 
 def _handlers(
     base: _Base,
+    records: _Records,
     motion: _Motion,
     clients: _Clients,
     requests: _Requests,
@@ -486,7 +494,7 @@ def _handlers(
         events=base.events,
         dry_run=features.dry_run,
         keys=requests.keys,
-        replies=requests.replies,
+        replies=records.replies,
         request_events=requests.events,
         turns=base.turns,
         loop=base.loop,
@@ -495,15 +503,16 @@ def _handlers(
         requests.resolver,
         requests.admission,
         motion.commands,
+        records.journal,
         clients.access,
         estop=system.estop,
         services=system.branch.services,
-        actions=_actions(base, motion, clients, requests, system, features),
+        actions=_actions(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
         keys=requests.keys,
         inflight=inflight,
         counts=base.counts,
-        replies=requests.replies,
+        replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
         settings=base.settings,
@@ -523,6 +532,7 @@ def _handlers(
 
 def _actions(
     base: _Base,
+    records: _Records,
     motion: _Motion,
     clients: _Clients,
     requests: _Requests,
@@ -535,6 +545,7 @@ def _actions(
         resolver=requests.resolver,
         foresee=features.foresee,
         commands=motion.commands,
+        journal=records.journal,
         conditions=base.conditions,
         registry=base.registry,
         services=features,
@@ -549,7 +560,7 @@ def _actions(
             action,
             WaitingCommands(clients.access, motion.commands),
             host=host,
-            commands=motion.commands,
+            journal=records.journal,
             resolver=requests.resolver,
             registry=base.registry,
             changes=base.changes,
@@ -567,7 +578,7 @@ def _supervise(
         registry=base.registry,
         hub=base.hub,
         commands=motion.commands,
-        history=records.history,
+        journal=records.journal,
         latches=motion.latches,
         stops=motion.stops,
         events=records.safety_events,
@@ -600,7 +611,7 @@ def _client_api(
         resume=clients.resume,
         subscribe=handlers.subscribe.restore,
         links=base.links,
-        follower=requests.replies.follower,
+        follower=records.replies.follower,
     )
     connections = ConnectionParts(
         handle=requests.router.handle,
@@ -630,7 +641,7 @@ def _client_api(
         discovery=discovery,
         access=clients.access,
         features=features,
-        replies=requests.replies,
+        replies=records.replies,
         events=requests.events,
         counts=base.counts,
         store=records.store,

@@ -9,10 +9,12 @@ from typing import Any
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns, Work
+from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.sessions import SessionDirectory
@@ -32,7 +34,7 @@ class GatewayFeatureHost:
 
     def __init__(
         self,
-        name: str,
+        health: FeatureHealth,
         *,
         robots: Callable[[str], Robots],
         changes: ViewChanges,
@@ -47,9 +49,10 @@ class GatewayFeatureHost:
         shutdown: Shutdown,
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
-        self._name = name
-        self.robots = robots(name)
+        self._health = health
+        self.robots = robots(health.name)
         self._changes = changes
         self._store = store
         self._events = events
@@ -62,6 +65,12 @@ class GatewayFeatureHost:
         self.control = control
         self.scopes = scopes
         self.loop = loop
+        self.clock = clock
+
+    @property
+    def fault(self) -> str | None:
+        """What of the feature failed last, since the start."""
+        return self._health.fault
 
     @property
     def closing(self) -> bool:
@@ -82,7 +91,7 @@ class GatewayFeatureHost:
 
     def store(self, table: str) -> PluginStore:
         """Return a table that is named after the feature."""
-        return PluginStore(self._store, f"{self._name}.{table}")
+        return PluginStore(self._store, f"{self._health.name}.{table}")
 
     def note(
         self,

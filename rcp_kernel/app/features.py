@@ -7,11 +7,11 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any, TypeVar
 
 import msgspec
-import structlog
 from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
+from rcp_kernel.app.recorder import Listener, Recorder
 from rcp_kernel.config.file import GatewayConfig, decode_table
 from rcp_kernel.contract.events import Hear
 from rcp_kernel.errors import ConfigError
@@ -20,7 +20,6 @@ from rcp_kernel.features import (
     Action,
     Call,
     CommandObserver,
-    Durability,
     Feature,
     FeatureHost,
     FeatureKind,
@@ -29,6 +28,7 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
+from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.sessions.command import CommandListener
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
@@ -36,7 +36,6 @@ from rcp_kernel.tree.entry import Entry
 __all__ = ["ActiveFeature", "Features", "active", "make"]
 
 T = TypeVar("T")
-log = structlog.get_logger("rcp.features")
 
 
 class ActiveFeature(msgspec.Struct, frozen=True):
@@ -84,8 +83,11 @@ def _table(
 class Features:
     """The features of a gateway, in the order of their names."""
 
-    def __init__(self, made: Sequence[tuple[str, Feature]]) -> None:
-        self._made = tuple(made)
+    def __init__(self, made: Sequence[tuple[FeatureHealth, Feature]]) -> None:
+        self._made = tuple((health.name, feature) for health, feature in made)
+        self._health = {health.name: health for health, _ in made}
+        listeners = [_listener(health, feature) for health, feature in made]
+        self._listeners = [one for one in listeners if one is not None]
 
     @property
     def resources(self) -> list[SystemResource]:
@@ -107,11 +109,11 @@ class Features:
         return [feature.guard for _, feature in self._made if feature.guard is not None]
 
     @property
-    def observers(self) -> list[CommandObserver]:
+    def observers(self) -> list[tuple[CommandObserver, FeatureHealth]]:
         """What hears of commands under the configuration in force."""
         return [
-            feature.observer
-            for _, feature in self._made
+            (feature.observer, self._health[name])
+            for name, feature in self._made
             if feature.observer is not None and (feature.guard is None or feature.guard.active)
         ]
 
@@ -124,17 +126,17 @@ class Features:
     @property
     def event_listeners(self) -> list[Hear]:
         """What hears of events."""
-        return [one for _, f in self._made if (one := f.on_event) is not None]
+        return [one.hear for one in self._listeners if one.on_event is not None]
 
     @property
     def command_listeners(self) -> list[CommandListener]:
         """What hears the steps of commands."""
-        return [one for _, f in self._made if (one := f.on_command) is not None]
+        return [one.follow for one in self._listeners if one.on_command is not None]
 
     @property
-    def durabilities(self) -> list[Durability]:
+    def recorders(self) -> list[Recorder]:
         """What replies have to wait for."""
-        return [one for _, f in self._made if (one := f.durability) is not None]
+        return [one for one in self._listeners if isinstance(one, Recorder)]
 
     @property
     def accounting(self) -> list[Accounting]:
@@ -143,14 +145,14 @@ class Features:
 
     def reader_status(self, session: Session) -> dict[str, Any]:
         """Return what they tell a reader of `/system/status` about itself."""
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for name, feature in self._made:
             if feature.reader_status is not None:
                 try:
-                    told |= feature.reader_status(session)
-                except Exception:
-                    log.exception("status_failed", feature=name)
-        return told
+                    facts |= feature.reader_status(session)
+                except Exception as error:
+                    self._health[name].failed("reader_status", error)
+        return facts
 
     def metrics(self) -> Iterable[Metric]:
         """Go through their families for `/metrics`."""
@@ -158,8 +160,8 @@ class Features:
             if feature.metrics is not None:
                 try:
                     yield from list(feature.metrics())
-                except Exception:
-                    log.exception("metrics_failed", feature=name)
+                except Exception as error:
+                    self._health[name].failed("metrics", error)
 
     def service(self, key: ServiceKey[T]) -> T | None:
         """Return a service that one of them offers."""
@@ -167,11 +169,11 @@ class Features:
 
     def dry_run(self, call: Call) -> dict[str, Any]:
         """Return what they tell of a dry run."""
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for _, feature in self._made:
             if feature.dry_run is not None:
-                told.update(feature.dry_run(call))
-        return told
+                facts.update(feature.dry_run(call))
+        return facts
 
     def foresee(self, session: Session, entry: Entry, value: Any) -> None:
         """Refuse a value that could not be sent later either.
@@ -184,41 +186,42 @@ class Features:
 
     def describe(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
         """Return what they add to a resource in discovery, for somebody who may command it."""
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for _, feature in self._made:
             if feature.describe is not None:
-                told.update(feature.describe(rights, entry, schemas=schemas))
-        return told
+                facts.update(feature.describe(rights, entry, schemas=schemas))
+        return facts
 
     def status(self, rights: Rights | None) -> list[StatusPart]:
-        """Return their parts of the report of health; one that fails is degraded."""
+        """Return their parts of the report of health; one that has failed is degraded."""
         parts: list[StatusPart] = []
         for name, feature in self._made:
             if feature.status is not None:
                 try:
                     parts.append(feature.status(rights))
-                except Exception:
-                    log.exception("status_failed", feature=name)
-                    parts.append(StatusPart({}, degraded=True))
-        return parts
+                except Exception as error:
+                    self._health[name].failed("status", error)
+        states = [_state(health) for health in self._health.values()]
+        failed = any(health.fault is not None for health in self._health.values())
+        return [*parts, StatusPart({"features": states}, degraded=failed)]
 
     def session_ended(self, session: Session) -> None:
         """Tell them that a session has ended."""
         for name, feature in self._made:
             if feature.session_ended is not None:
-                _tell(name, feature.session_ended, session)
+                _tell(self._health[name], feature.session_ended, session)
 
     def rights_changed(self) -> None:
         """Tell them that sessions may have other rights."""
         for name, feature in self._made:
             if feature.rights_changed is not None:
-                _tell(name, feature.rights_changed)
+                _tell(self._health[name], feature.rights_changed)
 
     def halted(self, paths: frozenset[str], by: str, reason: str) -> None:
         """Tell them that an e-stop has halted the robots of some paths."""
         for name, feature in self._made:
             if feature.halted is not None:
-                _tell(name, feature.halted, paths, by, reason)
+                _tell(self._health[name], feature.halted, paths, by, reason)
 
     def reconfigure(self, features: Iterable[ActiveFeature]) -> None:
         """Hand out the tables of another configuration of the same features."""
@@ -237,16 +240,32 @@ class Features:
             yield
 
 
-def _tell(name: str, listener: Callable[..., None], *facts: Any) -> None:
+def _listener(health: FeatureHealth, feature: Feature) -> Listener | None:
+    if feature.durability is not None:
+        return Recorder(feature.on_event, feature.on_command, health, feature.durability)
+    if feature.on_event is None and feature.on_command is None:
+        return None
+    return Listener(feature.on_event, feature.on_command, health)
+
+
+def _state(health: FeatureHealth) -> dict[str, Any]:
+    if health.fault is None:
+        return {"name": health.name, "state": "ok"}
+    facts = {"detail": health.fault, "faults": health.faults}
+    return {"name": health.name, "state": "degraded", **facts}
+
+
+def _tell(health: FeatureHealth, listener: Callable[..., None], *facts: Any) -> None:
     """Call a listener of a feature; a bug of it is its own."""
     try:
         listener(*facts)
-    except Exception:
-        log.exception("feature_failed", feature=name)
+    except Exception as error:
+        health.failed(getattr(listener, "__name__", "listener"), error)
 
 
-def make(features: Iterable[ActiveFeature], host: Callable[[str], FeatureHost]) -> Features:
+def make(
+    features: Iterable[ActiveFeature], host: Callable[[FeatureHealth], FeatureHost]
+) -> Features:
     """Make each feature with a host of its own."""
-    return Features(
-        [(one.kind.name, one.kind.make(one.table, host(one.kind.name))) for one in features]
-    )
+    found = [(one, FeatureHealth(one.kind.name)) for one in features]
+    return Features([(health, one.kind.make(one.table, host(health))) for one, health in found])

@@ -22,7 +22,7 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.history import History
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
@@ -50,7 +50,7 @@ class Kernel:
     counts: RequestCounts
     store: Store
     event_bus: EventBus
-    history: History
+    journal: CommandJournal
     events: CommandEvents
     deadman: Deadman
     commands: Commands

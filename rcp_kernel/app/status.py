@@ -23,7 +23,7 @@ from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, hist
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
-from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
@@ -56,7 +56,7 @@ class StatusReport:
         identities: Identities,
         sessions: Sessions,
         outbound: Outbound,
-        commands: Commands,
+        journal: CommandJournal,
         counts: RequestCounts,
         features: Callable[[Rights | None], Iterable[StatusPart]],
         store: Store,
@@ -74,7 +74,7 @@ class StatusReport:
         self._sessions = sessions
         self._outbound = outbound
         self._feature_metrics = metrics
-        self._commands = commands
+        self._journal = journal
         self._counts = counts
         self._features = features
         self._store = store
@@ -124,8 +124,8 @@ class StatusReport:
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or (self._store.trouble or self._store.damage) is not None
-        told = list(self._features(rights))
-        broken = broken or any(part.degraded for part in told)
+        sections = list(self._features(rights))
+        broken = broken or any(part.degraded for part in sections)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
@@ -146,7 +146,7 @@ class StatusReport:
             "queues": self._queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
-        for part in told:
+        for part in sections:
             report |= part.facts
         if every:
             report["process"] = self._process_facts()
@@ -223,7 +223,7 @@ class StatusReport:
         return [s for s in known if "*" in tenants or s.tenant in tenants]
 
     def _count_commands(self, rights: Rights | None) -> dict[str, int]:
-        commands = self._commands
+        commands = self._journal
         running = [c.status for c in commands.running.values() if self._is_counted(rights, c.path)]
         ended: dict[str, int] = {}
         for (path, status), count in commands.counts.items():
@@ -277,7 +277,7 @@ class StatusReport:
         return self.metrics.exposition(self._families(rights))
 
     def _families(self, rights: Rights) -> Iterable[Metric]:
-        commands = self._commands
+        commands = self._journal
         facts = {"version": gateway_version(), "python": platform.python_version()}
         yield gauge("rcp_build_info", "What runs here.", tuple(facts), [(list(facts.values()), 1)])
         up = time.monotonic() - self.metrics.started

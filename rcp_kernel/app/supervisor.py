@@ -25,7 +25,7 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.history import History
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.safety.hold import hold_resource
 from rcp_kernel.safety.loss import tell_cut_off
 from rcp_kernel.safety.safety_events import SafetyEvents
@@ -66,7 +66,7 @@ class BackendSupervisor:
         registry: Registry,
         hub: Hub,
         commands: Commands,
-        history: History,
+        journal: CommandJournal,
         latches: Latches,
         stops: StopController,
         events: SafetyEvents,
@@ -77,7 +77,7 @@ class BackendSupervisor:
         self._registry = registry
         self._hub = hub
         self._commands = commands
-        self._history = history
+        self._journal = journal
         self._latches = latches
         self._stops = stops
         self._events = events
@@ -181,16 +181,18 @@ class BackendSupervisor:
         path = full_path(self.tenant, self.robot, name)
         if path in place.entries:  # another backend of the same robot offers it for both
             return
-        entry = Entry(path, hold_resource(name, unit.robot), self, self.tenant, self.robot)
+        entry = Entry(
+            path, hold_resource(name, unit.robot), self, self.tenant, self.robot, place.clock
+        )
         entry.is_hold = True
         self.entries[name] = unit.own[name] = place.place(entry)
 
     def _find_lost(self, entry: Entry) -> None:
         """Note a command that an earlier gateway began and that the robot may still carry out."""
-        cut_off = [c for c in self._history.cut_off if c.path == entry.path]
+        cut_off = [c for c in self._journal.cut_off if c.path == entry.path]
         if cut_off:
             for command in cut_off:
-                self._history.cut_off.remove(command)
+                self._journal.cut_off.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
             entry.unit.lost = entry.path
@@ -202,7 +204,7 @@ class BackendSupervisor:
             return
         for command in self._cut_off:
             tell_cut_off(command, self._on_loss)
-            self._history.save(command)
+            self._journal.keep(command)
         self._cut_off.clear()
 
     def withdraw(self, *names: str) -> None:

@@ -6,14 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 import msgspec
-import structlog
 
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.wire import Request
 
 __all__ = ["Acting", "Event", "EventBus", "Hear"]
-
-log = structlog.get_logger("rcp.events")
 
 
 class Acting(Protocol):
@@ -65,6 +62,7 @@ class EventBus:
 
     def __init__(self) -> None:
         self.on_event: list[Hear] = []
+        """Those who listen; they raise nothing."""
 
     def note(
         self,
@@ -100,13 +98,7 @@ class EventBus:
 
     def tell(self, event: Event) -> bool:
         """Tell of an event; return whether replies about it should wait."""
-        told = [self._told(hear, event) for hear in self.on_event]  # all of them hear of it
-        return any(told)
-
-    @staticmethod
-    def _told(hear: Hear, event: Event) -> bool:
-        try:
-            return bool(hear(event))
-        except Exception:  # a listener's bug must not keep anybody from being stopped
-            log.exception("event_listener_failed", what=event.what)
-            return False
+        wait = False
+        for listener in self.on_event:  # all of them hear of it
+            wait = bool(listener(event)) or wait
+        return wait

@@ -13,6 +13,7 @@ from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.read import READ_OPTIONS
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import check_motion
@@ -40,6 +41,7 @@ class GatewayActionHost:
         resolver: Resolver,
         foresee: Callable[[Session, Entry, Any], None],
         commands: Commands,
+        journal: CommandJournal,
         conditions: Conditions,
         registry: Registry,
         services: ServiceLookup,
@@ -50,7 +52,7 @@ class GatewayActionHost:
     ) -> None:
         """`personal` has the paths that show each reader something else."""
         self._resolver = resolver
-        self._commands = commands
+        self._journal = journal
         self._foresee = foresee
         self._services = services
         self._control = services.service(CONTROL) or NoControl()
@@ -94,12 +96,12 @@ class GatewayActionHost:
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""
         # Not by its id: the reply that tells it may wait for its record.
-        running = self._commands.running.values()
+        running = self._journal.running.values()
         return next((c for c in running if c.custom is request.custom), None)
 
     def disown(self, session: Session, id_: str) -> None:
         """Have a client that comes back not told of a command."""
-        command = self._commands.find(id_)
+        command = self._journal.find(id_)
         if command is not None and command.entry is not None and command.entry.resource.outlives:
             session.commands.pop(id_, None)
 
@@ -108,13 +110,13 @@ class GatewayActionHost:
         path = reply.path or request.path or ""
         body, touches = reply.body, [path]
         if "*" in path:
-            told = _plain(body)
-            touches = [item["path"] for item in told]
+            recorded = _plain(body)
+            touches = [item["path"] for item in recorded]
         elif isinstance(body, Body) and len(data := body.encoded(Encoding.JSON)) > _LONG:
-            told = await self.turns.finish(session.principal.identity, hashing(data))
+            recorded = await self.turns.finish(session.principal.identity, hashing(data))
         else:
-            told = bounded(_plain(body))
-        self._events.looked(session, request, path, told, touches)
+            recorded = bounded(_plain(body))
+        self._events.looked(session, request, path, recorded, touches)
 
 
 def _plain(body: Any) -> Any:

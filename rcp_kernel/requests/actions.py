@@ -10,14 +10,14 @@ from rcp_kernel.errors import EstopActive
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.waiting import WaitingCommand, WaitingCommands
-from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.registry import Registry
-from rcp_kernel.wire import Reply, Request
+from rcp_kernel.wire import Request
 
 __all__ = ["ActionHandler", "PreparedRun"]
 
@@ -53,6 +53,7 @@ class PreparedRun:
             principal=session.principal.name,
             proof=session.principal.proof,
             tenant=session.tenant,
+            asker=session,
             work=self.run,
             touches=self.run.touches,
             request=request,
@@ -75,7 +76,7 @@ class ActionHandler:
         waiting: WaitingCommands,
         *,
         host: ActionHost,
-        commands: Commands,
+        journal: CommandJournal,
         resolver: Resolver,
         registry: Registry,
         changes: ViewChanges,
@@ -85,7 +86,7 @@ class ActionHandler:
         self._action = action
         self.waiting = waiting
         self._host = host
-        self._commands = commands
+        self._journal = journal
         self._resolver = resolver
         self._registry = registry
         self._changes = changes
@@ -97,7 +98,7 @@ class ActionHandler:
 
         :raises QueueFull: as many run as may.
         """
-        running = [c for c in self._commands.running.values() if c.path == self.path]
+        running = [c for c in self._journal.running.values() if c.path == self.path]
         self._action.admit(session, running)
 
     def prepare(
@@ -122,8 +123,8 @@ class ActionHandler:
                 yield
         return list(found)
 
-    def follow(self, reply: Reply) -> None:
-        """Take notice of a reply of one of the commands: the list of them has changed."""
+    def follow(self, command: Command, step: Record) -> None:
+        """Take notice of a step of one of the commands: the list of them has changed."""
         if self._told:
             self._told = False
             self._loop.call_soon(self._tell)

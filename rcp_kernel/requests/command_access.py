@@ -9,7 +9,7 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.touches import EVERYTHING
@@ -22,8 +22,10 @@ _READ = Operation.READ
 class CommandAccess:
     """Finds the commands that a session may know of."""
 
-    def __init__(self, commands: Commands, visibility: Visibility, identities: Identities) -> None:
-        self._commands = commands
+    def __init__(
+        self, journal: CommandJournal, visibility: Visibility, identities: Identities
+    ) -> None:
+        self._journal = journal
         self._visibility = visibility
         self._identities = identities
 
@@ -50,13 +52,13 @@ class CommandAccess:
 
         None stands for one that is left out: the session may not see it, or it is on another path.
         """
-        for command in self._commands.every():
+        for command in self._journal.every():
             wanted = path is None or command.path == path
             yield command if wanted and self.sees(session, command) else None
 
     def visited(self, session: Session) -> Iterator[Command | None]:
         """Go through all commands, newest first; None stands for one that a session may not see."""
-        known = sorted(self._commands.every(), key=lambda command: command.age, reverse=True)
+        known = sorted(self._journal.every(), key=lambda command: command.age, reverse=True)
         return (command if self.sees(session, command) else None for command in known)
 
     def find(self, session: Session, id_: str) -> Command:
@@ -64,7 +66,7 @@ class CommandAccess:
 
         :raises UnknownPath: there is none, or not for this principal.
         """
-        command = self._commands.find(id_)
+        command = self._journal.find(id_)
         mask = 0 if command is None else reach(session.rights.mask(command.path))
         if command is None or not (mask & Operation.EXECUTE and self.sees(session, command)):
             raise _no_command(id_)
@@ -75,7 +77,7 @@ class CommandAccess:
 
         :raises UnknownPath: there is none, or not for this principal.
         """
-        command = self._commands.find(id_)
+        command = self._journal.find(id_)
         if command is not None and is_own(session, command) and session.rights.mask(command.path):
             return command
         return self.find(session, id_)

@@ -35,6 +35,8 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     op: Annotated[str, Meta(max_length=16)] | None = None
     q: Annotated[str, Meta(max_length=200)] | None = None
     """Words that must all stand in the path or the description."""
+    profile: Annotated[str, Meta(max_length=100)] | None = None
+    """A profile that they are part of: its name, alone or with as much of the version as matters."""
     limit: Annotated[int, Meta(ge=1, le=MOST)] = 100
     cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
     schemas: bool = True
@@ -128,6 +130,7 @@ class Discovery:
                 (query.kind is not None and entry.kind is not query.kind)
                 or (wanted and not entry.operations & mask & wanted)
                 or (words and not _has(entry, words))
+                or (query.profile is not None and not _is_part(entry, query.profile))
             ):
                 mask = 0
             yield entry, mask
@@ -177,6 +180,11 @@ def _has(entry: Entry, words: list[str]) -> bool:
     return all(word in text for word in words)
 
 
+def _is_part(entry: Entry, profile: str) -> bool:
+    more = "." if "/" in profile else "/"  # of the version
+    return any(one == profile or one.startswith(profile + more) for one in entry.resource.profiles)
+
+
 def _state(entry: Entry) -> str:
     if entry.owner.backend is None:
         return "down"
@@ -219,4 +227,6 @@ def _describe(entry: Entry) -> dict[str, Any]:
         facts["safe"] = to_plain(resource.safe)
     if resource.meta:
         facts["meta"] = resource.meta
+    if resource.profiles:
+        facts["profiles"] = list(resource.profiles)
     return facts

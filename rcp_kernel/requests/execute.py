@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import secrets
+import os
 from collections.abc import Coroutine, Generator, Mapping
 from copy import copy
-from functools import partial
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -27,6 +26,7 @@ from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.exempt import is_exempt
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.waiting import WaitingCommand
 from rcp_kernel.requests.write import DryRun, dry_run_reply
@@ -34,14 +34,14 @@ from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
-from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
-from rcp_kernel.sessions.session import Answer, OwnCommand, Session
+from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import value_type
-from rcp_kernel.wire import Reply, Request
+from rcp_kernel.wire import FINAL, Reply, Request
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
@@ -75,6 +75,7 @@ class ExecuteHandler:
         resolver: Resolver,
         admission: Admission,
         commands: Commands,
+        journal: CommandJournal,
         access: CommandAccess,
         *,
         estop: EstopLane,
@@ -93,6 +94,7 @@ class ExecuteHandler:
         self._resolver = resolver
         self._admission = admission
         self._commands = commands
+        self._journal = journal
         self._access = access
         self._estop_lane = estop
         self._services = services
@@ -135,7 +137,8 @@ class ExecuteHandler:
         try:
             if self._keys.find(session, request, action.path) is not None:
                 return self.execute(session, request, answer)
-            _check_room(session, action.path)
+            if session.account is not None:
+                session.account.check_command(action.path)
             action.check_running(session)
             prepared = yield from action.prepare(session, request, waiting)
             return self.execute(session, request, answer, prepared)
@@ -162,16 +165,18 @@ class ExecuteHandler:
         if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
             return None
-        known = self._keys.find(session, request, entry.path)
+        keyed = request.idempotency_key is not None
+        known = self._keys.find(session, request, entry.path) if keyed else None
         if isinstance(known, Command):
-            self._follow(session, request, known, answer, started)
+            self._journal.follow(known, session, request, answer, started)
             return None
         call = Call(session, request, entry, value)
         self._admission.admit(call)
         self._commands.admit(entry)
         halts = entry.is_hold or (action is not None and self.stops(session, request))
         if not halts:
-            _check_room(session, entry.path)
+            if session.account is not None:
+                session.account.check_command(entry.path)
             if action is not None:
                 action.check_running(session)
         if entry.is_hold and not request.dry_run:
@@ -190,22 +195,15 @@ class ExecuteHandler:
             prepared.run.begin(session, request, entry)
             command = prepared.command(session, request, entry)
             command.followers.append(action.follow)
-        if request.idempotency_key is not None:
+        if keyed:
             command.ready = self._keys.committed
             command.followers.append(self._settling(session, request, entry.path))
-        self._follow(session, request, command, answer, started)
-        self._keys.note(session, request, entry.path, command)
-        timeout = self._timeout(request, entry)
-        count_command(session, command)
-        self._commands.start(
-            command,
-            session,
-            entry,
-            value,
-            timeout,
-            request.deadline,
-            confirm=partial(self._admission.confirm, call),
-        )
+        self._journal.follow(command, session, request, answer, started)
+        if keyed:
+            self._keys.note(session, request, entry.path, command)
+        if session.account is not None:
+            count_command(session.account, command)
+        self._start(command, call)
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
         return None
@@ -231,17 +229,12 @@ class ExecuteHandler:
         command = _command(call)
         units = [entry.unit, *self._partners.of(entry)]
         command.work = Hold(units, self._commands, self._deadman)
-        self._follow(session, request, command, answer, started)
-        timeout = self._timeout(request, entry)
-        self._commands.start(
-            command,
-            session,
-            entry,
-            None,
-            timeout,
-            request.deadline,
-            confirm=partial(self._admission.confirm, call),
-        )
+        self._journal.follow(command, session, request, answer, started)
+        self._start(command, call)
+
+    def _start(self, command: Command, call: Call) -> None:
+        timeout = self._timeout(call.request, call.entry)
+        self._commands.start(command, call, timeout, self._admission.confirm)
 
     def stops(self, session: Session, request: Request) -> bool:
         """Tell whether a request brings a robot to rest."""
@@ -255,10 +248,10 @@ class ExecuteHandler:
         except RcpError:
             return False
 
-    def _settling(self, session: Session, request: Request, path: str) -> Answer:
-        def settle(reply: Reply) -> None:
-            if reply.final:
-                self._keys.settle(session, request, path, reply)
+    def _settling(self, session: Session, request: Request, path: str) -> CommandListener:
+        def settle(command: Command, step: Record) -> None:
+            if step.status in FINAL:
+                self._keys.settle(session, request, path, command.reply(step))
 
         return settle
 
@@ -319,6 +312,7 @@ class ExecuteHandler:
             again = copy(known.result())
             again.id = request.id
             return again
+        lost = self._replies.lost
         body = service(session, value, dry_run=request.dry_run)
         if request.dry_run:
             return dry_run_reply(request, entry, {"execute": value})
@@ -331,6 +325,7 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
+        reply = self._replies.confirmed(reply, lost)
         if request.idempotency_key is not None:
             outcome: asyncio.Future[Reply] = self._loop.create_future()
             outcome.set_result(reply)
@@ -350,32 +345,6 @@ class ExecuteHandler:
         own = entry.resource.timeout or default
         return min(own, request.deadline) if request.deadline is not None else own
 
-    def _follow(
-        self, session: Session, request: Request, command: Command, answer: Answer, started: float
-    ) -> None:
-        """Have the request answered by the command's replies, those of its past included."""
-        key = self._inflight.claim(session, request)
-        answer = self._replies.held(answer, request)
-        if not session.stateless:
-            session.commands[command.id] = command
-            if len(session.commands) > 256:
-                _forget_finished(session.commands)
-
-        def told(reply: Reply) -> None:
-            reply = copy(reply)  # other requests may follow the same command under ids of theirs
-            reply.id = request.id
-            if reply.final:
-                session.inflight.pop(key, None)
-                self._counts.conclude(session, reply, started)
-            answer(reply)
-
-        if command.history and command.final:
-            told(command.reply())
-            return
-        command.followers.append(told)
-        if command.history:
-            told(command.reply())
-
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Cancel a command by its id, or whatever runs on a path; the robot is told at once."""
         body = request.decode_body(_CANCEL, "cancel")
@@ -384,7 +353,7 @@ class ExecuteHandler:
         path = found[0].path if found else request.path
         entry = self._resolver.resolve(session, path, Operation.EXECUTE, anyway=True)
         if wanted is None:
-            running = [c for c in self._commands.running.values() if c.path == entry.path]
+            running = [c for c in self._journal.running.values() if c.path == entry.path]
             found = [c for c in running if self._access.sees(session, c)]
         action = self._actions.get(entry.path) if wanted is None else None
         waiting = None if action is None else action.waiting
@@ -415,21 +384,16 @@ class ExecuteHandler:
         )
 
 
-def _check_room(session: Session, path: str) -> None:
-    """Refuse a command that is one too many for whatever counts the session."""
-    if (account := session.account) is not None:
-        account.check_command(path)
-
-
 def _command(call: Call) -> Command:
     """Return the command that a call to a robot becomes."""
     session, request, entry = call.session, call.request, call.entry
     return Command(
-        id="cmd-" + secrets.token_hex(8),
+        id="cmd-" + os.urandom(8).hex(),
         path=entry.path,
         principal=session.principal.name,
         proof=session.principal.proof,
         tenant=entry.tenant,
+        asker=session,
         request=request,
         request_id=request.id,
         custom=request.custom,
@@ -438,9 +402,3 @@ def _command(call: Call) -> Command:
         session=session.id,
         entry=entry,
     )
-
-
-def _forget_finished(commands: dict[str, OwnCommand]) -> None:
-    known = [id_ for id_, command in commands.items() if command.finished is not None]
-    for id_ in known[:128]:
-        del commands[id_]

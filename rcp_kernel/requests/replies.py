@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from functools import partial
+from typing import Protocol
 
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.features import Durability
 from rcp_kernel.sessions.session import Answer
+from rcp_kernel.sessions.unrecorded import unrecorded
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.wire import Request
+from rcp_kernel.wire import Reply, Request
 
-__all__ = ["ReplyGate"]
+__all__ = ["Demand", "ReplyGate"]
+
+
+class Demand(Durability, Protocol):
+    """A `Durability`, and whether all that it was told is on record."""
+
+    @property
+    def lost(self) -> int:
+        """How many events were not recorded, for good."""
+        ...
 
 
 class ReplyGate:
     """Where replies pass what features demand of them; with no such feature they pass at once."""
 
-    def __init__(
-        self, demands: Sequence[Durability], settings: Settings, loop: asyncio.AbstractEventLoop
-    ) -> None:
-        self._demands = tuple(demands)
+    def __init__(self, settings: Settings, loop: asyncio.AbstractEventLoop) -> None:
+        self.demands: list[Demand] = []
         self._settings = settings
         self._loop = loop
 
@@ -30,12 +38,26 @@ class ReplyGate:
 
         :raises QueueFull: a feature cannot keep what it has to.
         """
-        for demand in self._demands:
+        for demand in self.demands:
             demand.check()
+
+    @property
+    def lost(self) -> int:
+        """How many events were not recorded: has it grown, then what was just told is unconfirmed."""
+        lost = 0
+        for demand in self.demands:
+            lost += demand.lost
+        return lost
+
+    def confirmed(self, reply: Reply, lost: int) -> Reply:
+        """Return a reply, or one that confirms nothing if something is unrecorded since `lost`."""
+        if reply.error is not None or self.lost == lost:
+            return reply
+        return unrecorded(reply, "could not be written")
 
     def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
         """Return what passes the replies to a request on when they may leave."""
-        if not self._demands:
+        if not self.demands:
             return answer
         limit = request.deadline or self._settings.limits.deadline
         if entry is not None:
@@ -48,12 +70,12 @@ class ReplyGate:
 
     def _until(self, answer: Answer, limit: float) -> Answer:
         until = self._loop.time() + limit
-        for demand in self._demands:
+        for demand in self.demands:
             answer = partial(demand.hold, answer, until)
         return answer
 
     def held_estop(self, answer: Answer) -> Answer:
         """Return what passes the reply to an e-stop on, after a moment at most."""
-        for demand in self._demands:
+        for demand in self.demands:
             answer = partial(demand.hold_estop, answer)
         return answer

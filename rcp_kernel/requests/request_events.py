@@ -71,10 +71,11 @@ class RequestEvents:
         )
 
     def written(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
-        """Return what tells of the outcome of a write, then passes it on."""
-        held = self._gate.held(answer, request, entry)
+        """Return what tells of the outcome of a write, then passes on what is confirmed of it."""
+        gate = self._gate
 
         def done(reply: Reply) -> None:
+            lost = gate.lost
             self._events.note(
                 "write",
                 principal=session.principal,
@@ -85,7 +86,7 @@ class RequestEvents:
                 outcome="ok" if reply.error is None else reply.error["code"],
                 message=reply.message,
             )
-            held(reply)
+            answer(gate.confirmed(reply, lost))
 
         return done
 

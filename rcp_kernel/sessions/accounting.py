@@ -10,6 +10,7 @@ import structlog
 from rcp_kernel.sessions.account import SessionAccount, joint
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.wire import FINAL
 
 __all__ = ["Accounting", "SessionAccounting", "count_command"]
 
@@ -134,17 +135,15 @@ class SessionAccounting:
         for command in self._running.values():
             if command.asker is not None:
                 self.update(command.asker)
-                count_command(command.asker, command)
+                if command.asker.account is not None:
+                    count_command(command.asker.account, command)
 
 
-def count_command(session: Session, command: Command) -> None:
+def count_command(account: SessionAccount, command: Command) -> None:
     """Count a command until it ends; one that began goes on, whatever a feature makes of it."""
-    account = session.account
-    if account is None:
-        return
     try:
         end = account.add_command(command.id, command.path)
     except Exception:
         log.exception("accounting_failed", command=command.id)
         return
-    command.followers.append(lambda reply: end() if reply.final else None)
+    command.followers.append(lambda _, step: end() if step.status in FINAL else None)

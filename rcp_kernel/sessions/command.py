@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
+import msgspec
 import structlog
 
 from rcp_kernel.access.visibility import names_in
@@ -22,6 +22,7 @@ from rcp_kernel.errors import (
     Refused,
 )
 from rcp_kernel.sessions.long_value import plain
+from rcp_kernel.sessions.unrecorded import unrecorded
 from rcp_kernel.spi import Progress
 from rcp_kernel.tree.entry import Entry, is_system
 from rcp_kernel.values import ANY, Encoding
@@ -42,7 +43,6 @@ __all__ = [
 
 log = structlog.get_logger("rcp.commands")
 _SHORT = 16_384  # bytes of a command that are kept as they are written
-Follower = Callable[[Reply], None]
 
 
 class Work(Protocol):
@@ -85,13 +85,12 @@ class CommandTable(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class Record:
+class Record(msgspec.Struct):
     """What is remembered of one step of a command."""
 
     status: Status
     time: int
-    body: Any = field(default_factory=lambda: NO_BODY)
+    body: Any = NO_BODY
     progress: float | None = None
     message: str | None = None
     error: dict[str, Any] | None = None
@@ -132,8 +131,7 @@ class _Listed(Body):
         return data
 
 
-@dataclass(slots=True, eq=False, weakref_slot=True)
-class Command:
+class Command(msgspec.Struct, eq=False, weakref=True):
     """One execute, from request to its one final status."""
 
     id: str
@@ -147,9 +145,9 @@ class Command:
     timestamp: str | float | None = None
     """When the client says that it sent it."""
     input: Any = None
-    created: int = field(default_factory=now)
+    created: int = msgspec.field(default_factory=now)
     finished: int | None = None
-    history: list[Record] = field(default_factory=list[Record])
+    history: list[Record] = []
     session: str | None = None
     asker: Session | None = None
     """In whose name it runs; None once it has ended."""
@@ -163,10 +161,13 @@ class Command:
     """Awaited before the robot is told."""
     entry: Entry | None = None
     task: asyncio.Task[Any] | None = None
-    followers: list[Follower] = field(default_factory=list[Follower])
+    followers: list[CommandListener] = []
+    """Who hears of its steps, beside those who hear of all commands."""
     cancelling: str | None = None
     """Why a cancel was asked for."""
     expired: bool = False
+    unrecorded: bool = False
+    """Whether a step of it is missing in the record, so that its success is not confirmed."""
     timer: asyncio.TimerHandle | None = None
     """Ends the command at its deadline."""
     _listed: _Listed | None = None
@@ -199,9 +200,9 @@ class Command:
         return names
 
     def reply(self, record: Record | None = None) -> Reply:
-        """Write a step (the latest if not given) as a reply envelope."""
+        """Write a step (the latest if not given) as a reply envelope of its own."""
         record = record or self.history[-1]
-        return Reply(
+        reply = Reply(
             type="execute",
             id=self.request_id,
             path=self.path,
@@ -214,6 +215,8 @@ class Command:
             timestamp=iso(record.time),
             custom=self.custom,
         )
+        lost = self.unrecorded and record.status == "completed"
+        return unrecorded(reply, "could not be written") if lost else reply
 
     @property
     def age(self) -> tuple[int, str]:
@@ -256,7 +259,7 @@ class Command:
 
 
 CommandListener = Callable[[Command, Record], None]
-"""Hears of a step of a command when it is in its history, before its followers do."""
+"""Hears of a step of a command when it is in its history."""
 
 
 def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:

@@ -232,10 +232,10 @@ class Connection:
 
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
-        told = to_internal_error(error, session=self.session.id)
+        internal = to_internal_error(error, session=self.session.id)
         type_, id_ = peek_header(data, self.encoding)
-        self._parts.counts.count(self.session.transport, type_, told.code)
-        self.send(failure(told, type_, id_))
+        self._parts.counts.count(self.session.transport, type_, internal.code)
+        self.send(failure(internal, type_, id_))
 
     def send(self, reply: Reply) -> None:
         """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
@@ -267,9 +267,9 @@ class Connection:
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
-            told = to_internal_error(error, path=reply.path)
-            said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
-            return encode_reply(said, self.encoding)
+            internal = to_internal_error(error, path=reply.path)
+            substitute = failure(internal, reply.type, reply.id, reply.path, command=reply.command)
+            return encode_reply(substitute, self.encoding)
 
     def _encode_feedback(self, reply: Reply) -> bytes:
         """Write feedback, which never ends its command: without the body if that cannot be written."""
@@ -308,9 +308,9 @@ class Connection:
         self.outbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
-        told = to_internal_error(error)
-        self._parts.counts.count(self.session.transport, "hello", told.code)
-        reply = failure(told, "hello", request.id)
+        internal = to_internal_error(error)
+        self._parts.counts.count(self.session.transport, "hello", internal.code)
+        reply = failure(internal, "hello", request.id)
         self._parts.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:

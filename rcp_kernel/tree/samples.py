@@ -245,10 +245,10 @@ class Sample(Body):
 def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:
     """Return a sample with what is shown of its value; None if that is nothing."""
     value = sample.value
-    told = shown(value)
-    if told is None or told is value:
-        return None if told is None else sample
-    return Sample(sample.entry, told, sample.timestamp, sample.received, sample.seq)
+    masked = shown(value)
+    if masked is None or masked is value:
+        return None if masked is None else sample
+    return Sample(sample.entry, masked, sample.timestamp, sample.received, sample.seq)
 
 
 def getter(dotted: str) -> Any:

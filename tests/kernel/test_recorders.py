@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -37,7 +38,9 @@ class BlackBox:
 
     def __init__(self) -> None:
         self.heard: list[str] = []
-        self.full = self.broken = False
+        self.full = False
+        self.broken: frozenset[str] = frozenset()
+        """What it cannot take: events and steps of commands by their names, or `everything`."""
         self.holding = asyncio.Event()
         self.kept = asyncio.Event()
         self.kept.set()
@@ -46,15 +49,17 @@ class BlackBox:
         return Feature(on_event=self.hear, on_command=self.follow, durability=self)
 
     def hear(self, event: Event) -> bool:
-        if self.broken:
-            raise ZeroDivisionError
+        self._break(event.what)
         asked = "" if event.request is None else f" by {event.request.id}"
         self.heard.append(f"{event.what} {event.outcome}{asked}")
         return True
 
-    def follow(self, command: Command, step: Record) -> None:
-        if self.broken:
+    def _break(self, what: str) -> None:
+        if self.broken & {what, "everything"}:
             raise ZeroDivisionError
+
+    def follow(self, command: Command, step: Record) -> None:
+        self._break(step.status)
         self.heard.append(f"{command.path.rpartition('/')[2]} {step.status}")
 
     def check(self) -> None:
@@ -127,13 +132,93 @@ async def test_what_it_cannot_keep_is_refused_but_never_a_stop() -> None:
             assert (await client.ask(type="execute", path=path))["status"] == "completed"
 
 
-async def test_a_bug_in_it_keeps_nobody_from_commanding_or_stopping() -> None:
+async def test_what_has_acted_and_could_not_be_recorded_is_not_confirmed() -> None:
     box = BlackBox()
     async with recorded(box) as (client, robot):
-        box.broken = True
+        for envelope, broken in ((LIMIT, "write"), (GO, "completed")):
+            box.broken = frozenset((broken,))
+            reply = await client.ask(**envelope, idempotency_key=broken)
+            again = await client.ask(**envelope, idempotency_key=broken)
+            for told in (reply, again):
+                assert told["error"]["code"] == "deadline_exceeded"
+                assert told["error"]["details"] == {"outcome": "completed"}
+            box.broken = frozenset()
+            assert (await client.ask(**envelope))["status"] == "completed"
+        assert len(robot.writes) == 2
+    assert box.heard.count("unrecorded internal") == 2
+
+
+async def test_a_command_whose_beginning_could_not_be_recorded_does_not_begin() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, robot):
+        box.broken = frozenset(("accepted",))
+        reply = await client.ask(**GO)
+        assert (reply["status"], reply["error"]["code"]) == ("rejected", "queue_full")
+        assert robot.started.empty()
+        halts = robot.halts
+        await client.ask(type="execute", path="/service/hold")
+        assert robot.halts > halts
+
+
+async def test_one_that_takes_nothing_refuses_all_but_stops_until_it_works_again() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, robot):
+        box.broken = frozenset(("everything",))
+        assert (await client.ask(**LIMIT))["error"]["code"] == "deadline_exceeded"
+        for envelope in (LIMIT, GO):
+            assert (await client.ask(**envelope))["error"]["code"] == "queue_full"
+        assert len(robot.writes) == 1
+        box.broken = frozenset()
+        assert (await client.ask(**LIMIT))["error"]["code"] == "queue_full"  # which it takes
+        assert (await client.ask(**LIMIT))["status"] == "completed"
+        box.broken = frozenset(("everything",))
+        for path in ("/service/hold", "/system/estop"):
+            halts = robot.halts
+            reply = await client.ask(type="execute", path=path)
+            assert robot.halts > halts
+        assert reply["status"] == "completed"
+        assert "no audit record" in reply["message"]
+
+
+async def test_what_it_did_not_take_makes_the_gateway_degraded_with_the_reason() -> None:
+    box = BlackBox()
+    async with recorded(box) as (client, _):
+        before = (await client.ask(type="status"))["body"]
+        assert (before["state"], before["features"]) == ("ok", [{"name": "box", "state": "ok"}])
+        box.broken = frozenset(("write",))
+        await client.ask(**LIMIT)
+        box.broken = frozenset()
+        after = (await client.ask(type="status"))["body"]
+        assert after["state"] == "degraded"
+        [state] = after["features"]
+        assert (state["name"], state["state"], state["faults"]) == ("box", "degraded", 1)
+        assert "ZeroDivisionError" in state["detail"]
+
+
+class Bystander(BlackBox):
+    """The same box when replies do not wait for it."""
+
+    def make(self, _table: NoKeys, _host: FeatureHost) -> Feature:
+        return Feature(on_event=self.hear, on_command=self.follow, observer=self._observer())
+
+    @staticmethod
+    def _observer() -> Any:
+        def broken(*_: Any) -> None:
+            raise ZeroDivisionError
+
+        names = ("sent", "took", "refused", "stopping", "rested")
+        return SimpleNamespace(**dict.fromkeys(names, broken))
+
+
+async def test_a_bug_in_one_that_keeps_no_record_is_told_and_changes_nothing() -> None:
+    box = Bystander()
+    async with recorded(box) as (client, robot):
+        box.broken = frozenset(("everything",))
         for envelope in (LIMIT, GO, {"type": "execute", "path": "/system/estop"}):
             assert (await client.ask(**envelope))["status"] == "completed"
         assert robot.writes
+        told = (await client.ask(type="status"))["body"]
+        assert (told["state"], told["features"][0]["state"]) == ("degraded", "degraded")
 
 
 async def test_a_gateway_without_the_audit_log_keeps_no_record_and_has_no_trace_of_it() -> None:

@@ -53,6 +53,11 @@ class Catalogue(Controller):
                 {"type": "string", "maxLength": 200},
                 "Words that must occur in the path or description.",
             ),
+            query(
+                "profile",
+                {"type": "string", "maxLength": 100},
+                "Only resources of robots with this profile that it defines.",
+            ),
             query("limit", COUNT, "Items per page."),
             query(
                 "cursor",
@@ -70,7 +75,7 @@ class Catalogue(Controller):
         if matches(asked, etag):
             return call.unchanged(etag)
         wanted: dict[str, Any] = {}
-        for name in ("kind", "op", "q", "cursor"):
+        for name in ("kind", "op", "q", "profile", "cursor"):
             if (text := asked.one(name)) is not None:
                 wanted[name] = text
         if "limit" in asked.query:

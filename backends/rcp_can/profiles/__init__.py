@@ -1,4 +1,4 @@
-"""The makes of drives that there are, by the word of the configuration."""
+"""The built-in drive profiles, by the name used in the configuration."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ PROFILES = {
     "vesc": "vesc:PROFILE",
     "cybergear": "cybergear:PROFILE",
 }
-"""Module and name of each profile, below this package; imported when a motor asks for it."""
+"""Module and name of each profile, below this package; imported when a motor uses it."""
 
 
 def profile(name: str) -> Profile:
-    """Return a profile of `PROFILES`, or that of somebody else's module, `module:NAME`.
+    """Return a built-in profile, or a third-party one as `module:NAME`.
 
-    :raises ConfigError: there is none.
+    :raises ConfigError: there is no such profile.
     """
     own = PROFILES.get(name)
     module, _, attribute = (own or name).partition(":")

@@ -1,4 +1,4 @@
-"""CiA 402 drives on CANopen: a state machine of our own that never blocks, PDOs that are mapped here."""
+"""CiA 402 drives on CANopen: a non-blocking state machine, and configurable PDO mapping."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ __all__ = ["PROFILE", "Cia402Drive"]
 _PRE_OPERATIONAL, _OPERATIONAL, _START, _RESET = 0x7F, 0x05, 0x01, 0x81
 _REACHED, _LIMIT, _ACKNOWLEDGED, _HOMED, _HOMING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 12, 1 << 13
 _NEW_SET_POINT, _AT_ONCE = 1 << 4, 1 << 5
-_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
-_UNDER_WAY = 1  # PDOs that may have left the drive before it heard us
-_PROBE = 0.3  # s between two looks for a node that says nothing by itself
-_SWITCHING = 2.0  # s for the way through the state machine
+_FAST = 0.05  # s: a set-point older than this is not worth sending
+_UNDER_WAY = 1  # PDOs that may have left the drive before our request reached it
+_PROBE = 0.3  # s between two probes of a silent node
+_SWITCHING = 2.0  # s for the transitions of the state machine
 _I32, _I16 = 2**31 - 1, 2**15 - 1
 _EMERGENCY, _ANSWER, _REQUEST, _HEARTBEAT = 0x080, 0x580, 0x600, 0x700
 _BY_SDO = 0.1  # s between two control words by SDO, where PDOs have no effect
-_PATIENCE = 0.06  # s after which a quick stop by PDO should have had one
-_NEW_STOP = 0.5  # s without a stop, after which the next is another
-_ARRIVE = 1.0  # s for every mapped PDO to arrive once
-_BEATS = 5  # of the gateway in the time that the drive waits for one
+_PATIENCE = 0.06  # s after which a quick stop by PDO should have taken effect
+_NEW_STOP = 0.5  # s without a stop, after which the next counts as a new one
+_ARRIVE = 1.0  # s within which every mapped PDO must arrive once
+_BEATS = 5  # heartbeats of the gateway within the drive's consumer time
 _RATES = "target_velocity", "target_torque"
 _TARGETS: dict[Mode, str] = {
     "position": "target_position",
@@ -52,10 +52,10 @@ _TARGETS: dict[Mode, str] = {
     "torque": "target_torque",
 }
 _CONTROLLED = frozenset(("statusword", "position", "velocity"))
-"""What control rests on, and must arrive once after every configuration."""
+"""Signals that control requires; they must arrive once after every configuration."""
 _FAULTS = frozenset(("fault", "fault_reaction"))
 _POWERED = frozenset(("enabled", "quick_stop", "fault_reaction"))
-_CONTROL_WRITTEN = b"\x60\x40\x60\0", b"\x80\x40\x60\0"  # or refused: CiA 301, 7.2.4.3.4
+_CONTROL_WRITTEN = b"\x60\x40\x60\0", b"\x80\x40\x60\0"  # or aborted: CiA 301, 7.2.4.3.4
 
 
 class Cia402Drive(Drive):
@@ -89,47 +89,47 @@ class Cia402Drive(Drive):
 
     @property
     def beats(self) -> float | None:
-        """Three of its periods, once they are set."""
+        """Three of its heartbeat periods, once they are set."""
         return 0.003 * self.options.heartbeat or None if self._configured else None
 
     def period(self, signal: str) -> float:
-        """Return the period of its PDOs, which carry all."""
+        """Return the period of its PDOs, which carry all signals."""
         return (self._sync or self.options.feedback) / 1000
 
     @property
     def loose(self) -> bool:
-        """Whether it is in operation enabled: a quick stop keeps it out of that."""
+        """Whether it is in operation enabled: a quick stop takes it out of that."""
         return self.state == "enabled"
 
     @property
     def server(self) -> Sdo:
-        """Its SDO server, of which there is one client."""
+        """Its SDO client, the only one for this node."""
         return self.sdo
 
     def routes(self) -> tuple[Route, ...]:
-        """Take its PDOs, emergencies, heartbeats and SDO answers."""
+        """Return its PDOs, emergencies, heartbeats and SDO responses."""
         own = (cob + self.node for cob in (_EMERGENCY, _ANSWER, _HEARTBEAT))
         return tuple(Route(cob) for cob in (*own, *self._pdos.feedback))
 
     def reach(self) -> Reach:
-        """Tell what the widths of the objects can say."""
+        """Return the limits given by the widths of the objects."""
         return Reach(
             position=_I32 / self._scale,
             velocity=_I32 / self._scale / self.options.velocity_scale,
             torque=_I16 / 1000 * self.options.rated_torque,
         )
 
-    # What it says
+    # Receiving
 
     def take(self, message: can.Message) -> bool:
-        """Read one frame."""
+        """Decode one frame."""
         layout = self._pdos.feedback.get(message.arbitration_id)
         if layout is not None:
             self._on_pdo(layout.decode(message.data))
             return True
         cob = message.arbitration_id - self.node
         if cob == _ANSWER and bytes(message.data[:4]) in _CONTROL_WRITTEN:
-            self.status.reports += 1  # to a stop that went past the SDO client
+            self.status.reports += 1  # responses to a stop that bypassed the SDO client
         elif cob == _ANSWER and self._probes and not self.sdo.busy:
             self._probes -= 1
             self.status.reports += 1
@@ -156,7 +156,7 @@ class Cia402Drive(Drive):
         elif state != self._nmt:
             fell = self._nmt == _OPERATIONAL and self._configured
             self._nmt = state
-            if fell:  # nothing it says by PDO comes any more, and it may still turn
+            if fell:  # no more PDOs arrive, and the motor may still turn
                 self._configured = False
                 status.enabled = status.holding = None
                 status.resets += 1
@@ -260,10 +260,10 @@ class Cia402Drive(Drive):
     def _nmt_command(self, command: int) -> None:
         self.send(0x000, MESSAGES["nmt"][1].encode(command=command, node=self.node))
 
-    # What is asked of it
+    # Commands
 
     def poll(self, tick: int) -> None:
-        """Send SYNC and the gateway's heartbeat, where they are wanted; look for a silent node."""
+        """Send SYNC and the gateway's heartbeat when they are due; probe a silent node."""
         options, bus = self.options, self.bus
         name = f"heartbeat {options.master}"
         if self._watched and self.watchdog and bus.paced(name, self.watchdog / _BEATS):
@@ -278,7 +278,7 @@ class Cia402Drive(Drive):
             bus.send(0x080, lifetime=_FAST)
 
     def _transmit(self, *names: str, urgent: bool = False) -> None:
-        """Send the PDOs that carry some objects, as those now are."""
+        """Send the PDOs that carry some objects, with their current values."""
         lifetime = None if urgent else _FAST
         values: dict[str, float] = {
             "controlword": self._control,
@@ -292,7 +292,7 @@ class Cia402Drive(Drive):
             self.send(cob, data, urgent=urgent, lifetime=lifetime)
 
     def _push_by_sdo(self, control: int) -> None:
-        """Write the control word by SDO, past the client: it works where PDOs have no effect."""
+        """Write the control word by SDO without the client: it works where PDOs have no effect."""
         if self.bus.paced(f"control {self.node}", _BY_SDO):
             self.send(_REQUEST + self.node, _control_request(control), urgent=True)
 
@@ -301,12 +301,12 @@ class Cia402Drive(Drive):
         self._transmit("target_position", "mode", "controlword", urgent=urgent)
 
     def _step(self) -> None:
-        """Take the next step of the way to operation enabled (CiA 402-2, figure 5)."""
+        """Request the next transition towards operation enabled (CiA 402-2, figure 5)."""
         word = {
             "switch_on_disabled": "shutdown",
             "ready": "switch_on",
             "switched_on": "enable",
-            "quick_stop": "disable_voltage",  # anew from the start, so that nothing old goes on
+            "quick_stop": "disable_voltage",  # restart, so that no old command continues
         }.get(self.state)
         if word is not None:
             self._push(COMMANDS[word])
@@ -328,7 +328,7 @@ class Cia402Drive(Drive):
     async def disable(self) -> None:
         """Switch the voltage off."""
         self._rate = self._torque = 0
-        stale = self._statuswords + _UNDER_WAY  # a statusword under way is of before
+        stale = self._statuswords + _UNDER_WAY  # one on the bus predates the request
         until = time.monotonic() + _PATIENCE
 
         def request() -> None:
@@ -347,10 +347,10 @@ class Cia402Drive(Drive):
         )
 
     async def clear_faults(self) -> None:
-        """Reset the fault: the rising edge of bit 7. A drive that is not in fault is sent nothing."""
+        """Reset the fault by the rising edge of bit 7; a drive without fault is sent nothing."""
 
         def edge() -> None:
-            if self.state == "fault":  # not while it still reacts to it
+            if self.state == "fault":  # not while the fault reaction is active
                 self._push(COMMANDS["disable_voltage"])
                 self._push(COMMANDS["fault_reset"])
 
@@ -370,11 +370,11 @@ class Cia402Drive(Drive):
     def _modes(self, mode: Mode) -> int:
         kind = "cyclic" if self.options.control == "cyclic" else "profile"
         if mode == "position":
-            kind = "cyclic"  # a stream of set-points; moves are `move`'s
+            kind = "cyclic"  # a stream of set-points; `move` uses profile position
         return MODES[f"{kind}_{mode}"]
 
     async def home(self) -> None:
-        """Home by the drive's method."""
+        """Home by the configured method."""
         await self.write("homing_method", self.options.homing_method)
         self._mode = MODES["homing"]
         await self.until(
@@ -399,7 +399,7 @@ class Cia402Drive(Drive):
         self.status.homed = True
 
     def command(self, mode: Mode, value: float, velocity: float) -> None:
-        """Send a set-point, and the mode with it."""
+        """Send a set-point together with its mode."""
         self._moving = False
         if mode == "position":
             self._goal = round(max(-_I32, min(_I32, value * self._scale)))
@@ -416,7 +416,7 @@ class Cia402Drive(Drive):
             self._push(COMMANDS["enable"])
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
-        """Drive to a position by the drive's profile generator (CiA 402-2, 10.3)."""
+        """Move to a position by the drive's profile generator (CiA 402-2, 10.3)."""
         await self.write("profile_velocity", round(velocity * self._scale))
         if acceleration is not None:
             for name in ("profile_acceleration", "profile_deceleration"):
@@ -424,7 +424,7 @@ class Cia402Drive(Drive):
         self._mode = MODES["profile_position"]
         self._goal = round((self.status.position or 0.0) * self._scale)
         shown, enable = MODES["profile_position"], COMMANDS["enable"]
-        # A statusword under way is of before: an acknowledgement in it is of an older set-point.
+        # A statusword already on the bus may acknowledge an older set-point.
         stale = self._statuswords + _UNDER_WAY
         await self.until(
             lambda: (
@@ -446,7 +446,7 @@ class Cia402Drive(Drive):
         self._moving = True
 
     def stop(self) -> None:
-        """Quick stop by PDO; by SDO too where that has no effect, as out of operational."""
+        """Quick stop by PDO, and by SDO if that has no effect, as when not operational."""
         now = time.monotonic()
         if now - self._stop_last > _NEW_STOP:
             self._stop_began = now
@@ -459,7 +459,7 @@ class Cia402Drive(Drive):
             self._push_by_sdo(COMMANDS["quick_stop"])
 
     def stop_frames(self) -> Sequence[StopFrame]:
-        """Quick stop by SDO: a PDO would carry a mode and a target that may be old."""
+        """Quick stop by SDO: a PDO would carry a mode and a target that may be outdated."""
         data = _control_request(COMMANDS["quick_stop"])
         return (StopFrame(_REQUEST + self.node, data),)
 

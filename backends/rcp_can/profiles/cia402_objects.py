@@ -22,7 +22,7 @@ __all__ = [
 
 
 class State(NamedTuple):
-    """A state of the power drive system, and the bits of the statusword that say so."""
+    """A state of the power drive system, and its bits in the statusword."""
 
     name: str
     mask: int
@@ -43,7 +43,7 @@ _STATES = (
 
 
 def state_of(statusword: int) -> str:
-    """Return the state that a statusword says; `unknown` for one that says none."""
+    """Return the state of a statusword, or `unknown`."""
     return next((s.name for s in _STATES if statusword & s.mask == s.value), "unknown")
 
 
@@ -55,7 +55,7 @@ COMMANDS = {
     "quick_stop": 0x02,
     "fault_reset": 0x80,
 }
-"""Controlwords, by the transition that they ask for."""
+"""Controlwords, by the transition they request."""
 
 MODES = {
     "profile_position": 1,
@@ -92,11 +92,11 @@ OBJECTS = {
 
 
 ABORT_CONNECTION = {1: "fault", 2: "disable_voltage", 3: "quick_stop"}
-"""What 0x6007 has a drive do when its master falls silent (CiA 402-2, 7.2.5); 0 does nothing."""
+"""Options of 0x6007, the reaction to a lost master (CiA 402-2, 7.2.5); 0 does nothing."""
 
 
 class Pdo(NamedTuple):
-    """One PDO: its parameters' index, its default id without the node, its objects in order."""
+    """One PDO: index of its parameters, default COB-ID without the node, objects in order."""
 
     parameters: int
     cob: int
@@ -104,7 +104,7 @@ class Pdo(NamedTuple):
 
     @property
     def layout(self) -> Layout:
-        """The payload, in the objects' own steps."""
+        """The payload, in the units of the objects."""
         return Layout("<", *(Field(name, OBJECTS[name][2]) for name in self.objects))
 
 
@@ -153,10 +153,10 @@ EMERGENCIES = {
     0x90: "external error",
     0xF0: "additional functions",
 }
-"""The upper byte of an error code, in words (CiA 301, table 26; CiA 402-2, table 3)."""
+"""The upper byte of an error code as text (CiA 301, table 26; CiA 402-2, table 3)."""
 
 
 def emergency(code: int) -> str:
-    """Return an error code in words."""
+    """Return an error code as text."""
     upper = code >> 8
     return EMERGENCIES.get(upper) or EMERGENCIES.get(upper & 0xF0) or "device specific"

@@ -10,37 +10,38 @@ __all__ = ["Cia402Options"]
 
 
 class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the drive's own units are, and how it is to be talked to."""
+    """The drive's own units, and its communication."""
 
     counts: Annotated[float, Meta(gt=0)] = 4096.0
-    """Position units in one turn of the shaft; velocities are in the same, per second."""
+    """Position units per turn of the shaft; velocities use the same unit per second."""
     velocity_scale: Annotated[float, Meta(gt=0)] = 1.0
-    """Velocity units for one position unit per second."""
+    """Velocity units per position unit per second."""
     rated_torque: Annotated[float, Meta(gt=0)] = 1.0
-    """N·m; torques are in thousandths of it."""
+    """N·m; torques are given in thousandths of it."""
     control: Literal["profile", "cyclic"] = "profile"
     """Profile position and velocity, or the cyclic synchronous modes."""
     homing_method: Annotated[int, Meta(ge=-128, le=127)] = 35
-    """As of CiA 402-2; 35 and 37 take the present position."""
+    """Method number of CiA 402-2; 35 and 37 use the current position."""
     feedback: Annotated[int, Meta(ge=1, le=10_000)] = 20
     """Period of the drive's PDOs, ms."""
     sync: Annotated[int, Meta(ge=0, le=10_000)] = 0
-    """Period of SYNC, ms, with which the drive's PDOs come instead of by their own; 0 sends none."""
+    """Period of SYNC, ms, which then triggers the drive's PDOs; 0 sends none."""
     heartbeat: Annotated[int, Meta(ge=0, le=10_000)] = 100
-    """Period of the drive's heartbeat, ms; 0 leaves it alone."""
+    """Period of the drive's heartbeat, ms; 0 keeps the drive's setting."""
     on_silence: Literal["quick_stop", "disable_voltage", "fault"] = "quick_stop"
-    """What the drive does when the gateway's heartbeat fails to come (0x6007)."""
+    """Reaction of the drive to a lost gateway heartbeat (0x6007)."""
     quick_stop: Annotated[int, Meta(ge=0, le=8)] | None = 6
-    """What a quick stop does (0x605A): 5 to 8 brake and hold torque, 0 to 4 end without; 6 brakes
-    on the quick stop ramp and holds. None leaves the drive's own setting alone."""
+    """Quick stop option (0x605A): 5 to 8 brake and hold torque, 0 to 4 end without torque; 6
+    brakes on the
+    quick stop ramp and holds. None keeps the drive's setting."""
     master: Annotated[int, Meta(ge=1, le=127)] = 126
     """Node id of the gateway's own heartbeat."""
     map_pdos: bool = True
-    """Map the PDOs; else they are taken to be mapped as `eds` says, or like that already."""
+    """Map the PDOs; otherwise the mapping of `eds`, or this one, is assumed to be active."""
     eds: str = ""
-    """The drive's EDS, whose mapping is taken with `map_pdos = false`."""
+    """The drive's EDS, whose mapping is used with `map_pdos = false`."""
     home_timeout: Annotated[float, Meta(gt=0)] = 60.0
-    """s"""
+    """Time for homing, s."""
 
     def __post_init__(self) -> None:
         if self.eds and self.map_pdos:

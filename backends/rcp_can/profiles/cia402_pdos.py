@@ -1,4 +1,4 @@
-"""Which objects go over which PDO: as the gateway maps them, or as the drive's EDS says."""
+"""The PDO mapping: as the gateway sets it, or as the drive's EDS describes it."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ _INVALID = 0x8000_0000
 
 
 class MappedPdo(NamedTuple):
-    """One PDO of one node."""
+    """One mapped PDO of a node."""
 
     cob: int
     layout: Layout
 
 
 class PdoMap:
-    """All the PDOs of one node: those that command it, and what it tells by their identifiers."""
+    """All PDOs of one node: those that command it, and its feedback by identifier."""
 
     def __init__(self, commands: Iterable[MappedPdo], feedback: dict[int, Layout]) -> None:
         self.commands, self.feedback = tuple(commands), feedback
         self._carrying: dict[tuple[str, ...], tuple[MappedPdo, ...]] = {}
 
     def carrying(self, *names: str) -> tuple[MappedPdo, ...]:
-        """Return command PDOs that carry some objects, few of them.
+        """Return a small set of command PDOs that together carry some objects.
 
-        Those with a target come first: it must not be behind the control word that makes it valid.
+        Those with a target come first: the control word that makes it valid must not arrive before
+        it.
         """
         found = self._carrying.get(names)
         if found is None:
@@ -59,12 +60,12 @@ class PdoMap:
 
     @property
     def commanded(self) -> frozenset[str]:
-        """The objects that can be sent."""
+        """The objects that can be commanded."""
         return frozenset(name for pdo in self.commands for name in pdo.layout.names)
 
 
 def own_map(node: int) -> PdoMap:
-    """Return the PDOs that the gateway itself maps."""
+    """Return the PDOs as the gateway maps them."""
     commands = [
         MappedPdo(pdo.cob + node, pdo.layout) for pdo in PDOS.values() if pdo.parameters < 0x1800
     ]
@@ -73,9 +74,9 @@ def own_map(node: int) -> PdoMap:
 
 
 def eds_map(file: str, node: int) -> PdoMap:
-    """Return the PDOs that a drive has by its EDS, unless somebody has mapped them anew.
+    """Return the PDO mapping that an EDS describes; the drive may have been remapped since.
 
-    :raises ConfigError: they lack what a motor needs, or cannot be read.
+    :raises ConfigError: required objects are not mapped, or the file cannot be read.
     """
     dictionary = load_eds(f"node {node}", file, node)
     found = PdoMap(
@@ -83,11 +84,11 @@ def eds_map(file: str, node: int) -> PdoMap:
         {pdo.cob: pdo.layout for pdo in _pdos(dictionary, range(0x1800, 0x1A00))},
     )
     seen = frozenset(name for layout in found.feedback.values() for name in layout.names)
-    for way, has in (("receive", found.commanded), ("transmit", seen)):
-        if missing := [name for name in _NEEDED[way] if name not in has]:
+    for direction, has in (("receive", found.commanded), ("transmit", seen)):
+        if missing := [name for name in _NEEDED[direction] if name not in has]:
             words = ", ".join(f"0x{OBJECTS[name][0]:04X} ({name})" for name in missing)
             raise ConfigError(
-                f"{file}: no {way} PDO carries {words}; let the gateway map the PDOs (map_pdos = true)"
+                f"{file}: no {direction} PDO carries {words}; let the gateway map the PDOs (map_pdos = true)"
             )
     return found
 
@@ -107,7 +108,7 @@ def _pdos(dictionary: ObjectDictionary, parameters: Iterable[int]) -> Iterator[M
 
 
 def _field(word: int) -> Field:
-    """Return a mapped object's place; what the profile does not know is passed over."""
+    """Return the field of a mapped object; padding for one that the profile does not know."""
     bits = word & 0xFF
     if bits % 8:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Set a CiA 402 drive up by SDO, and read back what it has taken: heartbeats, quick stop, PDOs."""
+"""Configure a CiA 402 drive by SDO, and read back heartbeats, quick stop and PDOs."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _HOLDING = range(5, 9)  # quick stop options that end in quick stop active
 
 
 class SetUp(NamedTuple):
-    """What a drive is set to, by its own word."""
+    """The settings in force, as read from the drive."""
 
     protection: Protection
     holds_after_stop: bool | None
-    """Whether it holds torque after a quick stop; None: it does not tell."""
+    """Whether it holds torque after a quick stop; None: not reported."""
 
 
 async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> SetUp:
-    """Set heartbeats both ways, and what a quick stop and silence do; return what is in force.
+    """Set heartbeats, quick stop and loss reaction; return the settings in force.
 
-    :raises SdoAborted: the drive refuses what it must have.
+    :raises SdoAborted: the drive refuses a required setting.
     """
     if options.heartbeat:
         await _write(sdo, "heartbeat_period", options.heartbeat)
@@ -40,7 +40,7 @@ async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> Se
     after = await _read(sdo, "quick_stop_option")
     if watchdog is not None:
         reaction = next(n for n, word in ABORT_CONNECTION.items() if word == options.on_silence)
-        with suppress(SdoAborted):  # what it has then is read below
+        with suppress(SdoAborted):  # the setting in force is read below
             await _write(sdo, "abort_connection", reaction)
         word = options.master << 16 | round(watchdog * 1000)
         await _optional(sdo, "heartbeat_consumer", word)
@@ -50,11 +50,11 @@ async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> Se
 
 
 async def _protection(sdo: Sdo, master: int) -> Protection:
-    """Read what the drive does by itself when the gateway falls silent."""
+    """Read how the drive reacts to a lost gateway."""
     word = await _read(sdo, "heartbeat_consumer")
     reaction = await _read(sdo, "abort_connection")
     if word is None:
-        return Protection("no heartbeat consumer (0x1016): it does not notice a silent gateway")
+        return Protection("no heartbeat consumer (0x1016): it does not detect a lost gateway")
     node, period = word >> 16 & 0x7F, word & 0xFFFF
     if not period:
         return Protection("heartbeat consumer 0x1016 is off")
@@ -84,7 +84,7 @@ async def _optional(sdo: Sdo, name: str, value: int) -> None:
 
 
 async def _read(sdo: Sdo, name: str) -> int | None:
-    """Read an object that need not be there."""
+    """Read an optional object; None if it does not exist."""
     index, sub, code = OBJECTS[name]
     try:
         data = await sdo.upload(index, sub)
@@ -97,10 +97,10 @@ async def _read(sdo: Sdo, name: str) -> int | None:
 
 
 async def map_pdos(sdo: Sdo, node: int, options: Cia402Options) -> int:
-    """Map all PDOs; return the period of SYNC that the drive needs, ms, or 0.
+    """Map all PDOs; return the SYNC period that the drive needs, ms, or 0.
 
     :raises SdoAborted: the drive refuses a mapping.
-    :raises DeviceRejected: it accepts a mapping and has another.
+    :raises DeviceRejected: it accepts a mapping but keeps another.
     """
     sync = options.sync
     for name in PDOS:
@@ -109,7 +109,7 @@ async def map_pdos(sdo: Sdo, node: int, options: Cia402Options) -> int:
 
 
 async def _map(sdo: Sdo, name: str, node: int, feedback: int, sync: int) -> int:
-    """Map one PDO, switched off meanwhile (CiA 301, 7.5.2.36)."""
+    """Map one PDO, disabled meanwhile (CiA 301, 7.5.2.36)."""
     pdo, sends = PDOS[name], PDOS[name].parameters >= 0x1800
     cob = pdo.cob + node
     mapping = pdo.parameters + 0x200
@@ -130,7 +130,7 @@ async def _map(sdo: Sdo, name: str, node: int, feedback: int, sync: int) -> int:
 
 
 async def _verify(sdo: Sdo, mapping: int, words: list[int]) -> None:
-    """See that a mapping is what it was set to: some drives accept any, and keep their own."""
+    """Read a mapping back: some drives accept any, and keep their own."""
     count = (await sdo.upload(mapping, 0))[:1]
     found = [
         int.from_bytes((await sdo.upload(mapping, sub))[:4], "little")
@@ -139,13 +139,13 @@ async def _verify(sdo: Sdo, mapping: int, words: list[int]) -> None:
     if found != words:
         kept = ", ".join(f"0x{word:08X}" for word in found) or "nothing"
         raise DeviceRejected(
-            f"the drive accepted the PDO mapping 0x{mapping:04X} but contains {kept}",
+            f"the drive accepted the PDO mapping 0x{mapping:04X} but kept {kept}",
             remedy="Use the drive's own PDO mapping: map_pdos = false, with its EDS.",
         )
 
 
 async def _timed(sdo: Sdo, parameters: int, feedback: int) -> bool:
-    """Set a PDO's event timer; a drive need not have one, and tells by SYNC then."""
+    """Set a PDO's event timer; return false if the drive has none and needs SYNC."""
     try:
         await sdo.download(parameters, 5, struct.pack("<H", feedback))
     except SdoAborted as aborted:

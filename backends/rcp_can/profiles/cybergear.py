@@ -1,4 +1,4 @@
-"""Xiaomi CyberGear: the MIT way in 29-bit identifiers, type << 24 | data << 8 | id."""
+"""Xiaomi CyberGear: MIT-style control in 29-bit identifiers, type << 24 | data << 8 | id."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _CONTROL, _FEEDBACK, _ENABLE, _STOP, _ZERO, _READ, _WRITE = 1, 2, 3, 4, 6, 17, 1
 _P, _V, _T = 4 * math.pi, 30.0, 12.0
 _RUN_MODE, _CAN_TIMEOUT = 0x7005, 0x7028
 _RUNNING = 2
-_TICKS = 20_000  # a second in steps of the parameter
-_ANSWERS = 0.5  # s for a parameter's value
+_TICKS = 20_000  # timer steps per second
+_ANSWERS = 0.5  # s for a parameter's response
 
 COMMAND = Packed(
     Span("position", 16, -_P, _P),
@@ -34,7 +34,7 @@ COMMAND = Packed(
     Span("kd", 16, 0.0, 5.0),
 )
 TORQUE = Packed(Span("torque", 16, -_T, _T))
-"""The torque of a set-point, in the middle of its identifier."""
+"""The torque of a set-point, in the middle bits of its identifier."""
 FEEDBACK = Packed(
     Span("position", 16, -_P, _P),
     Span("velocity", 16, -_V, _V),
@@ -52,32 +52,32 @@ _FAULTS = (
 
 
 class CyberGearOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Beside the gains: who we are."""
+    """Gains, and the gateway's id."""
 
     host: Annotated[int, Meta(ge=0, le=0xFF)] = 0xFD
-    """Id that the drive answers to."""
+    """Id to which the drive responds."""
 
 
 class CyberGearDrive(ImpedanceDrive):
-    """A CyberGear in its operation control mode."""
+    """A CyberGear in operation control mode."""
 
     def __init__(self, node: int, options: CyberGearOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
         self._parameters: dict[int, int] = {}
 
     def routes(self) -> tuple[Route, ...]:
-        """Take its feedback, whatever stands in the identifier, and the parameters it tells."""
+        """Return its feedback, with any data in the identifier, and its parameter responses."""
         low = self.node << 8 | self.options.host
         return tuple(
             Route(kind << 24 | low, 0x1F00FFFF, extended=True) for kind in (_FEEDBACK, _READ)
         )
 
     def reach(self) -> Reach:
-        """Say the ranges of the payload."""
+        """Return the ranges of the payload."""
         return Reach(_P, _V, _T)
 
     def take(self, message: can.Message) -> bool:
-        """Read feedback, or a parameter."""
+        """Decode feedback or a parameter."""
         if message.arbitration_id >> 24 == _READ:
             return self._on_parameter(message.arbitration_id >> 16 & 0xFF, bytes(message.data))
         values = FEEDBACK.decode(message.data)
@@ -136,14 +136,14 @@ class CyberGearDrive(ImpedanceDrive):
         self._transmit(_CONTROL, data, word=word, urgent=urgent)
 
     def query(self) -> None:
-        """Tell what is stopped to stop: it answers."""
+        """Send the stop command to a drive that is off: it responds without moving."""
         self._transmit(_STOP)
 
     def _parameter(self, index: int, value: bytes) -> None:
         self._transmit(_WRITE, struct.pack("<Hxx", index) + value.ljust(4, b"\0"))
 
     async def configure(self) -> None:
-        """Arm the watchdog, in 50 µs, and read it back; older firmware has none."""
+        """Set the watchdog, in 50 µs, and read it back; older firmware has none."""
         wanted = None if self.watchdog is None else round(self.watchdog * _TICKS)
         self._parameters.clear()
 
@@ -172,7 +172,7 @@ class CyberGearDrive(ImpedanceDrive):
             self.protection = Protection("canTimeout (0x7028) = 0: its watchdog is off")
 
     async def enable(self) -> None:
-        """Choose operation control, and run, limp."""
+        """Select operation control and run with zero gains."""
 
         def query() -> None:
             self._parameter(_RUN_MODE, b"\0")
@@ -181,19 +181,19 @@ class CyberGearDrive(ImpedanceDrive):
         await self.until(lambda: bool(self.status.enabled), "enabled", again=query)
 
     async def disable(self) -> None:
-        """Stop."""
+        """Send stop."""
         await self.until(
             lambda: self.status.enabled is False, "disabled", again=self.query, faults=False
         )
 
     def stop_frames(self) -> Sequence[StopFrame]:
-        """Damp it as a quick stop does: a drive that is off takes no notice."""
+        """Damp as in a quick stop: a drive that is off ignores it."""
         word = int.from_bytes(TORQUE.encode(torque=0.0), "big")
         data = COMMAND.encode(kd=self._gains.brake)
         return (StopFrame(_CONTROL << 24 | word << 8 | self.node, data, extended=True),)
 
     async def clear_faults(self) -> None:
-        """Stop, with the bit that clears faults."""
+        """Send stop, with the bit that clears faults."""
         await self.until(
             lambda: not self.status.faults and not self.status.enabled,
             "free of faults",

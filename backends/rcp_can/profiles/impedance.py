@@ -1,7 +1,8 @@
-"""Drives that are a spring and a damper: one frame has position, velocity, both gains and a torque.
+"""Impedance-controlled drives: one frame carries position, velocity, both gains and torque.
 
-They answer each frame with one of their own. That makes them easy to watch, and tells when two of them
-have the same id: then there are more answers than questions.
+They respond to each frame with one of their own. That gives feedback, and shows when two of them
+have
+the same id: there are more responses than requests.
 """
 
 from __future__ import annotations
@@ -16,26 +17,26 @@ from rcp_can.motor_messages import Mode
 
 __all__ = ["FAST", "Gains", "ImpedanceDrive"]
 
-FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
-_UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
-_TOO_MANY = 4  # answers that nobody asked for
+FAST = 0.05  # s: a set-point older than this is not worth sending
+_UNDER_WAY = 64  # requests that may have been lost, or wait to be sent
+_TOO_MANY = 4  # unsolicited responses
 
 
 class Gains(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The gains of the drive's loops."""
+    """The gains of the control loops."""
 
     kp: Annotated[float, Meta(ge=0, le=500)] = 50.0
-    """Stiffness of a position, N·m/rad."""
+    """Stiffness in mode position, N·m/rad."""
     kd: Annotated[float, Meta(ge=0, le=5)] = 1.0
-    """Damping of a position, N·m·s/rad."""
+    """Damping in mode position, N·m·s/rad."""
     velocity_gain: Annotated[float, Meta(gt=0, le=5)] = 2.0
-    """Damping about a velocity, N·m·s/rad."""
+    """Damping in mode velocity, N·m·s/rad."""
     brake: Annotated[float, Meta(gt=0, le=5)] = 5.0
-    """Damping of a quick stop, N·m·s/rad."""
+    """Damping in a quick stop, N·m·s/rad."""
 
 
 class ImpedanceDrive(Drive):
-    """What such drives have in common."""
+    """The common part of such drives."""
 
     zeroes = True
     sags = True
@@ -56,29 +57,30 @@ class ImpedanceDrive(Drive):
         *,
         urgent: bool = False,
     ) -> None:
-        """Send one set-point."""
+        """Send one set-point; rad, rad/s, N·m/rad, N·m·s/rad and N·m at the drive's shaft."""
         raise NotImplementedError
 
     def query(self) -> None:
-        """Have a drive that is switched off say how it stands, without moving it."""
+        """Request the state of a drive that is off, without moving it."""
         raise NotImplementedError
 
     def count_query(self) -> None:
-        """Count a frame that will be answered."""
+        """Count a frame that expects a response."""
         self._spoken = True
         self._owed = min(self._owed + 1, _UNDER_WAY)
 
     def answered(self) -> None:
-        """Count an answer."""
+        """Count a response."""
         self._owed -= 1
         if self._owed <= -_TOO_MANY:
             self._owed = 0
             self.status.twins += 1
 
     def poll(self, tick: int) -> None:
-        """Keep it answering: a damped set-point if it is on, a question if not.
+        """Keep feedback coming: a damped set-point if the drive is on, a query if not.
 
-        Zero lies between two steps of the payload: without damping, half a step of torque turns it.
+        Zero lies between two steps of the payload: without damping, half a step of torque turns the
+        motor.
         """
         spoken, self._spoken = self._spoken, False
         if spoken:
@@ -101,5 +103,5 @@ class ImpedanceDrive(Drive):
                 self.impede(torque=value)
 
     def stop(self) -> None:
-        """Damp as hard as the gain allows."""
+        """Damp with the highest gain."""
         self.impede(kd=self._gains.brake, urgent=True)

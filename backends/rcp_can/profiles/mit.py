@@ -1,4 +1,4 @@
-"""The MIT way: mini-cheetah, T-Motor AK, Damiao. Eight bytes, bit by bit, ranges by model."""
+"""MIT protocol: mini-cheetah, T-Motor AK, Damiao. Eight bytes of bit fields, ranges by model."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["DAMIAO", "MIT", "MODELS", "TMOTOR", "Ranges", "command_codec", "repl
 _ENABLE, _DISABLE, _ZERO, _CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
 _REGISTERS, _READ, _WRITE, _REFRESH = 0x7FF, 0x33, 0x55, 0xCC
 _TIMEOUT_REGISTER, _MODE_REGISTER, _MIT_MODE = 9, 10, 1
-_TICKS = 20_000  # a second in steps of the register
+_TICKS = 20_000  # timer steps per second
 
 
 class Ranges(NamedTuple):
-    """What the ends of a model's numbers stand for: ± rad, ± rad/s, ± N·m."""
+    """The full-scale values of a model: ± rad, ± rad/s, ± N·m."""
 
     position: float
     velocity: float
@@ -69,7 +69,7 @@ def command_codec(ranges: Ranges) -> Packed:
 
 
 def reply_codec(ranges: Ranges, *more: Span) -> Packed:
-    """Return the payload of an answer, with what some makes add."""
+    """Return the payload of a response, with the fields that some makes append."""
     p, v, t = ranges
     return Packed(
         Span("id", 8),
@@ -81,13 +81,13 @@ def reply_codec(ranges: Ranges, *more: Span) -> Packed:
 
 
 class MitOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Beside the gains: which model it is, or its ranges, and where its answers come."""
+    """Gains, the model or its ranges, and the identifier of responses."""
 
     model: str = "mini-cheetah"
     ranges: tuple[float, float, float] | None = None
-    """± rad, ± rad/s, ± N·m, for a model that is not known here."""
+    """± rad, ± rad/s, ± N·m, for an unlisted model."""
     reply_id: Annotated[int, Meta(ge=0, le=0x7FF)] = 0
-    """Identifier of its answers."""
+    """Identifier of its responses."""
 
     def __post_init__(self) -> None:
         if self.ranges is None and self.model not in MODELS:
@@ -97,14 +97,14 @@ class MitOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def span(self) -> Ranges:
-        """The ranges in force."""
+        """The ranges used."""
         return Ranges(*self.ranges) if self.ranges else MODELS[self.model]
 
 
 class MitDrive(ImpedanceDrive):
-    """A mini-cheetah: it tells position, velocity and torque, and nothing about itself.
+    """A mini-cheetah actuator: it reports position, velocity and torque, but not its own state.
 
-    Whether it is switched on is therefore what it was told last, and it answers.
+    It therefore counts as enabled while it responds after the last enable command.
     """
 
     extra: tuple[Span, ...] = ()
@@ -118,15 +118,15 @@ class MitDrive(ImpedanceDrive):
         self.protection = Protection("no watchdog: it keeps its last set-point")
 
     def routes(self) -> tuple[Route, ...]:
-        """Take the answers of all drives that answer to one id; the first byte says whose it is."""
+        """Return the shared response identifier; the first byte tells which drive responded."""
         return (Route(self.options.reply_id),)
 
     def reach(self) -> Reach:
-        """Say the model's ranges."""
+        """Return the model's ranges."""
         return Reach(*self.span)
 
     def take(self, message: can.Message) -> bool:
-        """Read an answer."""
+        """Decode a response."""
         values = self._reply.decode(message.data)
         identifier = int(values.pop("id"))
         if not self._mine(identifier):
@@ -146,7 +146,7 @@ class MitDrive(ImpedanceDrive):
         return identifier == self.node
 
     def _more(self, identifier: int, **values: float) -> None:
-        """Read what a make adds."""
+        """Decode the additional fields of a make."""
 
     def _special(self, code: int, *, urgent: bool = False) -> None:
         self.count_query()
@@ -170,11 +170,11 @@ class MitDrive(ImpedanceDrive):
         self.send(self.node, data, urgent=urgent, lifetime=None if urgent else FAST)
 
     def query(self) -> None:
-        """Send a set-point without gains or torque: it answers, on or off."""
+        """Send a set-point without gains or torque: the drive responds, on or off."""
         self.impede()
 
     def stop_frames(self) -> Sequence[StopFrame]:
-        """Damp it as a quick stop does: a drive that is off takes no notice."""
+        """Damp as in a quick stop: a drive that is off ignores it."""
         return (StopFrame(self.node, self._command.encode(kd=self._gains.brake)),)
 
     async def _switch(self, code: int, what: str, *, on: bool) -> None:
@@ -188,7 +188,7 @@ class MitDrive(ImpedanceDrive):
         )
 
     async def enable(self) -> None:
-        """Enter motor mode, limp."""
+        """Enter motor mode with zero gains."""
         try:
             await self._switch(_ENABLE, "enabled", on=True)
         except BaseException:
@@ -200,7 +200,7 @@ class MitDrive(ImpedanceDrive):
         await self._switch(_DISABLE, "disabled", on=False)
 
     async def clear_faults(self) -> None:
-        """Leave motor mode: there is nothing else to clear faults by, and in fault it is off."""
+        """Leave motor mode: the protocol has no fault reset, and a drive in fault is off."""
         self._on = False
         await self.until(
             lambda: not self.status.faults and not self.status.enabled,
@@ -243,7 +243,7 @@ def _fault(code: int, names: dict[int, str]) -> tuple[Fault, ...]:
 
 
 class TMotorDrive(MitDrive):
-    """A T-Motor AK in MIT mode: temperature and a fault beside."""
+    """A T-Motor AK in MIT mode, which also reports temperature and a fault."""
 
     extra = (Span("temperature", 8), Span("fault", 8))
 
@@ -256,13 +256,13 @@ class TMotorDrive(MitDrive):
 
 
 class DamiaoOptions(MitOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Beside the gains: the model."""
+    """Gains and the model."""
 
     model: str = "4310"
 
 
 class DamiaoDrive(MitDrive):
-    """A Damiao: it says whether it is on, its fault and two temperatures; registers configure it."""
+    """A Damiao actuator: it reports its state, fault and two temperatures, and has registers."""
 
     extra = (Span("drive", 8), Span("motor", 8))
     clearing = _CLEAR
@@ -273,7 +273,7 @@ class DamiaoDrive(MitDrive):
         self._value = 0
 
     def take(self, message: can.Message) -> bool:
-        """Read an answer, to a set-point or to a register's access."""
+        """Decode a response to a set-point or to a register access."""
         data = message.data
         wanted = self._register
         if len(data) == 8 and data[0] == self.node & 0xFF and (data[2], data[3]) == wanted:
@@ -296,7 +296,7 @@ class DamiaoDrive(MitDrive):
         self.send(_REGISTERS, data, lifetime=FAST)
 
     async def configure(self) -> None:
-        """Choose MIT mode, arm the drive's own watchdog (register 9, in 50 µs), and read it back."""
+        """Select MIT mode, set the drive's watchdog (register 9, in 50 µs), and read it back."""
         await self._set(_WRITE, _MODE_REGISTER, _MIT_MODE)
         if self.watchdog is not None:
             await self._set(_WRITE, _TIMEOUT_REGISTER, round(self.watchdog * _TICKS))
@@ -320,7 +320,7 @@ class DamiaoDrive(MitDrive):
         )
 
     def query(self) -> None:
-        """Ask for its state."""
+        """Request its state."""
         self.count_query()
         self._access(_REFRESH)
 

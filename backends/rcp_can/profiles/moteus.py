@@ -1,4 +1,4 @@
-"""mjbots moteus on CAN FD: id = reply wanted << 15 | source << 8 | destination, registers as payload."""
+"""mjbots moteus on CAN FD: id = reply flag << 15 | source << 8 | destination."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["PROFILE", "MoteusDrive", "MoteusOptions"]
 
 TURN = 2 * math.pi  # rad: moteus counts turns
-_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_FAST = 0.05  # s: a set-point older than this is not worth sending
 _QUERIED = (
     *(("mode", Width.INT8), ("position", Width.FLOAT), ("velocity", Width.FLOAT)),
     *(("torque", Width.FLOAT), ("q_current", Width.FLOAT), ("motor_temperature", Width.INT16)),
@@ -28,14 +28,14 @@ _QUERIED = (
 )
 _QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _QUERIED)
 _STILL = {"command_position": math.nan, "command_velocity": 0.0}
-"""Hold velocity zero where it is."""
+"""Hold velocity zero at the current position."""
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _ON = frozenset((Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE, 13, 14))
-_OWN_TIMEOUT = 0.1  # s: servo.default_timeout_s as it comes
+_OWN_TIMEOUT = 0.1  # s: factory setting of servo.default_timeout_s
 _OWN = "servo.default_timeout_s, 0.1 s unless configured otherwise: zero velocity, damped"
-_WRAPS = 2**31 - 60_000  # ms: nearer to its end the clock may begin anew by itself
-_UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
-_TOO_MANY = 4  # answers that nobody asked for
+_WRAPS = 2**31 - 60_000  # ms: near its end the clock may wrap around
+_UNDER_WAY = 64  # requests that may have been lost, or wait to be sent
+_TOO_MANY = 4  # unsolicited responses
 
 _FAULTS = {
     32: "calibration",
@@ -56,7 +56,7 @@ _FAULTS = {
 
 
 class MoteusOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Who we are, and the drive's own limits."""
+    """The gateway's id, and the drive's own limits."""
 
     source: Annotated[int, Meta(ge=0, le=127)] = 0
     """Id of the gateway."""
@@ -83,14 +83,14 @@ class MoteusDrive(Drive):
         self._clock = math.nan
 
     def routes(self) -> tuple[Route, ...]:
-        """Take its answers to us."""
+        """Return the identifier of its responses to the gateway."""
         return tuple(
             Route(self.node << 8 | self.options.source, 0x7FFF, extended=extended)
             for extended in (True, False)
         )
 
     def take(self, message: can.Message) -> bool:
-        """Read an answer."""
+        """Decode a response."""
         values: dict[str, float] = {}
         for access in parse(bytes(message.data)):
             if access.kind == Kind.REPLY and access.register in _NAMES and access.value is not None:
@@ -114,16 +114,16 @@ class MoteusDrive(Drive):
         return True
 
     def _look_at_the_watchdog(self, seconds: float) -> None:
-        """See that the time of its watchdog, which comes with each set-point, is the one it has."""
+        """Check that the drive uses the watchdog time sent with each set-point."""
         if self.watchdog is not None and math.isfinite(seconds) and self._mode in _ON:
             same = math.isclose(seconds, self.watchdog, rel_tol=0.01)
             text = f"watchdog register 0x027 = {seconds * 1000:g} ms: zero velocity, damped"
             self.protection = Protection(text, seconds, verified=same)
 
     def _look_for_a_boot(self, milliseconds: float) -> None:
-        """See that its clock goes on.
+        """Detect a reboot from the drive's clock.
 
-        A set-point switches a moteus on that is off, so one that has booted is stopped at once.
+        A set-point switches on a moteus that is off, so one that has rebooted is stopped at once.
         """
         before, self._clock = self._clock, milliseconds
         if milliseconds < before < _WRAPS:
@@ -136,7 +136,7 @@ class MoteusDrive(Drive):
         self._mode = mode
         status = self.status
         status.enabled = mode in _ON
-        # Its time-out damps to zero velocity, and lasts until it is stopped.
+        # Its time-out damps to zero velocity, and lasts until a stop command.
         status.holding = mode in _ON or mode == Mode.TIMEOUT
         if mode == Mode.FAULT:
             text = _FAULTS.get(fault, f"fault {fault}")
@@ -153,7 +153,7 @@ class MoteusDrive(Drive):
             self.status.twins += 1
 
     def _write(self, values: dict[str, float], *, urgent: bool = False) -> None:
-        """Write registers, the mode first, and ask for the state in the same frame."""
+        """Write registers, the mode first, and request the state in the same frame."""
         writes = [
             Access(
                 Kind.WRITE,
@@ -185,7 +185,7 @@ class MoteusDrive(Drive):
         self._write(whole, urgent=urgent)
 
     def poll(self, tick: int) -> None:
-        """Ask for its state where no set-point did; a move is kept alive by asking."""
+        """Request the state if no set-point has; the request keeps a move alive."""
         spoken, self._spoken = self._spoken, False
         if spoken:
             return
@@ -196,7 +196,7 @@ class MoteusDrive(Drive):
         self._spoken = False
 
     async def enable(self) -> None:
-        """Hold where it is: position mode with no position and velocity zero."""
+        """Hold the current position: position mode with no position and velocity zero."""
         self._moving = False
         await self.until(
             lambda: bool(self.status.enabled),
@@ -205,7 +205,7 @@ class MoteusDrive(Drive):
         )
 
     async def disable(self) -> None:
-        """Stop."""
+        """Send the stop mode."""
         self._moving = False
         await self.until(
             lambda: self._mode in (Mode.STOPPED, Mode.FAULT),
@@ -215,7 +215,7 @@ class MoteusDrive(Drive):
         )
 
     async def clear_faults(self) -> None:
-        """Stop, which clears a fault or a time-out."""
+        """Send the stop mode, which clears a fault or a time-out."""
         self._moving = False
         await self.until(
             lambda: self._mode == Mode.STOPPED,
@@ -245,7 +245,7 @@ class MoteusDrive(Drive):
                 self._drive({**_STILL, "command_torque": value, "kp_scale": 0.0, "kd_scale": 0.0})
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
-        """Drive by its own trajectory."""
+        """Move by the drive's own trajectory."""
         self._target = {
             "command_position": position / TURN,
             "command_velocity": 0.0,
@@ -258,11 +258,11 @@ class MoteusDrive(Drive):
         self.status.reached = None
 
     def stop(self) -> None:
-        """Brake with all the torque there is, and hold velocity zero; one that is off stays off."""
+        """Brake with all available torque and hold velocity zero; a drive that is off stays off."""
         self._moving = False
         if self._mode in _ON:
             self._drive(_STILL, urgent=True)
-        elif self._mode != Mode.TIMEOUT:  # which brakes by itself
+        elif self._mode != Mode.TIMEOUT:  # the time-out mode brakes by itself
             self._write({"mode": Mode.STOPPED}, urgent=True)
         else:
             self._write({}, urgent=True)

@@ -1,4 +1,4 @@
-"""moteus' multiplex protocol: registers written, asked for and answered, several in one CAN FD frame."""
+"""moteus' multiplex protocol: registers written, read and answered, several in one CAN FD frame."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NOP = 0x50
 
 
 class Kind(IntEnum):
-    """What is done with registers."""
+    """The operation of a subframe."""
 
     WRITE = 0x00
     READ = 0x10
@@ -38,7 +38,7 @@ class Kind(IntEnum):
 
 
 class Width(IntEnum):
-    """How a value is written."""
+    """The encoding of a value."""
 
     INT8 = 0
     INT16 = 1
@@ -47,7 +47,7 @@ class Width(IntEnum):
 
 
 class Mode(IntEnum):
-    """What the drive does."""
+    """The drive's servo mode."""
 
     STOPPED = 0
     FAULT = 1
@@ -73,7 +73,7 @@ _SI = {
 
 
 class Register(NamedTuple):
-    """A register, and what its steps are worth."""
+    """A register, and the quantity that gives its resolution."""
 
     number: int
     quantity: str
@@ -104,12 +104,12 @@ REGISTERS = {
     "milliseconds": Register(0x070, "count"),
     "set_output": Register(0x131, "position"),
 }
-"""The registers that are used here; moteus counts turns."""
+"""The registers used here; moteus counts turns."""
 _QUANTITIES = {register.number: register.quantity for register in REGISTERS.values()}
 
 
 class Access(NamedTuple):
-    """One access to one register; `value` is None where it is asked for."""
+    """One access to one register; `value` is None for a read."""
 
     kind: Kind
     register: int
@@ -118,7 +118,7 @@ class Access(NamedTuple):
 
 
 def step(register: int, width: Width) -> float:
-    """Return what one step of an integer is worth."""
+    """Return the resolution of an integer encoding."""
     return _SI[_QUANTITIES.get(register, "count")][width]
 
 
@@ -141,7 +141,7 @@ def _value(register: int, width: Width, raw: float) -> float:
 
 
 def build(accesses: Iterable[Access]) -> bytes:
-    """Return the payload; neighbours of one kind and width are put together."""
+    """Encode the accesses; consecutive ones of one kind and width share a subframe."""
     runs: list[list[Access]] = []
     for access in accesses:
         last = runs[-1][-1] if runs else None
@@ -175,15 +175,15 @@ def _varuint(number: int) -> bytes:
 
 
 def pad(data: bytes) -> bytes:
-    """Return the payload with NOPs up to the next size that CAN FD has."""
+    """Pad the payload with NOPs to the next valid CAN FD size."""
     size = next(size for size in _SIZES if size >= len(data))
     return data.ljust(size, bytes((_NOP,)))
 
 
 def parse(data: bytes) -> list[Access]:
-    """Return what a payload says.
+    """Decode a payload.
 
-    :raises ValueError: it breaks off, or holds what the protocol has not.
+    :raises ValueError: it is truncated, or contains an unknown subframe.
     """
     found: list[Access] = []
     place = 0

@@ -24,11 +24,11 @@ TURN = 2 * math.pi  # rad: ODrive counts turns
 _IDLE, _HOMING, _CLOSED_LOOP = 1, 11, 8
 _CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
 _PASSTHROUGH, _TRAPEZOID = 1, 5
-_SLOW = 0.4  # s between two requests for a state, which take their time
+_SLOW = 0.4  # s between two requests for a state, which take time to take effect
 _BEATS = 0.5  # s within which a heartbeat must come
 _ENCODER, _HEARTBEAT = 0.02, 0.1  # s: periods of the drive's reports, which are 10 and 100 ms
 _FEED_PERIOD = 0.1  # s without a message that feeds the drive's watchdog, after which one is sent
-_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_FAST = 0.05  # s: a set-point older than this is not worth sending
 
 
 def _f(name: str, scale: float = 1.0) -> Field:
@@ -71,7 +71,7 @@ MESSAGES: dict[str, tuple[int, Layout]] = {
     "absolute": (0x19, Layout("<", _f("position", TURN))),
     "torques": (0x1C, Layout("<", _f("target"), _f("estimate"))),
 }
-"""Command and payload of each message; radians, where ODrive's own are turns."""
+"""Command and payload of each message; in radians, while ODrive uses turns."""
 
 _ERRORS = {
     0: "initializing",
@@ -100,17 +100,17 @@ _ERRORS = {
 
 
 class OdriveOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Beside node, gear and limits."""
+    """Options of an ODrive axis."""
 
     torque_constant: float | None = None
-    """N·m/A; torque is told from the current with it, where the drive sends no torques."""
+    """N·m/A; gives the torque from the current if the drive sends no torques."""
     trapezoid: bool = True
-    """Moves by the drive's own trapezoidal trajectories, which report their end."""
+    """Use the drive's own trapezoidal trajectories, which report their end."""
     home_timeout: float = 60.0
 
 
 class OdriveDrive(Drive):
-    """An axis of an ODrive."""
+    """One axis of an ODrive."""
 
     homes = True
     zeroes = True
@@ -140,19 +140,19 @@ class OdriveDrive(Drive):
 
     @property
     def beats(self) -> float | None:
-        """Several of its periods, which are 100 ms unless somebody has set others."""
+        """Several of its periods, which are 100 ms by default."""
         return _BEATS if self.status.beat else None
 
     def period(self, signal: str) -> float:
-        """Return the period of its encoder message, or of its heartbeat, which has the state."""
+        """Return the period of its encoder message, or of the heartbeat for the state."""
         return _HEARTBEAT if signal == "enabled" else _ENCODER
 
     def routes(self) -> tuple[Route, ...]:
-        """Take all of the node's frames."""
+        """Return all identifiers of the node."""
         return (Route(self._base, 0x7E0),)
 
     def take(self, message: can.Message) -> bool:
-        """Read one frame."""
+        """Decode one frame."""
         if message.is_remote_frame:
             return False
         known = self._read.get(message.arbitration_id & 0x1F)
@@ -203,21 +203,21 @@ class OdriveDrive(Drive):
         self.status.torque = estimate
 
     def reach(self) -> Reach:
-        """Tell what floats can say with millimetric feed-forward left aside."""
+        """Return the limits within which 32-bit floats keep a useful resolution."""
         return Reach(position=1e5)
 
     def _transmit(
         self, name: str, *, urgent: bool = False, stale: float | None = None, **values: float
     ) -> None:
         command, layout = MESSAGES[name]
-        # Eight bytes always: the field's tools and mocks take no less.
+        # Always eight bytes: common tools and mocks accept no fewer.
         data = layout.encode(**values).ljust(8, b"\0")
         self.send(self._base | command, data, urgent=urgent, lifetime=stale)
 
     def poll(self, tick: int) -> None:
-        """Feed its watchdog; ask for temperatures and supply, and now and then who answers."""
+        """Feed its watchdog; request temperatures and supply, and periodically its address."""
         name, values = self._input
-        again = self._moving or not any(values.values())  # no old set-point makes it move
+        again = self._moving or not any(values.values())  # no old set-point would move it
         if (
             self._ours
             and again
@@ -245,7 +245,7 @@ class OdriveDrive(Drive):
         self._ours = True
 
     async def disable(self) -> None:
-        """Go idle."""
+        """Enter idle."""
         self._ours = False
         await self.until(
             lambda: self._state == _IDLE,
@@ -265,7 +265,7 @@ class OdriveDrive(Drive):
         )
 
     async def set_zero(self) -> None:
-        """Set the absolute position; firmware 0.6."""
+        """Set the absolute position; requires firmware 0.6."""
         await self.until(
             lambda: abs(self.status.position or 0.0) < 0.02,
             "at zero (older firmware cannot be set to zero)",
@@ -273,7 +273,7 @@ class OdriveDrive(Drive):
         )
 
     async def home(self) -> None:
-        """Run the drive's own homing, and return to closed loop."""
+        """Run the drive's own homing, then return to closed loop."""
         self._moving = False
         self._transmit("state", state=_HOMING)
         await self.until(lambda: self._state == _HOMING, "homing")
@@ -301,7 +301,7 @@ class OdriveDrive(Drive):
                 self._feed(mode, {mode: value})
 
     def _feed(self, name: str, values: dict[str, float], *, stale: float | None = _FAST) -> None:
-        """Send an input, which feeds the watchdog, and keep it to be sent again."""
+        """Send an input, which feeds the watchdog, and keep it for repetition."""
         self._transmit(name, urgent=False, stale=stale, **values)
         self._fed, self._input = time.monotonic(), (name, values)
 
@@ -318,7 +318,7 @@ class OdriveDrive(Drive):
         self.status.reached = None
 
     def stop(self) -> None:
-        """Brake with all the torque there is: velocity zero, without a ramp."""
+        """Brake with all available torque: velocity zero, without a ramp."""
         self._moving = False
         self._mode = _CONTROL["velocity"], _PASSTHROUGH
         self._fed, self._input = time.monotonic(), ("velocity", {})
@@ -326,7 +326,7 @@ class OdriveDrive(Drive):
         self._transmit("mode", urgent=True, control=self._mode[0], input=self._mode[1])
 
     def stop_frames(self) -> Sequence[StopFrame]:
-        """Velocity zero without a ramp, as `stop`: its emergency stop would drop a load."""
+        """Set velocity zero as in `stop`: the drive's emergency stop would drop a load."""
         words = {"mode": {"control": _CONTROL["velocity"], "input": _PASSTHROUGH}, "velocity": {}}
         return [
             StopFrame(self._base | command, layout.encode(**words[name]).ljust(8, b"\0"))

@@ -1,4 +1,4 @@
-"""VESC: 29-bit identifiers, command << 8 | id, big-endian; it sends its state unasked."""
+"""VESC: 29-bit identifiers, command << 8 | id, big-endian; it sends its state periodically."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 __all__ = ["MESSAGES", "PROFILE", "VescDrive", "VescOptions"]
 
-_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
-_PERIOD = 0.05  # s: the slowest status messages that are of use, 20 Hz
-_TIMEOUT = 1.0  # s: the application's timeout as it comes
-_STEPS = 6  # of the tachometer in one electrical turn
+_FAST = 0.05  # s: a set-point older than this is not worth sending
+_PERIOD = 0.05  # s: the slowest useful status messages, 20 Hz
+_TIMEOUT = 1.0  # s: default timeout of the VESC application
+_STEPS = 6  # tachometer steps per electrical turn
 
 MESSAGES: dict[str, tuple[int, Layout]] = {
     "duty": (0, Layout(">", Field("duty", "i", 1e-5))),
@@ -53,19 +53,19 @@ MESSAGES: dict[str, tuple[int, Layout]] = {
 
 
 class VescOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the motor is, for the VESC counts electrical turns and knows no torque."""
+    """Motor constants: the VESC counts electrical turns and does not know torque."""
 
     pole_pairs: Annotated[int, Meta(ge=1, le=200)] = 7
     torque_constant: Annotated[float, Meta(gt=0)] = 0.05
     """N·m/A."""
     brake_current: Annotated[float, Meta(gt=0, le=1000)] = 10.0
-    """A, of a quick stop."""
+    """Current of a quick stop, A."""
 
 
 class VescDrive(Drive):
-    """A VESC, which has no switch of its own: enabled is that set-points are sent.
+    """A VESC, which has no enable state of its own: enabled means that set-points are sent.
 
-    It releases the motor a second after the last one, unless its tool has set another time.
+    It releases the motor a second after the last one, unless VESC Tool has set another time.
     """
 
     holds = True
@@ -90,11 +90,11 @@ class VescDrive(Drive):
         return _PERIOD
 
     def routes(self) -> tuple[Route, ...]:
-        """Take all of its frames."""
+        """Return all its identifiers."""
         return (Route(self.node, 0xFF, extended=True),)
 
     def take(self, message: can.Message) -> bool:
-        """Read one frame."""
+        """Decode one frame."""
         known = self._read.get(message.arbitration_id >> 8)
         if known is None:
             return False
@@ -130,7 +130,7 @@ class VescDrive(Drive):
         )
 
     async def enable(self) -> None:
-        """Begin to take set-points, with the motor released."""
+        """Accept set-points, with the motor released."""
         self._transmit("current")
         self._on = True
         await self.until(lambda: bool(self.status.enabled), "heard")
@@ -142,7 +142,7 @@ class VescDrive(Drive):
         await self.until(lambda: self.status.enabled is False, "heard", faults=False)
 
     async def clear_faults(self) -> None:
-        """Do nothing: a VESC leaves its faults by itself, and tells of none by these messages."""
+        """Do nothing: a VESC clears its faults by itself, and these messages report none."""
 
     def command(self, mode: Mode, value: float, velocity: float) -> None:
         """Send a set-point."""
@@ -152,11 +152,11 @@ class VescDrive(Drive):
             self._transmit("current", current=value / self.options.torque_constant)
 
     def stop(self) -> None:
-        """Brake."""
+        """Brake with the configured current."""
         self._transmit("brake", urgent=True, current=self.options.brake_current)
 
     def stop_frames(self) -> Sequence[StopFrame]:
-        """Brake: a braking current turns nothing that stands."""
+        """Brake: a braking current does not move a motor at rest."""
         command, layout = MESSAGES["brake"]
         data = layout.encode(current=self.options.brake_current)
         return (StopFrame(command << 8 | self.node, data, extended=True),)

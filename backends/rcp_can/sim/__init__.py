@@ -1,4 +1,4 @@
-"""Simulated drives on a bus, for the demo, for tests, and for anybody's bench without a gateway."""
+"""Simulated drives on a CAN bus, for the demo, tests and bench use without a gateway."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ __all__ = ["Bench", "Plant", "Twin", "make_twin"]
 
 
 def make_twin(name: str, node: int, plant: Plant | None = None, **options: Any) -> Twin:
-    """Make the twin of a profile by its name; options are the profile's and the twin's own."""
+    """Create the twin of a profile; `options` are those of the profile and of the twin."""
     module, _, attribute = profile(name).twin.partition(":")
     return getattr(import_module(module), attribute)(node, plant, **options)

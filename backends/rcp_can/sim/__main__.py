@@ -1,4 +1,4 @@
-"""Run simulated drives on a bus, in a process of their own: `python -m rcp_can.sim odrive:1 …`."""
+"""Run simulated drives on a bus in a separate process: `python -m rcp_can.sim odrive:1 …`."""
 
 from __future__ import annotations
 

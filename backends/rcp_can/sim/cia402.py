@@ -1,4 +1,4 @@
-"""A simulated CiA 402 drive: canopen's own SDO server and NMT slave, PDOs and states written here."""
+"""A simulated CiA 402 drive, with the SDO server and NMT slave of canopen."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _STANDSTILL = 0.02  # rad/s at which a quick stop ends
 _REACHED, _ACKNOWLEDGED, _HOMED = 1 << 10, 1 << 12, 1 << 12
 _DONE = 0.005  # rad
 _LEAST = {0x000: 2, 0x600: 8}
-"""Bytes that NMT and SDO frames have; canopen does not check."""
+"""Length of NMT and SDO frames, which canopen does not check."""
 _CODES = {(index, sub): code for index, sub, code in OBJECTS.values()}
 
 
 class _Line(canopen.Network):
-    """canopen's network, with the bench's bus below it and no threads of its own."""
+    """canopen's network on the bench's bus, without threads of its own."""
 
     def __init__(self, twin: Twin) -> None:
         super().__init__()
@@ -52,14 +52,14 @@ class _Line(canopen.Network):
 
 class _Never:
     def stop(self) -> None:
-        """Do nothing: heartbeats are sent by the twin's own clock."""
+        """Do nothing: the twin's own clock sends the heartbeats."""
 
     def update(self, data: Any) -> None:
         """Do nothing."""
 
 
 class Cia402Twin(Twin):
-    """An axis; options: `counts`, `rated_torque`, `velocity_scale` as the profile's."""
+    """An axis; options `counts`, `rated_torque` and `velocity_scale` as in the profile."""
 
     def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
         super().__init__(node, plant, **options)
@@ -74,7 +74,7 @@ class Cia402Twin(Twin):
         self._master_seen: float | None = None
         self._now = 0.0
         self.keeps_mapping = False
-        """Accepts any PDO mapping, tells it back, and goes on with its own: statusword only."""
+        """Accepts any PDO mapping and reads it back, but keeps its own: statusword only."""
         self.line = _Line(self)
         eds: str = options.get("eds", "")
         dictionary: Any = canopen.import_od(eds, node) if eds else make_dictionary(node)
@@ -84,13 +84,13 @@ class Cia402Twin(Twin):
         self.local.add_write_callback(self._written)
         self.local.add_read_callback(self._read)
         self.line.add_node(self.local)
-        self.local.nmt._state = 0x7F  # noqa: SLF001  # booted; `boot` says so on the bus
+        self.local.nmt._state = 0x7F  # noqa: SLF001  # booted; `boot` announces it on the bus
         self._hello = True
 
     # CANopen
 
     def get(self, name: str) -> int:
-        """Return one of the profile's objects as it was written."""
+        """Return one of the profile's objects as last written."""
         index, sub, code = OBJECTS[name]
         return struct.unpack("<" + code, self.local.get_data(index, sub))[0]
 
@@ -99,11 +99,11 @@ class Cia402Twin(Twin):
 
     @property
     def operational(self) -> bool:
-        """Whether PDOs work."""
+        """Whether the node is operational, so that PDOs work."""
         return self.local.nmt.state == "OPERATIONAL"
 
     def boot(self) -> None:
-        """Start anew: pre-operational, and nothing is mapped any more."""
+        """Reboot: pre-operational, without PDO mapping."""
         super().boot()
         self.local.data_store.clear()
         self.state, self._control, self.emergency = "switch_on_disabled", 0, 0
@@ -113,7 +113,7 @@ class Cia402Twin(Twin):
         self._hello = True
 
     def option(self, name: str) -> int:
-        """Return an option code, or what it is by default where the dictionary has none."""
+        """Return an option code, or its default if the dictionary has none."""
         index = OBJECTS[name][0]
         if index not in self.local.object_dictionary:
             return DEFAULTS[name]
@@ -130,7 +130,7 @@ class Cia402Twin(Twin):
         self.send(0x080 + self.node, struct.pack("<HB5x", code, 0x03))
 
     def take(self, message: can.Message) -> None:
-        """Hear SDO requests, NMT, SYNC, PDOs and the master's heartbeat."""
+        """Handle SDO requests, NMT, SYNC, PDOs and the master's heartbeat."""
         identifier = message.arbitration_id
         if (
             message.is_extended_id
@@ -214,7 +214,7 @@ class Cia402Twin(Twin):
 
     @property
     def statusword(self) -> int:
-        """The statusword of the present state."""
+        """The statusword of the current state."""
         word = _WORDS[self.state]
         if self.state != "enabled":
             return word
@@ -257,7 +257,7 @@ class Cia402Twin(Twin):
             self._operate(old, word)
 
     def _stop_quickly(self) -> None:
-        """Brake as 0x605A says; 0 is no braking at all."""
+        """Brake according to 0x605A; 0 does not brake."""
         self.state, self.enabled = "quick_stop", False
         if self.option("quick_stop_option") == 0:
             self.state = "switch_on_disabled"
@@ -267,14 +267,14 @@ class Cia402Twin(Twin):
             self.plant.ramp = None
 
     def _end_quick_stop(self) -> None:
-        """Let go at rest, unless the option is to stay in quick stop active."""
+        """Release the motor at rest, unless the option is to stay in quick stop active."""
         resting = abs(self.plant.velocity) < _STANDSTILL
         if self.state == "quick_stop" and resting and self.option("quick_stop_option") < 5:
             self.state = "switch_on_disabled"
             self.plant.off()
 
     def _miss_master(self) -> None:
-        """React to a heartbeat that failed to come: by 0x6007, and out of operational (0x1029)."""
+        """React to a missing heartbeat: according to 0x6007, and leave operational (0x1029)."""
         self.send(0x080 + self.node, struct.pack("<HB5x", 0x8130, 0x11))
         if 0x1029 not in self.local.object_dictionary or self.get_raw(0x1029, 1) == 0:
             self.local.nmt._state = _PRE_OPERATIONAL  # noqa: SLF001
@@ -293,7 +293,7 @@ class Cia402Twin(Twin):
                 return
 
     def put_targets_to_rest(self) -> None:
-        """Forget what was commanded before: the position stays, velocity and torque are zero."""
+        """Discard earlier commands: keep the position, set velocity and torque to zero."""
         self._put(*OBJECTS["target_velocity"][:2], 0)
         self._put(*OBJECTS["target_torque"][:2], 0)
 
@@ -329,7 +329,7 @@ class Cia402Twin(Twin):
             self._follow()
 
     def _follow(self) -> None:
-        """Take the set-points of the mode that is on."""
+        """Apply the set-points of the active mode."""
         if self.state != "enabled":
             return
         plant, mode = self.plant, self.get("mode")
@@ -348,7 +348,7 @@ class Cia402Twin(Twin):
             self.took("position", plant.goal)
 
     def tick(self, now: float) -> None:
-        """Send boot-up, heartbeat and PDOs; watch the master; home."""
+        """Send boot-up, heartbeat and PDOs; monitor the master; home."""
         self._now = now
         if self._hello:
             self._hello = False
@@ -362,7 +362,7 @@ class Cia402Twin(Twin):
         self._send_pdos(lambda index, kind, t: kind >= 254 and t and self.every(f"{index}", t, now))
         timeout = (self.get_raw(0x1016, 1) & 0xFFFF) / 1000
         if timeout and self._master_seen is not None and now - self._master_seen > timeout:
-            self._master_seen = None  # until the next one, the master is not missed again
+            self._master_seen = None  # the master is not monitored until its next heartbeat
             self._miss_master()
         self._end_quick_stop()
         if self._homing > 0:

@@ -19,12 +19,12 @@ _TYPES = {
     "I": od.UNSIGNED32,
 }
 DEFAULTS = {"abort_connection": 1, "quick_stop_option": 2}
-"""What a drive does as it comes (CiA 402-2): a fault on silence, no torque after a quick stop."""
+"""Factory settings (CiA 402-2): a fault on a lost master, no torque after a quick stop."""
 _READ_ONLY = frozenset(("error_code", "statusword", "mode_shown", "position", "velocity", "torque"))
 
 
 def make_dictionary(node: int) -> od.ObjectDictionary:
-    """Make the dictionary, its PDOs mapped to nothing yet."""
+    """Create the dictionary, without PDO mapping."""
     made = od.ObjectDictionary()
     made.node_id = node
     _variable(made, "Device type", 0x1000, "I", 0x00020192, access="ro")

@@ -27,18 +27,18 @@ class CyberGearTwin(Twin):
         self._host = options.get("host", 0xFD)
 
     def boot(self) -> None:
-        """Start anew; the watchdog is not armed any more."""
+        """Reboot; the watchdog is off again."""
         super().boot()
         self.faults = 0
         self.parameters.clear()
 
     def break_down(self) -> None:
-        """Trip by over-current."""
+        """Trip on over-current."""
         super().break_down()
         self.faults = 1 << 1
 
     def take(self, message: can.Message) -> None:
-        """Hear a command, and answer."""
+        """Handle a command, and respond."""
         identifier, data = message.arbitration_id, bytes(message.data)
         if not message.is_extended_id or identifier & 0xFF != self.node or len(data) < 8:
             return
@@ -88,7 +88,7 @@ class CyberGearTwin(Twin):
         self.took(mode, torque if mode == "torque" else values[mode])
 
     def _set(self, index: int, data: bytes) -> None:
-        """Follow the set-points of the other modes: speed reference and current reference."""
+        """Apply the set-points of the other modes: speed reference and current reference."""
         if not self.enabled or index not in (0x700A, 0x7006, 0x7016):
             return
         value = struct.unpack("<f", data)[0]
@@ -113,7 +113,7 @@ class CyberGearTwin(Twin):
         self.send(identifier, data, is_extended_id=True)
 
     def tick(self, now: float) -> None:
-        """Expire the watchdog."""
+        """Check the watchdog."""
         timeout = int.from_bytes(self.parameters.get(_TIMEOUT, b""), "little") * 50e-6
         if self.enabled and timeout and self.is_quiet(timeout):
             self.enabled = False

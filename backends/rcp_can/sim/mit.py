@@ -1,4 +1,4 @@
-"""Simulated actuators of the MIT way."""
+"""Simulated actuators with the MIT protocol."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["DamiaoTwin", "MitTwin", "TMotorTwin"]
 
 
 class MitTwin(Twin):
-    """A mini-cheetah; options as the profile's: `model` or `ranges`, `reply_id`."""
+    """A mini-cheetah; options `model` or `ranges`, and `reply_id`, as in the profile."""
 
     model = "mini-cheetah"
     extra: tuple[Span, ...] = ()
@@ -30,17 +30,17 @@ class MitTwin(Twin):
         self.fault = 0
 
     def boot(self) -> None:
-        """Start anew."""
+        """Reboot."""
         super().boot()
         self.fault = 0
 
     def break_down(self) -> None:
-        """Trip by over-current."""
+        """Trip on over-current."""
         super().break_down()
         self.fault = 2
 
     def take(self, message: can.Message) -> None:
-        """Hear a set-point or one of the special frames, and answer."""
+        """Handle a set-point or one of the special frames, and respond."""
         if message.arbitration_id != self.node or message.is_extended_id or len(message.data) < 8:
             return
         data = bytes(message.data)
@@ -76,11 +76,11 @@ class MitTwin(Twin):
         self.fault = 0
 
     def more(self) -> dict[str, float]:
-        """Return what a make adds to its answers."""
+        """Return the fields that a make appends to its responses."""
         return {"id": self.node}
 
     def answer(self) -> None:
-        """Say how it stands."""
+        """Send the state."""
         plant = self.plant
         data = self._reply.encode(
             position=plant.position, velocity=plant.velocity, torque=plant.torque, **self.more()
@@ -99,7 +99,7 @@ class TMotorTwin(MitTwin):
 
 
 class DamiaoTwin(MitTwin):
-    """A Damiao, with its registers and its watchdog."""
+    """A Damiao, with its registers and watchdog."""
 
     model = "4310"
     extra = (Span("drive", 8), Span("motor", 8))
@@ -114,10 +114,10 @@ class DamiaoTwin(MitTwin):
         }
 
     def _clear_by_disabling(self) -> None:
-        """Leave the fault: it has a command of its own."""
+        """Keep the fault: it has a command of its own."""
 
     def break_down(self) -> None:
-        """Trip by over-current."""
+        """Trip on over-current."""
         super().break_down()
         self.fault = 0xA
 
@@ -127,7 +127,7 @@ class DamiaoTwin(MitTwin):
         return {"id": state << 4 | self.node & 0xF, "drive": 30, "motor": self.plant.temperature}
 
     def take(self, message: can.Message) -> None:
-        """Hear register accesses, too."""
+        """Handle register accesses as well."""
         data = bytes(message.data)
         if message.arbitration_id != 0x7FF or len(data) < 4:
             super().take(message)
@@ -147,7 +147,7 @@ class DamiaoTwin(MitTwin):
         self.send(self.options.get("reply_id", 0), reply)
 
     def tick(self, now: float) -> None:
-        """Expire the watchdog."""
+        """Check the watchdog."""
         timeout = int.from_bytes(self.registers[9], "little") * 50e-6
         if self.enabled and timeout and self.is_quiet(timeout):
             self.enabled, self.fault = False, 0xD

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 __all__ = ["MoteusTwin"]
 
 TURN = 2 * math.pi
-_TIMEOUT = 0.1  # s: servo.default_timeout_s as it comes
-_DAMPING = 0.05  # N·m·s/rad of servo.timeout_mode 12, as it comes
+_TIMEOUT = 0.1  # s: factory setting of servo.default_timeout_s
+_DAMPING = 0.05  # N·m·s/rad of servo.timeout_mode 12, factory setting
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _COMMAND: dict[str, float] = {
     "command_position": 0.0,
@@ -31,7 +31,7 @@ _COMMAND: dict[str, float] = {
     "velocity_limit": math.nan,
     "acceleration_limit": math.nan,
 }
-"""What a set-point is, where it does not say."""
+"""Defaults of the fields that a set-point leaves out."""
 
 
 class MoteusTwin(Twin):
@@ -42,21 +42,21 @@ class MoteusTwin(Twin):
         self.mode = int(Mode.STOPPED)
         self.fault = 0
         self._command = dict(_COMMAND)
-        self._booted = time.monotonic() - 10.0  # it was there before anybody looked
+        self._booted = time.monotonic() - 10.0  # it was running before the first request
 
     def boot(self) -> None:
-        """Start anew."""
+        """Reboot."""
         super().boot()
         self.mode, self.fault = int(Mode.STOPPED), 0
         self._booted = time.monotonic()
 
     def break_down(self) -> None:
-        """Trip by the driver chip, which over-current does."""
+        """Trip the gate driver, as over-current does."""
         super().break_down()
         self.mode, self.fault = int(Mode.FAULT), 33
 
     def take(self, message: can.Message) -> None:
-        """Hear a frame, obey, and answer if that is wanted."""
+        """Handle a frame, and respond if requested."""
         identifier = message.arbitration_id
         if identifier & 0x7F != self.node:
             return
@@ -111,7 +111,7 @@ class MoteusTwin(Twin):
             self.took("position", plant.goal)
 
     def tick(self, now: float) -> None:
-        """Expire the watchdog: damped to zero velocity, until it is told to stop."""
+        """Check the watchdog: damp to zero velocity until a stop command."""
         timeout = self._command["watchdog"]
         if math.isnan(timeout):
             timeout = _TIMEOUT

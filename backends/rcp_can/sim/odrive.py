@@ -32,19 +32,19 @@ class OdriveTwin(Twin):
         self._feedback = options.get("feedback", 0.01)
 
     def boot(self) -> None:
-        """Start anew."""
+        """Reboot."""
         super().boot()
         self.error, self.state = 0, 0
         self._transmit("heartbeat")
         self.state = 1
 
     def break_down(self) -> None:
-        """Trip by over-current."""
+        """Trip on over-current."""
         super().break_down()
         self.error, self.state = 1 << 12, 1
 
     def take(self, message: can.Message) -> None:
-        """Hear a command or a request."""
+        """Handle a command or a request."""
         if message.arbitration_id >> 5 != self.node or message.is_extended_id:
             return
         name = _NAMES.get(message.arbitration_id & 0x1F)
@@ -113,7 +113,7 @@ class OdriveTwin(Twin):
         self.plant.position = position
 
     def tick(self, now: float) -> None:
-        """Send heartbeat and feedback; expire the watchdog."""
+        """Send heartbeat and feedback; check the watchdog."""
         step = 0.005
         if self.enabled and self.watchdog is not None and self.is_quiet(self.watchdog):
             super().break_down()

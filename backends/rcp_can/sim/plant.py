@@ -1,4 +1,4 @@
-"""What a drive turns: a rotor with inertia, friction and limits, under a torque or a loop."""
+"""The mechanics of a simulated drive: a rotor with inertia, friction and limits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rcp_can.codec import clamp
 __all__ = ["Plant"]
 
 Loop = Literal["off", "torque", "velocity", "position", "mit"]
-_STICKS = 0.05  # rad/s below which it may stick
+_STICKS = 0.05  # rad/s below which stiction acts
 _STEP = 0.001  # s of one integration step, at most
 
 
@@ -32,18 +32,18 @@ class Plant:
         self.acceleration_limit = acceleration_limit
         self.position = self.velocity = self.torque = 0.0
         self.load = 0.0
-        """A torque from outside, N·m."""
+        """External torque, N·m."""
         self.loop: Loop = "off"
         self.goal = 0.0
         self.speed = velocity_limit
-        """The velocity of the position loop at most, rad/s."""
+        """Maximum velocity of the position loop, rad/s."""
         self.ramp: float | None = None
-        """The acceleration of velocity and position loops, rad/s²."""
+        """Maximum acceleration of the velocity and position loops, rad/s²."""
         self.kp = self.kd = self.forward = self.forward_velocity = 0.0
         self.temperature = 25.0
 
     def off(self) -> None:
-        """Cut the power: it runs out by friction."""
+        """Cut the power: the rotor coasts against friction."""
         self.loop = "off"
 
     def hold(self) -> None:
@@ -53,13 +53,13 @@ class Plant:
     def impedance(
         self, position: float, velocity: float, kp: float, kd: float, torque: float
     ) -> None:
-        """Act as a spring and damper, the MIT way."""
+        """Act as a spring and damper, as in the MIT protocol."""
         self.loop = "mit"
         self.goal, self.forward_velocity, self.kp, self.kd = position, velocity, kp, kd
         self.forward = torque
 
     def advance(self, dt: float) -> None:
-        """Let time pass."""
+        """Advance the simulation by `dt` s."""
         steps = max(1, math.ceil(dt / _STEP))
         for _ in range(steps):
             self._step(dt / steps)
@@ -86,7 +86,7 @@ class Plant:
             case "mit":
                 spring = self.kp * (self.goal - self.position)
                 damper = self.kd * (self.forward_velocity - self.velocity)
-                # Implicit in the damper, so that a stiff one stays stable at any step.
+                # Implicit in the damper, so that a stiff one is stable at any step.
                 damper /= 1 + (self.kd + self.kp * dt) * dt / self.inertia
                 self.torque = clamp(spring + damper + self.forward, -limit, limit)
         net = self.torque - self.friction * self.velocity + self.load

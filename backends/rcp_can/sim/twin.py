@@ -1,4 +1,4 @@
-"""A simulated drive on a real bus, and the bench that runs several in one thread."""
+"""Simulated drives on a real bus, and the bench that runs several in one thread."""
 
 from __future__ import annotations
 
@@ -18,60 +18,60 @@ _TICK = 0.005  # s
 
 
 class Twin:
-    """A drive; a subclass per profile. Everything runs in the bench's thread."""
+    """A simulated drive; each profile has a subclass. Everything runs in the bench's thread."""
 
     def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
         self.node, self.options = node, options
         self.plant = plant or Plant()
         self.enabled = False
         self.silent = False
-        """Neither hears nor says anything: unplugged."""
+        """Neither receives nor sends: unplugged."""
         self.deaf = False
-        """Says what it measures, and hears nothing."""
+        """Sends its measurements, but receives nothing."""
         self.heartless = False
-        """Sends no heartbeats, where it has some; all else goes on."""
+        """Sends no heartbeats, if it has any; everything else continues."""
         self.blind = False
-        """Tells no position and no velocity; heartbeats and all else go on."""
+        """Sends no position and no velocity; everything else continues."""
         self.refuses = False
-        """Does not switch on."""
+        """Cannot be switched on."""
         self.send: Callable[..., None] = _nowhere
         self.commands: list[tuple[str, float]] = []
-        """The last set-points that it took, as (mode, value); at most a hundred."""
+        """The last accepted set-points as (mode, value); at most a hundred."""
         self._due: dict[str, float] = {}
         self._commanded = time.monotonic()
 
     def feed(self) -> None:
-        """Note that what its watchdog waits for has come."""
+        """Restart its watchdog."""
         self._commanded = time.monotonic()
 
     def is_quiet(self, seconds: float) -> bool:
-        """Tell whether its watchdog has waited for longer."""
+        """Return whether its watchdog was not fed for `seconds`."""
         return time.monotonic() - self._commanded > seconds
 
     def take(self, message: can.Message) -> None:
-        """Hear a frame of the bus."""
+        """Handle a frame from the bus."""
         raise NotImplementedError
 
     def tick(self, now: float) -> None:
-        """Send what is due."""
+        """Send whatever is due."""
 
     def boot(self) -> None:
-        """Start anew, as after a loss of supply: switched off, without memory of set-points."""
+        """Reboot, as after a loss of supply: switched off, without set-points."""
         self.enabled = False
         self.plant.off()
 
     def break_down(self) -> None:
-        """Go into a fault that switches it off."""
+        """Enter a fault that switches it off."""
         self.enabled = False
         self.plant.off()
 
     def took(self, mode: str, value: float) -> None:
-        """Note a set-point."""
+        """Record an accepted set-point."""
         self.commands.append((mode, value))
         del self.commands[:-100]
 
     def every(self, what: str, period: float, now: float) -> bool:
-        """Tell whether something periodic is due."""
+        """Return whether a periodic message is due."""
         due = self._due.get(what, now)
         if now < due:
             return False
@@ -80,11 +80,11 @@ class Twin:
 
 
 def _nowhere(*_: Any, **__: Any) -> None:
-    """Drop a frame: it is on no bus yet."""
+    """Drop a frame: the twin is not on a bus yet."""
 
 
 class Bench:
-    """Runs twins on a bus, in a thread of its own, until it is left.
+    """Runs twins on a bus, in its own thread, while entered.
 
     As in `with Bench(can.Bus("demo", "virtual"), [OdriveTwin(1)]): …`.
     """
@@ -95,7 +95,7 @@ class Bench:
         self._stopping = False
         self._orders: list[Callable[[], object]] = []
         self.loses: Callable[[], object] | None = None
-        """Asked for each frame either way: whether it is lost on the bus."""
+        """Called for each frame in either direction; returns whether the bus loses it."""
         for twin in twins:
             twin.send = self._send
         self._thread = threading.Thread(target=self._run, name="can twins", daemon=True)
@@ -110,7 +110,7 @@ class Bench:
         self.bus.shutdown()
 
     def order(self, function: Callable[[], object]) -> None:
-        """Have a function called in the bench's thread: a fault, a push at the shaft."""
+        """Call a function in the bench's thread, such as a fault or a push at the shaft."""
         self._orders.append(function)
 
     def _send(self, identifier: int, data: bytes = b"", **more: Any) -> None:

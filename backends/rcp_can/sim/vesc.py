@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 __all__ = ["VescTwin"]
 
-_SILENCE = 1.0  # s after which it releases the motor, as VESC Tool has it by default
+_SILENCE = 1.0  # s without messages after which it releases the motor, VESC Tool's default
 _NAMES = {command: name for name, (command, _) in MESSAGES.items()}
 
 
 class VescTwin(Twin):
-    """One controller; options as the profile's: `pole_pairs`, `torque_constant`."""
+    """One controller; options `pole_pairs` and `torque_constant` as in the profile."""
 
     def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
         super().__init__(node, plant, **options)
@@ -28,7 +28,7 @@ class VescTwin(Twin):
         self._per_erpm = 2 * math.pi / 60 / self.poles
 
     def take(self, message: can.Message) -> None:
-        """Hear a set-point."""
+        """Handle a set-point."""
         identifier = message.arbitration_id
         if not message.is_extended_id or identifier & 0xFF != self.node:
             return
@@ -56,7 +56,7 @@ class VescTwin(Twin):
                 plant.hold()
 
     def tick(self, now: float) -> None:
-        """Send its state; release the motor when nothing is heard."""
+        """Send its state; release the motor when no set-point arrives."""
         if self.is_quiet(_SILENCE):
             self.enabled = False
             self.plant.off()

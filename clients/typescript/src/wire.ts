@@ -130,6 +130,8 @@ export interface Resource {
   safe?: unknown;
   native?: unknown;
   meta?: Record<string, unknown>;
+  /** The profiles of its robot that it is part of: `name/version`. */
+  profiles?: string[];
 }
 
 export interface Discovered {
@@ -144,6 +146,8 @@ export interface DiscoverOptions {
   kind?: Kind;
   op?: Operation;
   q?: string;
+  /** Only what this profile of its robot defines: `mobile`, `mobile/1`. */
+  profile?: string;
   limit?: number;
   cursor?: string;
   schemas?: boolean;

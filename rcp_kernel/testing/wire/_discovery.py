@@ -99,6 +99,17 @@ class Discovery(Wire):
         assert found == {"sensor/level", "sensor/drone1/level", "sensor/ghost/level"}
         assert await _found(client, q="submarine") == []
 
+    @proves("discover.profile")
+    async def test_it_tells_profiles_and_is_narrowed_by_one(self, world: World) -> None:
+        client = await world.client()
+        (level,) = await _found(client, "/sensor/level")
+        assert level["profiles"] == ["acme.tank/1.2"]
+        for profile in ("acme.tank", "acme.tank/1", "acme.tank/1.2"):
+            found = _names(await _found(client, profile=profile))
+            assert found == {"sensor/level", "sensor/drone1/level", "sensor/ghost/level"}
+        for profile in ("acme", "acme.tan", "acme.tank/2", "acme.tank/1.20", ""):
+            assert await _found(client, profile=profile) == []
+
     @proves("discover.pages")
     async def test_its_pages_are_the_whole_without_repeats(self, world: World) -> None:
         client = await world.client()

@@ -73,6 +73,7 @@ def small() -> list[Resource]:
             deadline=0.3,
             history=64,
             examples=(1.5,),
+            profiles=("acme.tank/1.2",),
         ),
         Resource(
             name="param/limit",

@@ -172,8 +172,12 @@ class Node:
                     return message
 
 
+PATIENT: dict[str, Any] = {"watchdog": 10.0, "options": {"heartbeat": 300}}
+"""Of a CiA 402 drive, in tests that are not about heartbeats: it waits 10 s for the gateway's, which waits
+for three of the drive's. On a busy machine either is late by more than a robot would allow."""
+
 MOTORS: dict[str, dict[str, Any]] = {
-    "cia402": {"node": 5},
+    "cia402": {"node": 5, **PATIENT},
     "odrive": {"node": 1},
     "mit": {"node": 1},
     "tmotor": {"node": 2, "options": {"model": "AK80-9"}},
@@ -183,6 +187,13 @@ MOTORS: dict[str, dict[str, Any]] = {
     "vesc": {"node": 7},
 }
 """A motor of each profile, as its table of the configuration."""
+
+
+def with_keys(profile: str, keys: dict[str, Any]) -> dict[str, Any]:
+    """Return the table of a profile's motor with more keys, and with options beside its own."""
+    usual = MOTORS[profile]
+    options = {**usual.get("options", {}), **keys.get("options", {})}
+    return {**usual, **keys, **({"options": options} if options else {})}
 
 
 class Motor(Rig):
@@ -248,7 +259,7 @@ async def motor(
     """Run the twin of a profile, and a backend that drives it."""
     name = channel()
     slow = {"timeout": 1.0, "feedback_timeout": 1.0}  # for machines that do much else
-    table = {"bus": "can0", "profile": profile, **slow, **MOTORS[profile], **keys}
+    table = {"bus": "can0", "profile": profile, **slow, **with_keys(profile, keys)}
     protocol = can.CanProtocol.CAN_FD if profile == "moteus" else can.CanProtocol.CAN_20
     line = can.Bus(name, "virtual", protocol=protocol, ignore_config=True)
     twin = make_twin(profile, table["node"], **table.get("options", {}))

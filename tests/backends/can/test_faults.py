@@ -100,7 +100,8 @@ async def test_a_frame_that_is_malformed_is_counted_and_upsets_nobody() -> None:
 
 @pytest.mark.parametrize("profile", ["cia402", "odrive"])
 async def test_a_heart_that_stops_is_a_lost_drive_whatever_else_it_sends(profile: str) -> None:
-    async with motor(profile, velocity=2.0) as rig:
+    options = {"heartbeat": 200} if profile == "cia402" else {}
+    async with motor(profile, velocity=2.0, options=options) as rig:
         await rig.enable()
         moving = asyncio.ensure_future(rig.execute("action/m/move_to", {"position": 9.0}))
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)

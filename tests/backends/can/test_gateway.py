@@ -14,7 +14,7 @@ import can
 import pytest
 
 import rcp_can
-from backends.can.rig import MOTORS, channel
+from backends.can.rig import MOTORS, channel, with_keys
 from rcp_can.sim import Bench, Twin, make_twin
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, serve_backend
 
@@ -54,7 +54,7 @@ async def bed(
     profile: str, *, bus: dict[str, Any] | None = None, **keys: Any
 ) -> AsyncGenerator[Bed]:
     name = channel()
-    table = {"bus": "can0", "profile": profile, **MOTORS[profile], **keys}
+    table = {"bus": "can0", "profile": profile, **with_keys(profile, keys)}
     fd = profile == "moteus"
     protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
     line = can.Bus(name, "virtual", protocol=protocol, ignore_config=True)

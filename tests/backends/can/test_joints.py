@@ -17,7 +17,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import rcp_can
-from backends.can.rig import Node, Rig, channel, opened
+from backends.can.rig import PATIENT, Node, Rig, channel, opened
 from rcp_can import CanConfig
 from rcp_can.path import Leg, Path
 from rcp_can.sim import Bench, make_twin
@@ -64,6 +64,7 @@ def tables(name: str) -> dict[str, Any]:
         joint: {**motor, "profile": profile, "node": node, "position": [-6.0, 6.0]}
         for joint, (profile, node) in PROFILES.items()
     }
+    motors["tilt"] |= PATIENT
     motors["roll"]["options"] = {"reply_id": 0x100}
     bus = {"interface": "virtual", "channel": name, "restart": 0.3}
     group = {"joints": list(PROFILES), "valid_for": 0.3}
@@ -189,7 +190,7 @@ async def test_a_stop_of_the_joints_ends_the_move() -> None:
         moving = rig.moving(pan=5.0, roll=-5.0)
         await rig.until(lambda: rig.twins["pan"].plant.velocity > 1.0)
         await rig.write(JOINTS, {})
-        with pytest.raises(ModeForbids, match="a stop of the joints"):
+        with pytest.raises(ModeForbids, match="a stop of 'arm'"):
             await asyncio.wait_for(moving, 20)
         assert rig.still()
 

@@ -99,7 +99,7 @@ async def test_a_drive_that_accepts_pdos_and_keeps_its_own_is_a_fault_of_configu
     name = channel()
     twin: Any = make_twin("cia402", 5)
     twin.keeps_mapping = True
-    table = {"bus": "can0", "profile": "cia402", "node": 5}
+    table = {"bus": "can0", "profile": "cia402", **MOTORS["cia402"]}
     bus = {"interface": "virtual", "channel": name}
     with Bench(can.Bus(name, "virtual", ignore_config=True), [twin]):
         async with opened({"buses": {"can0": bus}, "motors": {"m": table}, "grace": 0.1}) as rig:
@@ -133,7 +133,8 @@ async def test_the_torque_goes_some_time_after_a_stop_where_that_is_configured()
 
 @pytest.mark.parametrize("profile", ["vesc", "odrive", "cia402"])
 async def test_a_gateway_that_stood_still_sends_no_set_point_of_before(profile: str) -> None:
-    async with motor(profile, valid_for=60.0, timeout=3.0, feedback_timeout=3.0) as rig:
+    slow = {"timeout": 3.0, "feedback_timeout": 3.0, "watchdog": 0.5}
+    async with motor(profile, valid_for=60.0, **slow) as rig:
         await turns(rig)
         taken = len(rig.twin.commands)
         time.sleep(0.8)  # noqa: ASYNC251  # the loop is what stands still
@@ -469,7 +470,7 @@ async def test_watchdogs_are_told_as_the_drive_has_them(
     within: float | None,
     verified: bool,  # noqa: FBT001
 ) -> None:
-    async with motor(profile) as rig:
+    async with motor(profile, watchdog=0.5) as rig:
         await rig.enable()
         if verified:
             await rig.until(lambda: rig.backend.watchdogs()[0].verified)

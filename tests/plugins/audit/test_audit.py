@@ -7,7 +7,7 @@ import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import pytest
 from click.testing import CliRunner
@@ -162,7 +162,27 @@ async def test_a_long_value_is_told_by_its_length_and_hash(world: World) -> None
 def log_of(world: World) -> AuditLog:
     """Return what makes the records."""
     [hear] = world.server.kernel.event_bus.on_event
-    return cast("AuditLog", cast("Any", hear).__self__)
+    return cast("AuditLog", cast("Any", hear).__self__.on_event.__self__)
+
+
+async def test_what_the_log_fails_to_write_is_told_and_leaves_a_record_of_the_gap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any, **__: Any) -> NoReturn:
+        raise ZeroDivisionError
+
+    async with world_of(kept_in(tmp_path / "store.db")) as world:
+        client = world.client()
+        with monkeypatch.context() as patch:
+            patch.setattr("rcp_audit.log.requested", broken)
+            reply = await client.ask(type="write", path=LIMIT, body=1.0)
+        assert reply["error"]["code"] == "deadline_exceeded"
+        [gap] = await records(world, what="unrecorded")
+        assert (gap["path"], gap["event"]) == (LIMIT, "write")
+        assert gap["principal"] == "operator"
+        status = (await client.ask(type="status"))["body"]
+        assert (status["state"], status["record"]["state"]) == ("degraded", "degraded")
+        assert "ZeroDivisionError" in status["record"]["detail"]
 
 
 async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> None:

@@ -61,6 +61,9 @@ class Cart(BaseBackend):
         self._to.connect(("127.0.0.1", port))
         self.velocity = 0.0
         self.hang_after = ""
+        self.confirms = asyncio.Event()
+        """Set while it confirms that it was brought to rest."""
+        self.confirms.set()
         host.declare(
             Resource(
                 name="actuator/velocity",
@@ -108,6 +111,7 @@ class Cart(BaseBackend):
 
     async def halt(self) -> None:
         self.drive(0.0)
+        await self.confirms.wait()
 
     def watchdogs(self) -> list[Watchdog]:
         return [Watchdog("none: it goes on as it was told", None)]
@@ -148,7 +152,12 @@ class Client:
     def _flush(self) -> None:
         for data in self._connection.outbox.collect():
             reply = json.loads(data)
-            tell(reply=reply["type"], status=reply["status"], error=reply.get("error"))
+            tell(
+                reply=reply["type"],
+                path=reply.get("path"),
+                status=reply["status"],
+                error=reply.get("error"),
+            )
 
     def _send(self, type_: str, path: str, body: Any = None) -> None:
         envelope = {"type": type_, "id": path, "path": path}
@@ -172,6 +181,9 @@ class Client:
                 self._send("execute", "/system/estop", {})
             case {"do": "hang", "how": how}:
                 self._send("execute", "/tenant/alpha/service/hang", how)
+            case {"do": "confirm", "on": on}:
+                confirms = self._carts[-1].confirms
+                (confirms.set if on else confirms.clear)()
             case {"do": "guard"}:
                 self._tell_guard()
             case _:

@@ -110,6 +110,39 @@ async def test_after_a_freeze_the_gateway_rests_the_robot_and_says_so() -> None:
         await quiet(scene)
 
 
+async def test_nothing_moves_the_robot_while_the_gateway_brings_it_to_rest_after_the_guard() -> (
+    None
+):
+    async with bench(by_udp) as scene:
+        await scene.guard()
+        await scene.drive()
+        scene.gateway.say(do="confirm", on=False)
+        scene.gateway.say(do="hang", how="loop 1.5")
+        await scene.device.until(lambda fact: fact.get("told") == "STOP")
+        stopped = len(scene.device.facts)
+        await scene.device.until(lambda fact: fact.get("told") == "v 0", stopped)
+        while (code := await refusal(scene, 0.7)) == "stale_command":
+            pass  # sent before the gateway came to, for all that it knows
+        assert code == "already_running"
+        scene.gateway.say(do="go")
+        ended = await scene.gateway.until(lambda fact: (fact.get("path") or "").endswith("/go"))
+        assert ended["error"]["code"] == "already_running"
+        assert await refusal(scene, 0.0) is None  # what brings it to rest passes
+        assert {fact["velocity"] for fact in scene.device.facts[stopped:]} == {0.0}
+        scene.gateway.say(do="confirm", on=True)
+        while (code := await refusal(scene, 0.7)) is not None:
+            assert code == "already_running"
+        await scene.device.until(lambda fact: fact.get("velocity") == 0.7)
+
+
+async def refusal(scene: Bench, velocity: float) -> str | None:
+    """Drive; return the code with which the gateway refused it, or None."""
+    since = len(scene.gateway.facts)
+    scene.gateway.say(do="drive", velocity=velocity)
+    reply = await scene.gateway.until(lambda fact: fact.get("reply") == "write", since)
+    return reply["error"] and reply["error"]["code"]
+
+
 async def quiet(scene: Bench, seconds: float = 1.0) -> None:
     """See that the guard sends nothing, once it has let go."""
     async with asyncio.timeout(20):

@@ -73,7 +73,7 @@ async def test_cancelling_a_task_stops_the_robot(gateway: Site, client: Client) 
     answer = await client.task("cancel", made["taskId"])
     assert answer["result"]["resultType"] == "complete"
     assert (await client.ended(made["taskId"]))["status"] == "cancelled"
-    assert gateway.robot.stopped.is_set()
+    assert gateway.robot.stopped.qsize()
     assert "result" in await client.task("cancel", made["taskId"])
 
 
@@ -99,7 +99,7 @@ async def test_a_restart_leaves_a_task_failed_with_the_reason(tmp_path: Path) ->
         id_ = (await first.call("action-go", x=3))["taskId"]
         await first.http.aclose()
         # As after a power cut: nothing of the command's end is kept.
-        made.server.kernel.history.save = lambda _command: None  # type: ignore[method-assign]
+        made.server.kernel.journal.keep = lambda _command: None  # type: ignore[method-assign]
     async with site(more=kept) as made:
         second = Client(made.url, **TASKS)
         found = await second.state(id_)

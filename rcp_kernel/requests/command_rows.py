@@ -1,7 +1,8 @@
-"""Command history as it is kept in the store, and what becomes of commands that a crash cut off."""
+"""Commands as rows of the store, and what becomes of those that a crash cut off."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import structlog
@@ -12,54 +13,19 @@ from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resume import hashed
-from rcp_kernel.store.store import Store
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import is_system
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 
-__all__ = ["History"]
+__all__ = ["TABLE", "as_row", "cut_off", "from_rows"]
 
 log = structlog.get_logger("rcp.store")
-_TABLE = "commands"
+TABLE = "commands"
 
 
-class History:
-    """A `commands.Keeper` over the store."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self.cut_off: list[Command] = []
-        """Those that the end of the earlier run cut off."""
-
-    def save(self, command: Command) -> None:
-        """Note the command's present state."""
-        if not self._store.keeps:
-            return
-        try:
-            row = _as_row(command)
-        except Exception:  # the command goes on, whether it can be written down or not
-            log.exception("store_failed", command=command.id, path=command.path)
-            return
-        self._store.put(_TABLE, command.id, row)
-
-    def forget(self, command: Command) -> None:
-        """Let a command go that is too old to be remembered."""
-        self._store.put(_TABLE, command.id, None)
-
-    def load(self) -> list[Command]:
-        """Return the commands of earlier runs, oldest first; those cut off are `failed` now."""
-        rows = self._store.load(_TABLE).values()
-        found = [command for row in rows if (command := _read(row)) is not None]
-        for command in found:
-            if not command.final:
-                _cut_off(command)
-                self.save(command)
-                self.cut_off.append(command)
-        return sorted(found, key=lambda command: command.created)
-
-
-def _as_row(command: Command) -> dict[str, Any]:
+def as_row(command: Command) -> dict[str, Any]:
+    """Return the present state of a command as it is kept."""
     return {
         "id": command.id,
         "path": command.path,
@@ -96,6 +62,12 @@ def _written(value: Any) -> Any:
     return to_plain(value)
 
 
+def from_rows(rows: Iterable[dict[str, Any]]) -> list[Command]:
+    """Return the commands of earlier runs, oldest first."""
+    found = [command for row in rows if (command := _read(row)) is not None]
+    return sorted(found, key=lambda command: command.created)
+
+
 def _read(row: dict[str, Any]) -> Command | None:
     """Return the command of a row; one that cannot be read is left out and told of."""
     try:
@@ -107,12 +79,13 @@ def _read(row: dict[str, Any]) -> Command | None:
             step.setdefault("body", NO_BODY)
             command.history.append(Record(**step))
     except (TypeError, KeyError, AttributeError) as error:
-        log.warning("store_row_unreadable", table=_TABLE, error=str(error))
+        log.warning("store_row_unreadable", table=TABLE, error=str(error))
         return None
     return command
 
 
-def _cut_off(command: Command) -> None:
+def cut_off(command: Command) -> None:
+    """End a command in whose midst the gateway ended."""
     error = InternalError(
         "the gateway stopped while the command was running",
         path=command.path,

@@ -1,0 +1,132 @@
+"""The listeners of one feature, whatever they raise; of one that keeps a record, the record's gaps."""
+
+from __future__ import annotations
+
+from rcp_kernel.contract.events import Event, Hear
+from rcp_kernel.errors import QueueFull
+from rcp_kernel.features import Durability
+from rcp_kernel.features.health import FeatureHealth
+from rcp_kernel.sessions.command import Command, CommandListener, Record
+from rcp_kernel.sessions.session import Answer
+from rcp_kernel.wire import Reply
+
+__all__ = ["Listener", "Recorder"]
+
+
+class Listener:
+    """Passes on what a feature hears: its bug keeps nobody from commanding or stopping a robot."""
+
+    def __init__(
+        self, on_event: Hear | None, on_command: CommandListener | None, health: FeatureHealth
+    ) -> None:
+        self.on_event = on_event
+        self.on_command = on_command
+        self.health = health
+
+    def hear(self, event: Event) -> bool:
+        """Have the feature hear of an event; return whether replies about it should wait."""
+        try:
+            return self.on_event is not None and bool(self.on_event(event))
+        except Exception as error:
+            self.health.failed("on_event", error, what=event.what, path=event.path)
+            self.missed(event)
+            return False
+
+    def follow(self, command: Command, step: Record) -> None:
+        """Have the feature hear of a step of a command."""
+        try:
+            if self.on_command is not None:
+                self.on_command(command, step)
+        except Exception as error:
+            self.health.failed("on_command", error, command=command.id, path=command.path)
+            self.missed_step(command, step)
+
+    def missed(self, event: Event) -> None:
+        """Do what follows when the feature did not take an event: nothing."""
+
+    def missed_step(self, command: Command, step: Record) -> None:
+        """Do what follows when the feature did not take a step of a command: nothing."""
+
+
+class Recorder(Listener):
+    """The same of a feature that keeps a record, and its `Durability`.
+
+    What it did not take is not confirmed: a write or command that has acted is answered with an error,
+    a command that has not is refused. The record gets an event `unrecorded` in its place. While the
+    feature cannot take even that, writes and commands are refused, as while a store cannot be
+    written; each refusal is an event too, and the first one that it takes ends this.
+    """
+
+    def __init__(
+        self,
+        on_event: Hear | None,
+        on_command: CommandListener | None,
+        health: FeatureHealth,
+        durability: Durability,
+    ) -> None:
+        super().__init__(on_event, on_command, health)
+        self._durability = durability
+        self._failing = False
+        self.hold = durability.hold
+        self.lost = 0
+        """How many events were not recorded."""
+
+    def hear(self, event: Event) -> bool:
+        """Have the feature hear of an event; return whether replies about it should wait."""
+        lost = self.lost
+        waits = super().hear(event)
+        if self.lost == lost:
+            self._failing = False
+        return waits
+
+    def missed(self, event: Event) -> None:
+        """Have the record tell of the gap: with the little that is known to be sound."""
+        self.lost += 1
+        if self.on_event is None:
+            return
+        gap = Event(
+            what="unrecorded",
+            principal=event.principal,
+            tenant=event.tenant,
+            path=event.path,
+            outcome="internal",
+            facts={"event": event.what},
+        )
+        try:
+            self.on_event(gap)
+        except Exception as error:
+            self._failing = True
+            self.health.failed("on_event", error, what=gap.what)
+
+    def missed_step(self, command: Command, step: Record) -> None:
+        """Do likewise for a step of a command, which is not confirmed any more."""
+        command.unrecorded = True
+        requester = command.asker
+        self.missed(
+            Event(
+                what="execute" if step.status == "accepted" else "command",
+                principal=None if requester is None else requester.principal,
+                tenant=command.tenant,
+                path=command.path,
+            )
+        )
+
+    def check(self) -> None:
+        """Refuse a write or command whose record could not be kept.
+
+        :raises QueueFull: it could not.
+        """
+        if self._failing:
+            raise QueueFull(
+                f"nothing can be recorded ({self.health.name}: {self.health.fault}); commands and "
+                "writes are refused until this works again",
+                remedy="Ask the operator to look into the log of the gateway.",
+                retry_after=1.0,
+            )
+        self._durability.check()
+
+    def hold_estop(self, send: Answer, reply: Reply) -> None:
+        """Send the reply to an e-stop, in any case."""
+        if self._failing:
+            reply.message = f"{reply.message or ''} There is no audit record of it.".lstrip()
+        self._durability.hold_estop(send, reply)

@@ -1,0 +1,22 @@
+"""What is answered in place of what happened, when that could not be put on record."""
+
+from __future__ import annotations
+
+from rcp_kernel.errors import DeadlineExceeded, RcpError
+from rcp_kernel.wire import Reply, failure
+
+__all__ = ["unrecorded"]
+
+
+def unrecorded(reply: Reply, why: str = "could not be written in time") -> Reply:
+    """Return the reply that confirms nothing, and tells the true outcome in `details`."""
+    error = reply.error
+    outcome = reply.status if error is None else error["code"]
+    unknown: RcpError = DeadlineExceeded(
+        f"its audit record {why}, so it cannot be confirmed",
+        remedy="Check the state of the robot and /system/status before you send it again.",
+        details={"outcome": outcome},
+    )
+    substitute = failure(unknown, reply.type, reply.id, reply.path, command=reply.command)
+    substitute.custom = reply.custom
+    return substitute

@@ -1,0 +1,266 @@
+"""Whether one JSON Schema can stand in for another: what it still accepts, and what it may yield.
+
+`unaccepted` is for what a client sends, `unexpected` for what it receives. Both return sentences,
+each beginning with the place in the value; none: compatible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+__all__ = ["unaccepted", "unexpected"]
+
+_LOWER = ("minimum", "exclusiveMinimum", "minLength", "minItems")
+_UPPER = ("maximum", "exclusiveMaximum", "maxLength", "maxItems")
+_TEXT = ("pattern", "contentEncoding", "format")
+
+
+class _Node(NamedTuple):
+    """A schema and the document that its references are resolved in."""
+
+    schema: Any
+    root: dict[str, Any]
+
+    def at(self, schema: Any) -> _Node:
+        return _Node(schema, self.root)
+
+
+def unaccepted(old: dict[str, Any], new: dict[str, Any], *, limits: bool = False) -> list[str]:
+    """List what a value of `old` may be that `new` does not accept.
+
+    With `limits`, `new` may have bounds of its own: of numbers, lengths, and the words or the keys
+    that it knows.
+    """
+    return list(_Accepts(limits=limits).compare(_Node(old, old), _Node(new, new), ""))
+
+
+def unexpected(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """List what a value of `new` may be, or lack, that `old` did not announce; more fields are fine."""
+    return list(_Yields().compare(_Node(old, old), _Node(new, new), ""))
+
+
+def _alternatives(node: _Node) -> list[_Node]:
+    """Resolve references and unions to schemas of one type each."""
+    schema = node.schema
+    if schema is False:
+        return []
+    found: dict[str, Any] = {} if schema is True else schema
+    if "$ref" in found:
+        target: Any = node.root
+        for step in str(found["$ref"]).removeprefix("#/").split("/"):
+            target = target[step]
+        return _alternatives(node.at(target))
+    if "anyOf" in found:
+        rest = {key: found[key] for key in ("unit",) if key in found}
+        return [
+            one.at({**rest, **one.schema})
+            for option in found["anyOf"]
+            for one in _alternatives(node.at(option))
+        ]
+    return [node.at(found)]
+
+
+def _type(node: _Node) -> str:
+    schema = node.schema
+    if "type" in schema:
+        return schema["type"]
+    words = schema.get("enum", [schema["const"]] if "const" in schema else None)
+    if words is None:
+        return "any"
+    return "string" if all(isinstance(word, str) for word in words) else "enum"
+
+
+def _words(node: _Node) -> set[Any] | None:
+    schema = node.schema
+    if "enum" in schema:
+        return set(schema["enum"])
+    return {schema["const"]} if "const" in schema else None
+
+
+def _unit(node: _Node) -> str | None:
+    return node.schema.get("unit")
+
+
+def _where(place: str) -> str:
+    return place or "the value"
+
+
+class _Comparison:
+    """What both directions share."""
+
+    def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        """Yield what stands in the way of `new` in place of `old`."""
+        raise NotImplementedError
+
+    def _units(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        if _unit(old) != _unit(new):
+            yield f"{_where(place)} is in {_unit(new) or 'no unit'}, not in {_unit(old) or 'none'}"
+
+
+class _Accepts(_Comparison):
+    """A client goes on sending values of the old schema."""
+
+    def __init__(self, *, limits: bool) -> None:
+        self._limits = limits
+
+    def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        """Yield which values of `old` are not values of `new`."""
+        options = _alternatives(new)
+        if any(_type(option) == "any" for option in options):
+            return
+        for one in _alternatives(old):
+            yield from self._one(one, options, place)
+
+    def _one(self, old: _Node, options: list[_Node], place: str) -> Iterator[str]:
+        kind = _type(old)
+        takers = [o for o in options if _type(o) == kind]
+        if kind == "integer":
+            takers += [o for o in options if _type(o) == "number"]
+        if not takers:
+            yield f"{_where(place)} takes no {kind}"
+            return
+        found = [list(self._same_type(old, taker, place)) for taker in takers]
+        yield from min(found, key=len)
+
+    def _same_type(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        yield from self._units(old, new, place)
+        match _type(old):
+            case "object":
+                yield from self._object(old, new, place)
+            case "array":
+                yield from self._array(old, new, place)
+            case _:
+                pass
+        if not self._limits:
+            yield from _narrowed(old, new, place)
+            known, taken = _words(old), _words(new)
+            if taken is not None and (known is None or known - taken):
+                yield f"{_where(place)} takes only {_listed(taken)}"
+
+    def _object(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        mine: dict[str, Any] = old.schema.get("properties", {})
+        theirs: dict[str, Any] = new.schema.get("properties", {})
+        rest = new.schema.get("additionalProperties", True)
+        for name, schema in mine.items():
+            inner = f"{place}/{name}"
+            if name in theirs:
+                yield from self.compare(old.at(schema), new.at(theirs[name]), inner)
+            elif rest is False:
+                yield f"{inner} is not taken"
+            else:
+                yield from self.compare(old.at(schema), new.at(rest), inner)
+        for name in new.schema.get("required", ()):
+            if name not in old.schema.get("required", ()):
+                yield f"{place}/{name} is required"
+        keyed = old.schema.get("additionalProperties", True)
+        if mine or keyed is False:
+            return
+        yield from self._map(old.at(keyed), new, place)
+
+    def _map(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        """Compare a map of any keys with another one, or with an object of known keys."""
+        theirs: dict[str, Any] = new.schema.get("properties", {})
+        rest = new.schema.get("additionalProperties", True)
+        if rest is False and not self._limits:
+            yield f"{_where(place)} does not take every key"
+        for name, schema in theirs.items():
+            yield from self.compare(old, new.at(schema), f"{place}/{name}")
+        if rest is not False:
+            yield from self.compare(old, new.at(rest), f"{place}/*")
+
+    def _array(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        for mine, theirs in _items(old, new):
+            yield from self.compare(mine, theirs, f"{place}/*")
+
+
+class _Yields(_Comparison):
+    """A client goes on reading as the old schema told it to."""
+
+    def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        """Yield which values of `new` are not values of `old`."""
+        options = _alternatives(old)
+        if any(_type(option) == "any" for option in options):
+            return
+        for one in _alternatives(new):
+            kind = _type(one)
+            known = [o for o in options if _type(o) == kind]
+            if kind == "integer":
+                known += [o for o in options if _type(o) == "number"]
+            if not known:
+                yield f"{_where(place)} may be {kind}"
+                continue
+            yield from min((list(self._same_type(o, one, place)) for o in known), key=len)
+
+    def _same_type(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        yield from self._units(old, new, place)
+        yield from _narrowed(new, old, place, "may be beyond")
+        known, given = _words(old), _words(new)
+        if known is not None and (given is None or given - known):
+            more = "any text" if given is None else _listed(given - known)
+            yield f"{_where(place)} may be {more}"
+        match _type(old):
+            case "object":
+                yield from self._object(old, new, place)
+            case "array":
+                for mine, theirs in _items(old, new):
+                    yield from self.compare(mine, theirs, f"{place}/*")
+            case _:
+                pass
+
+    def _object(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        mine: dict[str, Any] = old.schema.get("properties", {})
+        theirs: dict[str, Any] = new.schema.get("properties", {})
+        for name, schema in mine.items():
+            inner = f"{place}/{name}"
+            if name in theirs:
+                yield from self.compare(old.at(schema), new.at(theirs[name]), inner)
+            elif name in old.schema.get("required", ()) or _is_always_there(schema):
+                yield f"{inner} is missing"
+        keyed = old.schema.get("additionalProperties", True)
+        if mine or keyed in (True, False):
+            return
+        rest = new.schema.get("additionalProperties", True)
+        for name, schema in theirs.items():
+            yield from self.compare(old.at(keyed), new.at(schema), f"{place}/{name}")
+        if rest is not False:
+            yield from self.compare(old.at(keyed), new.at(rest), f"{place}/*")
+
+
+def _is_always_there(schema: Any) -> bool:
+    """Tell whether a field that is not required is sent all the same: it has a default of its own."""
+    return isinstance(schema, dict) and "default" in schema and schema["default"] is not None
+
+
+def _items(old: _Node, new: _Node) -> Iterator[tuple[_Node, _Node]]:
+    mine, theirs = old.schema.get("prefixItems", []), new.schema.get("prefixItems", [])
+    if len(mine) == len(theirs):
+        for one, other in zip(mine, theirs, strict=True):
+            yield old.at(one), new.at(other)
+    yield old.at(old.schema.get("items", {})), new.at(new.schema.get("items", {}))
+
+
+def _narrowed(wide: _Node, narrow: _Node, place: str, says: str = "is bounded by") -> Iterator[str]:
+    """Yield the bounds of `narrow` that `wide` goes beyond."""
+    for names, tighter in ((_LOWER, max), (_UPPER, min)):
+        for name in names:
+            bound, own = narrow.schema.get(name), wide.schema.get(name)
+            if bound is None:
+                continue
+            if own is None:
+                other = name.replace("exclusiveM", "m")
+                other = other if other != name else "exclusiveM" + name[1:]
+                own = wide.schema.get(other)
+                strict = name.startswith("exclusive") and own == bound
+                if own is not None and not strict and tighter(own, bound) == own:
+                    continue
+            elif tighter(own, bound) == own:
+                continue
+            yield f"{_where(place)} {says} {name} {bound:g}"
+    for name in _TEXT:
+        if name in narrow.schema and narrow.schema[name] != wide.schema.get(name):
+            yield f"{_where(place)} {says} {name} {narrow.schema[name]}"
+
+
+def _listed(words: set[Any]) -> str:
+    return ", ".join(sorted(map(str, words)))

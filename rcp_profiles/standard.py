@@ -1,0 +1,30 @@
+"""The profiles that come with the gateway, by name."""
+
+from __future__ import annotations
+
+import difflib
+
+from rcp_profiles.moving import AERIAL, DRIVE, MOBILE, POWER
+from rcp_profiles.parts import ARM, BATTERY, CAMERA, GRIPPER, LIDAR
+from rcp_profiles.profile import Profile
+from rcp_protocol.errors import PluginError
+
+__all__ = ["STANDARD", "profile_named"]
+
+STANDARD: dict[str, Profile] = {
+    profile.name: profile
+    for profile in (DRIVE, MOBILE, AERIAL, ARM, GRIPPER, BATTERY, CAMERA, LIDAR, POWER)
+}
+
+
+def profile_named(name: str) -> Profile:
+    """Return a standard profile.
+
+    :raises PluginError: there is none of this name.
+    """
+    found = STANDARD.get(name)
+    if found is None:
+        near = difflib.get_close_matches(name, STANDARD, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(STANDARD)}"
+        raise PluginError(f"there is no profile '{name}': {advice}")
+    return found
