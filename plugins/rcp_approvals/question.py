@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Forbidden
 from rcp_kernel.features.approval import Decision
@@ -65,18 +65,20 @@ class Question:
     expires: int
     digest: bytes
     """Digest of this command by this principal."""
+    now: Callable[[], int]
+    """The gateway's wall time."""
 
     @property
     def status(self) -> _Status:
         """The current status."""
-        if self.state.status in ("pending", "approved") and self.expires <= now():
+        if self.state.status in ("pending", "approved") and self.expires <= self.now():
             self.state.status = "expired"
         return self.state.status
 
     @property
     def holds(self) -> bool:
         """Whether the same command can still use this approval."""
-        return self.status in ("pending", "approved", "rejected") and self.expires > now()
+        return self.status in ("pending", "approved", "rejected") and self.expires > self.now()
 
 
 def digest_of(principal: Principal, type_: str, path: str, value: Any) -> bytes:

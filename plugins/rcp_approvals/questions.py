@@ -11,7 +11,7 @@ from typing import Any
 
 from rcp_approvals.config import ApprovalsConfig
 from rcp_approvals.question import PATH, ApprovalState, Question, digest_of, rejected, shown
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull
 from rcp_kernel.features import FeatureHost
@@ -33,6 +33,7 @@ class Questions:
     def __init__(self, config: ApprovalsConfig, host: FeatureHost) -> None:
         self.config = config
         self._host = host
+        self._now = host.clock.now
         self.known: dict[str, Question] = {}
         """By id, oldest first."""
 
@@ -83,7 +84,7 @@ class Questions:
         digest: bytes,
     ) -> Question:
         self._make_room(session.principal)
-        moment = now()
+        moment = self._now()
         expires = moment + int(self.config.ttl * 1e9)
         state = ApprovalState(
             approval=ID + secrets.token_hex(8),
@@ -96,7 +97,9 @@ class Questions:
             steps=about.steps,
         )
         tenants = frozenset(tenant_of(path) or "" for path in about.paths)
-        question = Question(state, session.principal.identity, about.seen, tenants, expires, digest)
+        question = Question(
+            state, session.principal.identity, about.seen, tenants, expires, digest, self._now
+        )
         self.known[state.approval] = question
         self._host.loop.call_later(self.config.ttl + 0.01, self.changed)
         self.changed()
@@ -107,7 +110,7 @@ class Questions:
 
         :raises QueueFull: too many are pending.
         """
-        moment = now()
+        moment = self._now()
         own = [q for q in self.known.values() if q.asker == principal.identity]
         if sum(q.status == "pending" for q in own) >= _EACH:
             raise QueueFull(
@@ -121,7 +124,7 @@ class Questions:
 
     def _drop(self) -> None:
         """Remove the oldest approval: a finished one, or one of the tenants with the most."""
-        moment = now()
+        moment = self._now()
         counts = Counter(question.tenants for question in self.known.values())
         most = max(counts, key=lambda tenants: counts[tenants])
         every = self.known.items()

@@ -53,6 +53,16 @@ _DENIALS = frozenset(
 """Codes that go on record whatever the request was; a write or an execute does with any code."""
 
 
+class _Sealed(msgspec.Struct, frozen=True, gc=False):
+    """A record as it is sealed, decoded only if somebody asks: a `Native` value."""
+
+    data: bytes
+
+    def decode(self) -> dict[str, Any]:
+        """Return the record."""
+        return msgspec.json.decode(self.data)
+
+
 class AuditLog:
     """Writes one record for each event, and for each start and end of a command."""
 
@@ -144,7 +154,7 @@ class AuditLog:
         self._ledger.settled(partial(self._publish, data))
 
     def _publish(self, data: bytes) -> None:
-        self._host.publish(PATH, msgspec.json.decode(data))
+        self._host.publish(PATH, _Sealed(data))
 
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the record for `/system/status`; its head is not for everybody."""

@@ -20,7 +20,6 @@ from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
 from rcp_kernel.safety.safety import safe_value
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
-from rcp_motion_limits import commanded_values
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import EnvelopeConfig, MotionLimitsConfig, patterns
 from rcp_motion_limits.limit import MotionLimit
@@ -103,6 +102,7 @@ class MotionLimits:
 
     def __init__(self, host: FeatureHost) -> None:
         self._host = host
+        self._now = host.clock.monotonic
         self._robots = host.robots
         self._tables: list[tuple[EnvelopeConfig, list[Pattern]]] = []
         self._bound: dict[str, BoundPath] = {}
@@ -134,7 +134,7 @@ class MotionLimits:
         if not tables:
             self._period += 1
         paths = self._robots.entries if tables else self._bound
-        self._pending = dict.fromkeys(paths, commanded_values.clock())
+        self._pending = dict.fromkeys(paths, self._now())
         moving = {*self.drivers, *(command.path for command in self._host.control.running())}
         for path in moving & self._pending.keys():  # a fence may stop these at the next sample
             self._work_out(path)
@@ -182,7 +182,7 @@ class MotionLimits:
 
     def _added(self, entry: Entry) -> None:
         if self._tables or entry.path in self._bound:
-            self._pending[entry.path] = commanded_values.clock()
+            self._pending[entry.path] = self._now()
             self._work()
 
     def _removed(self, entry: Entry) -> None:
@@ -249,7 +249,7 @@ def _called(entry: Entry) -> bool:
 
 def _first(entry: Entry, since: float) -> CommandedValues:
     """Return the values that may be in force on a path that was not tracked before."""
-    force = CommandedValues()
+    force = CommandedValues(entry.clock.monotonic)
     if (safe := safe_value(entry)) is not None:
         force.attempt(safe, since)
     if entry.latest is not None and entry.operations & Operation.WRITE:

@@ -50,12 +50,11 @@ class Token(msgspec.Struct, frozen=True):
     expires: int | None
     revoked: int | None
 
-    @property
-    def state(self) -> str:
-        """`good`, `expired` or `revoked`."""
+    def state(self, moment: int) -> str:
+        """Return `good`, `expired` or `revoked`."""
         if self.revoked is not None:
             return "revoked"
-        return "expired" if self.expires is not None and self.expires <= now() else "good"
+        return "expired" if self.expires is not None and self.expires <= moment else "good"
 
     def principal(self, grants: Grants) -> Principal:
         """Return whom it proves, with what is left of its grants."""

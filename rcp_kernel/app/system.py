@@ -115,7 +115,7 @@ class System(BaseBackend):
 
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
-        return self._registry.place(Entry(path, resource, self, None, None))
+        return self._registry.place(Entry(path, resource, self, None, None, self._registry.clock))
 
     def _add(self, own: SystemResource) -> None:
         """Put a feature's resource into the tree."""

@@ -50,17 +50,18 @@ class Finished:
 
 
 def _size(command: Command) -> int:
-    bodies = [record.body for record in command.history if record.body is not NO_BODY]
-    size = _EMPTY
-    for value in [command.input, *bodies]:
-        if isinstance(value, LongValue):
-            size += value.size
-        elif not isinstance(value, _SCALARS):
-            size += _length(value)
+    size = _EMPTY + _length(command.input)
+    for record in command.history:
+        if record.body is not NO_BODY:
+            size += _length(record.body)
     return size
 
 
 def _length(value: Any) -> int:
+    if isinstance(value, _SCALARS):
+        return 0
+    if isinstance(value, LongValue):
+        return value.size
     try:
         return len(dump(value, Encoding.MSGPACK))
     except Exception:  # what cannot be written is not told to anybody either

@@ -17,7 +17,7 @@ from msgspec import Meta
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.scope_rights import ScopeRights
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.safety import Deadman
@@ -94,6 +94,7 @@ class Estop:
         halted: Callable[[frozenset[str], str, str], None],
         record: EstopRecord,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         """Act on the robots of `supervisors`.
 
@@ -110,6 +111,7 @@ class Estop:
         self._tell_halted = halted
         self._record = record
         self._loop = loop
+        self._now = clock.now
         self._due: list[tuple[list[StopGroup], str, str | None]] = []
         """E-stops after which what ran has not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
@@ -222,7 +224,7 @@ class Estop:
         for key, tenant in keys.items():
             latches.reset(key, () if tenant is None else (tenant_key(tenant),))
         for robot in _merged(freed):
-            robot.release(now())
+            robot.release(self._now())
         self._stops.end(robot for robot in robots if robot.latch is None)
         return freed
 

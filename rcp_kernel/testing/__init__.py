@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import rcp_kernel.testing._asserts  # noqa: F401 # pyright: ignore[reportUnusedImport] - comes first
 from rcp_kernel.testing._client import BOUND, Client, MemoryClient, Message, decode, encode
+from rcp_kernel.testing._clock import SteppedClock, SteppedLoop
+from rcp_kernel.testing._scripted import Behaviour, ScriptedRobot, Take, scripted
 from rcp_kernel.testing._serve import (
     ADMIN,
     OPERATOR,
@@ -35,6 +37,7 @@ __all__ = [
     "AdapterGateway",
     "AdapterSuite",
     "BackendSuite",
+    "Behaviour",
     "Body",
     "Client",
     "FeatureGateway",
@@ -47,16 +50,21 @@ __all__ = [
     "ProfileSuite",
     "Requirement",
     "Robot",
+    "ScriptedRobot",
     "Served",
+    "SteppedClock",
+    "SteppedLoop",
     "StopRig",
     "StopSuite",
     "Suite",
+    "Take",
     "TransportSuite",
     "decode",
     "encode",
     "eventually",
     "loopback",
     "proves",
+    "scripted",
     "serve",
     "serve_backend",
 ]
