@@ -120,17 +120,17 @@ class AuditLog:
             what, event, who
         ):
             return False
-        request = (
-            {} if event.request is None else requested(event.request, event.what, hide=event.hide)
-        )
-        facts = {**who, "path": event.path, **more, **request}
+        facts = {**who, "path": event.path, **more}
+        if event.request is not None:
+            facts |= requested(event.request, event.what, hide=event.hide)
         facts |= {key: value for key, value in event.facts.items() if value is not None}
         value = facts.get("value")
         if value is not None and type(value) is not msgspec.Raw:
             facts["value"] = bounded(value)
         if touches is not None:
             facts["touches"] = list(touches)
-        self._write(what, {**facts, "outcome": event.outcome})
+        facts["outcome"] = event.outcome
+        self._write(what, facts)
         return True
 
     def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
