@@ -53,7 +53,10 @@ class GatewayFeatureHost:
     ) -> None:
         self._health = health
         self.robots = robots(health.name)
-        self._changes = changes
+        self.changed = changes.tell
+        """Has the view's subscribers get it again."""
+        self.publish = changes.tell
+        """Publishes a sample of the feature's own."""
         self._store = store
         self._events = events
         self.ledger = ledger
@@ -80,14 +83,6 @@ class GatewayFeatureHost:
     def in_steps(self, work: Work) -> None:
         """Do something long in the turns that have time for it."""
         self._turns.oblige(self, work)
-
-    def changed(self, path: str) -> None:
-        """Have the view's subscribers get it again."""
-        self._changes.tell(path)
-
-    def publish(self, path: str, value: Any) -> None:
-        """Publish a sample of the feature's own."""
-        self._changes.tell(path, value)
 
     def store(self, table: str) -> PluginStore:
         """Return a table that is named after the feature."""

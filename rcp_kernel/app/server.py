@@ -167,8 +167,7 @@ async def running(
 def _keep_record(stack: AsyncExitStack, kernel: Kernel) -> None:
     name = kernel.settings.config.name
     kernel.event_bus.note("start", principal=None, name=name, version=gateway_version())
-    for command in kernel.journal.cut_off:
-        kernel.journal.tell(command, command.history[-1])
+    kernel.journal.tell_cut_off()
     kernel.resume.start()
 
     def stop() -> None:

@@ -85,7 +85,7 @@ class GatewayActionHost:
         self, session: Session, entry: Entry, value: Any, *, gained: bool, complete: bool
     ) -> None:
         """Refuse a later command that would be refused whatever happens until then."""
-        check_motion(entry, entry.unit.latch)
+        check_motion(entry)
         if not gained:
             self._control.check(session, entry)
         if entry.owner.backend is None:

@@ -86,7 +86,8 @@ class CommandJournal:
             self._close(command, step)
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
-        self.tell(command, step)
+        for hear in self.on_step:
+            hear(command, step)
         for follower in tuple(command.followers):
             follower(command, step)
         if status in FINAL:
@@ -113,10 +114,11 @@ class CommandJournal:
     def _forget(self, command: Command) -> None:
         self._store.put(TABLE, command.id, None)
 
-    def tell(self, command: Command, step: Record) -> None:
-        """Tell a step to those who hear of all commands."""
-        for hear in self.on_step:
-            hear(command, step)
+    def tell_cut_off(self) -> None:
+        """Tell those who hear of all commands which ones the end of the earlier run cut off."""
+        for command in self.cut_off:
+            for hear in self.on_step:
+                hear(command, command.history[-1])
 
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float

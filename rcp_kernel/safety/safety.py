@@ -15,7 +15,6 @@ from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.latches import Latch
 from rcp_kernel.wire import Request
 
 __all__ = [
@@ -32,12 +31,13 @@ _UNTAKEN = 0.25  # s that the robot may not take a safe value before its other b
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 
 
-def check_motion(entry: Entry, latch: Latch | None) -> None:
+def check_motion(entry: Entry) -> None:
     """Refuse motion under a latched e-stop.
 
     :raises EstopActive: the path moves something, and its robot is stopped.
     """
-    if latch is not None and entry.barred:
+    latch = entry.unit.latch if entry.barred else None
+    if latch is not None:
         raise EstopActive(
             f"{latch.by} has latched an e-stop" + (f": {latch.reason}" if latch.reason else ""),
             path=entry.path,
