@@ -8,7 +8,6 @@ from typing import Any
 import structlog
 from msgspec import Raw
 
-from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
@@ -86,14 +85,14 @@ def _read(row: dict[str, Any]) -> Command | None:
     return command
 
 
-def cut_off(command: Command) -> None:
+def cut_off(command: Command, moment: int) -> None:
     """End a command in whose midst the gateway ended."""
     error = InternalError(
         "the gateway stopped while the command was running",
         path=command.path,
         remedy="Check the state of the robot, then send the command again if it is still needed.",
     )
-    command.finished = now()
+    command.finished = moment
     command.history.append(
         Record("failed", command.finished, message=error.message, error=error_body(error))
     )
