@@ -177,12 +177,12 @@ class Demo:
             where += ", a drone in gamma"
             does = f"  {rcpctl} --url {url} execute /tenant/gamma/action"
             fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
-        look = "  To add CAN motors: pip install 'rcp-gateway[can]'"
+        motors = "  To add CAN motors: pip install 'rcp-gateway[can]'"
         if self._head:
             where += ", a head with two motors in delta"
             does = f"  {rcpctl} --url {url} execute /tenant/delta"
             goal = """'{"positions": {"pan": 1, "tilt": 0.5}}'"""
-            look = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
+            motors = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
         a2a = f"{url}/a2a               A2A, for other agents"
         if not self._a2a:
             a2a = "To add A2A: pip install 'rcp-gateway[a2a]'"
@@ -206,7 +206,7 @@ Try:
   {rcpctl} --url {url} read /tenant/alpha/sensor/pose
   {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
 {fly}
-{look}
+{motors}
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"

@@ -94,8 +94,11 @@ def create(
 @click.option("--all", "every", is_flag=True, help="Include expired and revoked keys.")
 def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
     """List the keys, without their secrets."""
+    from rcp_kernel.clock import now
+
+    moment = now()
     for one in _read(config, store):
-        if every or one.state == "good":
+        if every or one.state(moment) == "good":
             click.echo(_line(one))
 
 
@@ -202,11 +205,11 @@ def _end(text: str) -> int:
 
 
 def _line(one: Token) -> str:
-    from rcp_kernel.clock import iso
+    from rcp_kernel.clock import iso, now
 
     grants = " ".join(f"{tenant}={','.join(roles)}" for tenant, roles in one.grants)
     end = "never" if one.expires is None else iso(one.expires)[:19] + "Z"
     return (
-        f"{one.id}  {one.name:<20} {one.state:<8} {grants:<30} "
+        f"{one.id}  {one.name:<20} {one.state(now()):<8} {grants:<30} "
         f"created {iso(one.created)[:19]}Z  expires {end}"
     )

@@ -76,16 +76,16 @@ class _Walk:
     def _look(self, seq: int, digest: bytes, data: bytes) -> None:
         try:
             record: Any = msgspec.json.decode(data)
-            said, what = record["seq"], record["what"]
+            number, what = record["seq"], record["what"]
             facts: dict[str, Any] = record
         except (msgspec.DecodeError, UnicodeDecodeError, TypeError, KeyError):
             self._find(seq, "changed: it is not a valid record")
             return
-        if said != seq:
-            self._find(seq, f"moved: it says that it is record {said}")
+        if number != seq:
+            self._find(seq, f"moved: it says that it is record {number}")
         if what == "prune" and self._anchor is not None:
-            told = (facts.get("to"), facts.get("hash"))
-            self._anchored = self._anchored or told == (self._anchor[0], self._anchor[1].hex())
+            recorded = (facts.get("to"), facts.get("hash"))
+            self._anchored = self._anchored or recorded == (self._anchor[0], self._anchor[1].hex())
         self._anchored = self._anchored or joint(facts) == self._anchor
         if what == "start":
             self._restart(seq, facts.get("head"))

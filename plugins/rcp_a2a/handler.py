@@ -64,7 +64,7 @@ class Handler(DefaultRequestHandler):
     def _mask(self, context: ServerCallContext, own: Iterable[Message] = ()) -> Mask:
         return Mask(self._client_api, caller_of(context).session, own)
 
-    async def _told(self, task: Task, context: ServerCallContext) -> Task:
+    async def _visible(self, task: Task, context: ServerCallContext) -> Task:
         # The returned task may lack its history, and thus the request.
         turns = self._client_api.turns
         await turns.wait(caller_of(context).principal.identity)
@@ -76,7 +76,7 @@ class Handler(DefaultRequestHandler):
     async def on_get_task(self, params: GetTaskRequest, context: ServerCallContext) -> Task | None:
         """Handle `GetTask`."""
         task = await super().on_get_task(params, context)
-        return None if task is None else await self._told(task, context)
+        return None if task is None else await self._visible(task, context)
 
     async def on_list_tasks(
         self, params: ListTasksRequest, context: ServerCallContext
@@ -86,7 +86,7 @@ class Handler(DefaultRequestHandler):
         shown = ListTasksResponse()
         shown.CopyFrom(found)
         del shown.tasks[:]
-        shown.tasks.extend([await self._told(task, context) for task in found.tasks])
+        shown.tasks.extend([await self._visible(task, context) for task in found.tasks])
         return shown
 
     async def on_cancel_task(
@@ -94,7 +94,7 @@ class Handler(DefaultRequestHandler):
     ) -> Task | None:
         """Handle `CancelTask`."""
         task = await super().on_cancel_task(params, context)
-        return None if task is None else await self._told(task, context)
+        return None if task is None else await self._visible(task, context)
 
     async def on_message_send(
         self, params: SendMessageRequest, context: ServerCallContext
@@ -109,8 +109,8 @@ class Handler(DefaultRequestHandler):
         """Handle `SendStreamingMessage`."""
         await self._check(params, context)
         stream = _send_stream(self, params, context)
-        async with aclosing(_masked(stream, self._mask(context, (params.message,)))) as told:
-            async for event in told:
+        async with aclosing(_masked(stream, self._mask(context, (params.message,)))) as events:
+            async for event in events:
                 yield event
 
     async def on_subscribe_to_task(
@@ -118,8 +118,8 @@ class Handler(DefaultRequestHandler):
     ) -> AsyncGenerator[Any, None]:
         """Handle `SubscribeToTask`."""
         stream = super().on_subscribe_to_task(params, context)
-        async with aclosing(_masked(stream, self._mask(context))) as told:
-            async for event in told:
+        async with aclosing(_masked(stream, self._mask(context))) as events:
+            async for event in events:
                 yield event
 
 
@@ -131,7 +131,7 @@ def _asked(task: Task) -> list[Message]:
 async def _masked(stream: AsyncGenerator[Any, None], mask: Mask) -> AsyncGenerator[Any, None]:
     try:
         async for event in stream:
-            if (told := mask.event(event)) is not None:
-                yield told
+            if (masked := mask.event(event)) is not None:
+                yield masked
     finally:
         await stream.aclose()

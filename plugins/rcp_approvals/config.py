@@ -20,5 +20,5 @@ class ApprovalsConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 def from_gateway(config: GatewayConfig) -> ApprovalsConfig:
     """Return the settings from their places in the file."""
-    asked = any(role.approve for role in config.roles.values())
-    return ApprovalsConfig(ttl=config.safety.approval_ttl, asked=asked)
+    required = any(role.approve for role in config.roles.values())
+    return ApprovalsConfig(ttl=config.safety.approval_ttl, asked=required)

@@ -31,15 +31,15 @@ class Decisions:
         return [to_plain(q.state) for q in every if self._sees(session, q) and q.status]
 
     def request(
-        self, session: Session, asked: ApprovalRequest, *, dry_run: bool
+        self, session: Session, decision: ApprovalRequest, *, dry_run: bool
     ) -> ApprovalState | None:
         """Decide as a principal other than the requester.
 
         :raises UnknownPath: this principal has no such approval.
         :raises Forbidden: it may not decide, or the approval is no longer pending.
         """
-        found = self._find(session, asked.id)
-        if session.principal.identity == found.asker:
+        found = self._find(session, decision.id)
+        if session.principal.identity == found.requester:
             raise Forbidden(
                 "you cannot approve your own command",
                 path=PATH,
@@ -50,7 +50,7 @@ class Decisions:
         _check_open(found)
         if dry_run:
             return None
-        self._decide(session, found, asked.decision, asked.reason, at="gateway")
+        self._decide(session, found, decision.decision, decision.reason, at="gateway")
         return msgspec.structs.replace(found.state)
 
     def answer(self, session: Session, id_: str, decision: Decision, reason: str | None) -> None:
@@ -60,7 +60,7 @@ class Decisions:
         """
         session.charge()
         found = self._find(session, id_)
-        own = session.principal.identity == found.asker
+        own = session.principal.identity == found.requester
         rights = session.rights
         if own and decision == "approve" and not all(map(rights.may_approve_own, found.tenants)):
             raise Forbidden(
@@ -79,19 +79,27 @@ class Decisions:
             raise UnknownPath(f"there is no approval '{id_[:64]}'", remedy=f"Read {PATH}.")
         return found
 
-    def _may_decide(self, session: Session, asked: Question) -> bool:
+    def _may_decide(self, session: Session, question: Question) -> bool:
         rights = session.rights
-        return all(map(rights.may_approve, asked.tenants)) and self._host.sees_all(
-            rights, asked.seen
+        return all(map(rights.may_approve, question.tenants)) and self._host.sees_all(
+            rights, question.seen
         )
 
-    def _sees(self, session: Session, asked: Question) -> bool:
-        return session.principal.identity == asked.asker or self._may_decide(session, asked)
+    def _sees(self, session: Session, question: Question) -> bool:
+        return session.principal.identity == question.requester or self._may_decide(
+            session, question
+        )
 
     def _decide(
-        self, session: Session, asked: Question, decision: Decision, reason: str | None, *, at: str
+        self,
+        session: Session,
+        question: Question,
+        decision: Decision,
+        reason: str | None,
+        *,
+        at: str,
     ) -> None:
-        state = asked.state
+        state = question.state
         state.status = "approved" if decision == "approve" else "rejected"
         state.by, state.reason = session.principal.name, reason
         plan = bool(state.steps)
@@ -100,9 +108,9 @@ class Decisions:
             "approval",
             principal=session.principal,
             session=session,
-            tenant=min(asked.tenants) or None,
+            tenant=min(question.tenants) or None,
             path=state.path,
-            touches=asked.seen if plan else None,
+            touches=question.seen if plan else None,
             outcome=state.status,
             approval=state.approval,
             asker=state.principal,
@@ -116,10 +124,10 @@ class Decisions:
         self._questions.changed()
 
 
-def _check_open(asked: Question) -> None:
-    if asked.status != "pending":
+def _check_open(question: Question) -> None:
+    if question.status != "pending":
         raise Forbidden(
-            f"the approval is already {asked.status}",
+            f"the approval is already {question.status}",
             path=PATH,
             remedy="Send the command again to request a new approval.",
         )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Forbidden
 from rcp_kernel.features.approval import Decision
@@ -57,7 +57,7 @@ class Question:
     """An approval as the gateway stores it."""
 
     state: ApprovalState
-    asker: tuple[str, str]
+    requester: tuple[str, str]
     """Identity of the requester."""
     seen: tuple[str, ...]
     """Paths that must be visible to whoever decides."""
@@ -65,24 +65,26 @@ class Question:
     expires: int
     digest: bytes
     """Digest of this command by this principal."""
+    now: Callable[[], int]
+    """The gateway's wall time."""
 
     @property
     def status(self) -> _Status:
         """The current status."""
-        if self.state.status in ("pending", "approved") and self.expires <= now():
+        if self.state.status in ("pending", "approved") and self.expires <= self.now():
             self.state.status = "expired"
         return self.state.status
 
     @property
     def holds(self) -> bool:
         """Whether the same command can still use this approval."""
-        return self.status in ("pending", "approved", "rejected") and self.expires > now()
+        return self.status in ("pending", "approved", "rejected") and self.expires > self.now()
 
 
 def digest_of(principal: Principal, type_: str, path: str, value: Any) -> bytes:
     """Return a digest that identifies one command of one principal."""
-    who, proof = principal.identity
-    data = msgspec.msgpack.encode([who, proof, type_, path, to_plain(value)], order="sorted")
+    name, proof = principal.identity
+    data = msgspec.msgpack.encode([name, proof, type_, path, to_plain(value)], order="sorted")
     return hashlib.sha256(data).digest()
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from rcp_approvals.config import ApprovalsConfig
 from rcp_approvals.question import PATH, ApprovalState, Question, digest_of, rejected, shown
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull
 from rcp_kernel.features import FeatureHost
@@ -33,6 +33,7 @@ class Questions:
     def __init__(self, config: ApprovalsConfig, host: FeatureHost) -> None:
         self.config = config
         self._host = host
+        self._now = host.clock.now
         self.known: dict[str, Question] = {}
         """By id, oldest first."""
 
@@ -51,11 +52,11 @@ class Questions:
         if request.approval is not None:
             self._use(session, request, request.approval, digest, entry.path)
             return
-        asked = self._same(session, digest) or self._ask(
+        question = self._same(session, digest) or self._ask(
             session, request, entry, value, about, digest
         )
-        state = asked.state
-        if asked.status == "rejected":
+        state = question.state
+        if question.status == "rejected":
             raise rejected(state)
         raise ApprovalRequired(
             f"`{state.request} {state.path}` requires approval",
@@ -70,8 +71,8 @@ class Questions:
         )
 
     def _same(self, session: Session, digest: bytes) -> Question | None:
-        mine = (q for q in self.known.values() if q.asker == session.principal.identity)
-        return next((q for q in mine if q.digest == digest and q.holds), None)
+        own = (q for q in self.known.values() if q.requester == session.principal.identity)
+        return next((q for q in own if q.digest == digest and q.holds), None)
 
     def _ask(
         self,
@@ -83,7 +84,7 @@ class Questions:
         digest: bytes,
     ) -> Question:
         self._make_room(session.principal)
-        moment = now()
+        moment = self._now()
         expires = moment + int(self.config.ttl * 1e9)
         state = ApprovalState(
             approval=ID + secrets.token_hex(8),
@@ -96,62 +97,68 @@ class Questions:
             steps=about.steps,
         )
         tenants = frozenset(tenant_of(path) or "" for path in about.paths)
-        asked = Question(state, session.principal.identity, about.seen, tenants, expires, digest)
-        self.known[state.approval] = asked
+        question = Question(
+            state, session.principal.identity, about.seen, tenants, expires, digest, self._now
+        )
+        self.known[state.approval] = question
         self._host.loop.call_later(self.config.ttl + 0.01, self.changed)
         self.changed()
-        return asked
+        return question
 
     def _make_room(self, principal: Principal) -> None:
         """Remove old approvals to make room for a new one.
 
         :raises QueueFull: too many are pending.
         """
-        moment = now()
-        mine = [q for q in self.known.values() if q.asker == principal.identity]
-        if sum(q.status == "pending" for q in mine) >= _EACH:
+        moment = self._now()
+        own = [q for q in self.known.values() if q.requester == principal.identity]
+        if sum(q.status == "pending" for q in own) >= _EACH:
             raise QueueFull(
                 f"{principal.name} already has {_EACH} commands waiting for approval",
                 remedy="Wait until they are decided or expire.",
             )
         if len(self.known) >= _ALL:
             self._drop()
-        for over in [q for q in mine if q.expires <= moment][:-_EACH]:
+        for over in [q for q in own if q.expires <= moment][:-_EACH]:
             del self.known[over.state.approval]
 
     def _drop(self) -> None:
         """Remove the oldest approval: a finished one, or one of the tenants with the most."""
-        moment = now()
-        counts = Counter(asked.tenants for asked in self.known.values())
+        moment = self._now()
+        counts = Counter(question.tenants for question in self.known.values())
         most = max(counts, key=lambda tenants: counts[tenants])
         every = self.known.items()
         over = next((id_ for id_, q in every if q.expires <= moment), None)
         del self.known[over or next(id_ for id_, q in every if q.tenants == most)]
 
     def _use(self, session: Session, request: Request, id_: str, digest: bytes, path: str) -> None:
-        asked = self.known.get(id_)
-        if asked is None or asked.asker != session.principal.identity or asked.digest != digest:
+        question = self.known.get(id_)
+        if (
+            question is None
+            or question.requester != session.principal.identity
+            or question.digest != digest
+        ):
             raise Forbidden(
                 "the approval is for a different command, value or principal",
                 path=path,
                 remedy="Send the command without `approval` to request a new one.",
             )
-        if asked.status == "rejected":
-            raise rejected(asked.state)
-        if asked.status == "pending":
+        if question.status == "rejected":
+            raise rejected(question.state)
+        if question.status == "pending":
             raise ApprovalRequired(
-                f"`{asked.state.request} {path}` is not approved yet",
+                f"`{question.state.request} {path}` is not approved yet",
                 path=path,
                 remedy=f"Wait until {PATH} shows it as approved, then send the same command again.",
-                details={"approval": id_, "expires": asked.state.expires},
+                details={"approval": id_, "expires": question.state.expires},
             )
-        if asked.status != "approved":
+        if question.status != "approved":
             raise Forbidden(
-                f"the approval is {asked.status}; an approval is valid for one command, until "
+                f"the approval is {question.status}; an approval is valid for one command, until "
                 "it expires",
                 path=path,
                 remedy="Send the command without `approval` to request a new one.",
             )
         self._host.check_place(session, request)  # or it would be used up for nothing
-        asked.state.status = "used"
+        question.state.status = "used"
         self.changed()

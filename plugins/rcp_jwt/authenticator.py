@@ -10,6 +10,7 @@ from rcp_jwt.config import JwtTables
 from rcp_jwt.issuers import Issuer, Issuers
 from rcp_jwt.webtokens import is_jwt
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 
 __all__ = ["JwtAuthenticator"]
@@ -21,15 +22,16 @@ class JwtAuthenticator(Authenticator):
     name = "jwt"
     signed = True
 
-    def __init__(self, tables: JwtTables) -> None:
+    def __init__(self, tables: JwtTables, clock: Clock) -> None:
         """Create the issuers.
 
         :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
         super().__init__()
         self._running = False
+        self._clock = clock
         self._tables = tables
-        self._issuers = Issuers(tables.jwt, tables.tenants)
+        self._issuers = Issuers(tables.jwt, tables.tenants, clock)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
@@ -47,15 +49,15 @@ class JwtAuthenticator(Authenticator):
 
         :raises ConfigError: as for the constructor.
         """
-        fresh = Issuers(tables.jwt, tables.tenants, self._issuers)
+        fresh = Issuers(tables.jwt, tables.tenants, self._clock, self._issuers)
         self._issuers.stop()
         self._tables, self._issuers = tables, fresh
         if self._running:
             fresh.start(self._changed)
 
     def _changed(self) -> None:
-        for told in self.on_change:
-            told()
+        for callback in self.on_change:
+            callback()
 
     def recognises(self, token: str) -> bool:
         """Return whether a token has the form of a JWT and issuers are configured."""

@@ -28,7 +28,7 @@ from rcp_jwt.jwks import (
 )
 from rcp_jwt.webtokens import Claims, Read, principal_of, read_token, verify
 from rcp_kernel._plain import is_map
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
 
@@ -226,7 +226,11 @@ class Issuers:
     """All issuers, and the cache of verified tokens."""
 
     def __init__(
-        self, configs: Iterable[JwtConfig], tenants: Sequence[str], before: Issuers | None = None
+        self,
+        configs: Iterable[JwtConfig],
+        tenants: Sequence[str],
+        clock: Clock,
+        before: Issuers | None = None,
     ) -> None:
         """Create the issuers; the keys and cache of `before` are taken over.
 
@@ -239,6 +243,7 @@ class Issuers:
                 raise ConfigError(f"two [[jwt]] tables have the issuer '{config.issuer}'")
             self.issuers[config.issuer] = Issuer(config, old.get(config.issuer))
         self._tenants = tenants
+        self._now = clock.now
         self._tables = object()
         self.verified: dict[str, _Verified] = {} if before is None else before.verified
 
@@ -323,14 +328,14 @@ class Issuers:
     def _keep(
         self, config: JwtConfig, digest: str, claims: Claims, key: str, read: Read
     ) -> Principal:
-        principal = principal_of(config, claims, digest, self._tenants)
+        principal = principal_of(config, claims, digest, self._tenants, self._now())
         if len(self.verified) >= _KNOWN:
             self._make_room()
         self.verified[digest] = _Verified(claims, key, read, principal, self._tables)
         return principal
 
     def _make_room(self) -> None:
-        moment = now()
+        moment = self._now()
         for digest in [d for d, v in self.verified.items() if (v.principal.expires or 0) < moment]:
             del self.verified[digest]
         if len(self.verified) >= _KNOWN:

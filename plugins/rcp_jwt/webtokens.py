@@ -13,7 +13,6 @@ import msgspec
 from rcp_jwt.config import JwtConfig
 from rcp_jwt.jwks import PublicKey
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import Grants, Principal, check_time
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
 
@@ -124,7 +123,7 @@ def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims
 
 
 def principal_of(
-    config: JwtConfig, claims: Claims, digest: str, tenants: Sequence[str]
+    config: JwtConfig, claims: Claims, digest: str, tenants: Sequence[str], moment: int
 ) -> Principal:
     """Return the principal of a verified token.
 
@@ -149,7 +148,7 @@ def principal_of(
         )
     expires = int((end + config.leeway) * _S)
     made = Principal(config.prefix + name, grants, f"jwt {config.issuer}", digest, expires)
-    return check_time(made, now())
+    return check_time(made, moment)
 
 
 def _claim(claims: Claims, name: str) -> Any:

@@ -6,13 +6,12 @@ Rate limits must hold for each of these values.
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-__all__ = ["CommandedValues", "Force", "clock"]
+__all__ = ["CommandedValues", "Force"]
 
 _MOST = 16  # unconfirmed values; older ones are dropped
-clock = time.monotonic
 
 
 class Force(NamedTuple):
@@ -20,26 +19,28 @@ class Force(NamedTuple):
 
     value: Any
     since: float
-    """Time of sending, by `clock`."""
+    """Time of sending, by `Clock.monotonic`."""
 
 
 class CommandedValues:
     """The values that one path may have in force, oldest first."""
 
-    __slots__ = ("held",)
+    __slots__ = ("_now", "held")
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float]) -> None:
+        """Hold nothing; `now` is `Clock.monotonic`."""
+        self._now = now
         self.held: tuple[Force, ...] = ()
 
     def attempt(self, value: Any, since: float | None = None) -> None:
         """Record that a value is being sent, by default now."""
         if not self.held or self.held[-1].value is not value:  # a stop is sent repeatedly
-            self.held = (*self.held, Force(value, clock() if since is None else since))[-_MOST:]
+            self.held = (*self.held, Force(value, self._now() if since is None else since))[-_MOST:]
 
     def settle(self, value: Any, actual: Any) -> None:
         """Record that the robot accepted a value as `actual`; earlier values are dropped."""
         at = self._find(value)
-        since = clock() if at is None else self.held[at].since
+        since = self._now() if at is None else self.held[at].since
         later = self.held if at is None else self.held[at + 1 :]
         self.held = (Force(actual, since), *later)[-_MOST:]
 
@@ -51,7 +52,7 @@ class CommandedValues:
 
     def rest(self, safe: Any) -> None:
         """Record that the robot was brought to rest; without a safe value, nothing is known."""
-        self.held = () if safe is None else (Force(safe, clock()),)
+        self.held = () if safe is None else (Force(safe, self._now()),)
 
     def _find(self, value: Any) -> int | None:
         return next((i for i, force in enumerate(self.held) if force.value is value), None)

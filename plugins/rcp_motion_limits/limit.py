@@ -17,7 +17,6 @@ from rcp_kernel.features import Robots
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
-from rcp_motion_limits import commanded_values
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import Bound, EnvelopeConfig
 from rcp_motion_limits.place import Place
@@ -34,6 +33,7 @@ class MotionLimit:
     def __init__(self, table: EnvelopeConfig, entry: Entry, robots: Robots) -> None:
         self.table = table
         self.entry = entry
+        self._now = entry.clock.monotonic
         self.bounds = [(Field(name), bound) for name, bound in table.bounds.items()]
         self.rates = [(Field(name), most) for name, most in table.rate.items()]
         self.place = None if table.fence is None else Place(table.fence, entry, robots.entries)
@@ -99,7 +99,7 @@ class MotionLimit:
             self._check_place(session, self.place, value)
         for field, most in self.rates:
             for was in force.held:
-                step = most * min(max(0.0, commanded_values.clock() - was.since), self._longest)
+                step = most * min(max(0.0, self._now() - was.since), self._longest)
                 self._check_change(field, field.every(value), field.every(was.value), most, step)
 
     # -- the limits ----------------------------------------------------------------------------
@@ -207,9 +207,9 @@ class MotionLimit:
             )
         values = self._conditions.values(when.refs, self.entry)
         known = {".".join(ref): values.get(ref) for ref in when.refs}
-        said = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
+        listed = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
         raise PreconditionFailed(
-            f"the condition {when.text} does not hold: {said}{self.why}",
+            f"the condition {when.text} does not hold: {listed}{self.why}",
             path=self.entry.path,
             details={"condition": when.text, "values": known, **self.facts()},
         )
@@ -225,7 +225,7 @@ class MotionLimit:
         facts = {"envelope": self.table.name, "reason": self.table.reason}
         return {key: fact for key, fact in facts.items() if fact is not None}
 
-    def told(self, rights: Rights) -> dict[str, Any]:
+    def describe(self, rights: Rights) -> dict[str, Any]:
         """Describe the limit; its condition only to those who may read the values."""
         plain = msgspec.to_builtins(self.table)
         keys = ("bounds", "rate", "fence", "modes")

@@ -20,7 +20,6 @@ from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
 from rcp_kernel.safety.safety import safe_value
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
-from rcp_motion_limits import commanded_values
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import EnvelopeConfig, MotionLimitsConfig, patterns
 from rcp_motion_limits.limit import MotionLimit
@@ -37,7 +36,7 @@ _COMMANDED = Operation.WRITE | Operation.EXECUTE
 class BoundPath:
     """All motion limits of one path."""
 
-    __slots__ = ("_held", "_told", "entry", "envelopes", "force", "period", "safe")
+    __slots__ = ("_held", "_schemas", "entry", "envelopes", "force", "period", "safe")
 
     def __init__(
         self, entry: Entry, envelopes: list[MotionLimit], force: CommandedValues, period: int
@@ -49,7 +48,7 @@ class BoundPath:
         self.force = force
         self.safe = safe_value(entry)
         self._held: dict[Grants, tuple[MotionLimit, ...]] = {}
-        self._told: dict[Grants, dict[str, Any] | None] = {}
+        self._schemas: dict[Grants, dict[str, Any] | None] = {}
 
     @property
     def sensors(self) -> set[str]:
@@ -76,14 +75,14 @@ class BoundPath:
 
     def schema(self, grants: Grants) -> dict[str, Any] | None:
         """Return the schema of the values a principal may send; None if no bound narrows it."""
-        if len(self._told) >= _MAX_HELD:
-            self._told.clear()
-        if grants not in self._told:
+        if len(self._schemas) >= _MAX_HELD:
+            self._schemas.clear()
+        if grants not in self._schemas:
             held = [e for e in self.held(grants) if e.fault is None]
             bounds = [item for e in held for item in e.table.bounds.items()]
             type_ = self.entry.input_type if _called(self.entry) else self.entry.value_type
-            self._told[grants] = narrowed(type_.schema, bounds) if bounds else None
-        return self._told[grants]
+            self._schemas[grants] = narrowed(type_.schema, bounds) if bounds else None
+        return self._schemas[grants]
 
     def check(self, session: Session, value: Any) -> None:
         """Refuse a value that is not allowed now."""
@@ -103,6 +102,7 @@ class MotionLimits:
 
     def __init__(self, host: FeatureHost) -> None:
         self._host = host
+        self._now = host.clock.monotonic
         self._robots = host.robots
         self._tables: list[tuple[EnvelopeConfig, list[Pattern]]] = []
         self._bound: dict[str, BoundPath] = {}
@@ -128,13 +128,13 @@ class MotionLimits:
         """Apply the limits of a configuration from now on."""
         tables = config.envelopes
         self._tables = [(table, patterns(table.paths)) for table in tables]
-        asked = [condition(table.when) for table in tables if table.when is not None]
+        conditions = [condition(table.when) for table in tables if table.when is not None]
         modes = [condition("mode")] if any(table.modes for table in tables) else []
-        self._robots.conditions.use([*asked, *modes])
+        self._robots.conditions.use([*conditions, *modes])
         if not tables:
             self._period += 1
         paths = self._robots.entries if tables else self._bound
-        self._pending = dict.fromkeys(paths, commanded_values.clock())
+        self._pending = dict.fromkeys(paths, self._now())
         moving = {*self.drivers, *(command.path for command in self._host.control.running())}
         for path in moving & self._pending.keys():  # a fence may stop these at the next sample
             self._work_out(path)
@@ -153,13 +153,13 @@ class MotionLimits:
             return []
         return [envelope.facts() for envelope in bound.held(session.principal.grants)]
 
-    def told(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
+    def describe(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
         """Describe the limits that apply to a principal's commands, for the catalogue."""
         bound = self.of(entry.path)
         held = () if bound is None else bound.held(rights.grants)
         if bound is None or not held:
             return {}
-        facts: dict[str, Any] = {"envelopes": [envelope.told(rights) for envelope in held]}
+        facts: dict[str, Any] = {"envelopes": [envelope.describe(rights) for envelope in held]}
         if schemas and (schema := bound.schema(rights.grants)) is not None:
             facts["command_schema"] = schema
         return facts
@@ -182,7 +182,7 @@ class MotionLimits:
 
     def _added(self, entry: Entry) -> None:
         if self._tables or entry.path in self._bound:
-            self._pending[entry.path] = commanded_values.clock()
+            self._pending[entry.path] = self._now()
             self._work()
 
     def _removed(self, entry: Entry) -> None:
@@ -239,8 +239,8 @@ class MotionLimits:
         else:
             self.drivers.pop(path, None)
         if old is not None or new is not None:
-            for told in self.on_bound:
-                told(path, old, new)
+            for callback in self.on_bound:
+                callback(path, old, new)
 
 
 def _called(entry: Entry) -> bool:
@@ -249,7 +249,7 @@ def _called(entry: Entry) -> bool:
 
 def _first(entry: Entry, since: float) -> CommandedValues:
     """Return the values that may be in force on a path that was not tracked before."""
-    force = CommandedValues()
+    force = CommandedValues(entry.clock.monotonic)
     if (safe := safe_value(entry)) is not None:
         force.attempt(safe, since)
     if entry.latest is not None and entry.operations & Operation.WRITE:

@@ -77,9 +77,9 @@ def _value(text: str) -> Any:
     out: dict[str, Any] = {}
     place = 0
     while pair := _PAIR.match(text, place):
-        *way, last = pair[1].split(".")
+        *parents, last = pair[1].split(".")
         inner = out
-        for step in way:
+        for step in parents:
             child = inner.setdefault(step, {})
             if not is_map(child):
                 raise InvalidValue(f"'{pair[1]}' is both a value and an object")

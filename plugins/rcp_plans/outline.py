@@ -28,6 +28,6 @@ def outline(report: Any) -> list[dict[str, Any]] | None:
 def _step(state: Any) -> dict[str, Any]:
     """Return the outline of a step, without converting its values to plain data first."""
     read: Callable[[str], Any] = state.get if is_map(state) else partial(getattr, state)
-    told = {key: value for key in _TOLD if (value := read(key)) is not None}
+    facts = {key: value for key in _TOLD if (value := read(key)) is not None}
     error = read("error")
-    return told if error is None else {**told, "code": error["code"]}
+    return facts if error is None else {**facts, "code": error["code"]}

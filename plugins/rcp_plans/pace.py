@@ -84,6 +84,6 @@ class Pace:
         try:
             yield
         finally:
-            took = thread_time() - began
-            self._turns.add(took)
-            self._free = max(self._free, asyncio.get_running_loop().time()) + took / _SHARE
+            spent = thread_time() - began
+            self._turns.add(spent)
+            self._free = max(self._free, asyncio.get_running_loop().time()) + spent / _SHARE

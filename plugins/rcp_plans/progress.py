@@ -44,8 +44,8 @@ class ProgressReport:
         if node.state.progress and node.id in self._counts and not node.ended:
             self._partly[node.id] = node.state.progress
         if self.progress is not None:
-            told = self._short(node)
-            self.progress(told, fraction=self._fraction())
+            report = self._short(node)
+            self.progress(report, fraction=self._fraction())
 
     def quietly(self, node: Node, state: State) -> None:
         """Set a state that its group reports."""
@@ -75,12 +75,12 @@ class ProgressReport:
         self._room -= size
 
     def _short(self, node: Node) -> StepState:
-        told = msgspec.structs.replace(node.state)
-        if self._sizes.get(node.id, 0) > _FEEDBACK and told.result is not None:
-            told.result, told.omitted = None, self._sizes[node.id]
-        if told.feedback is not None and len(dump(told.feedback, Encoding.JSON)) > _FEEDBACK:
-            told.feedback = None
-        return told
+        state = msgspec.structs.replace(node.state)
+        if self._sizes.get(node.id, 0) > _FEEDBACK and state.result is not None:
+            state.result, state.omitted = None, self._sizes[node.id]
+        if state.feedback is not None and len(dump(state.feedback, Encoding.JSON)) > _FEEDBACK:
+            state.feedback = None
+        return state
 
     def _fraction(self) -> float:
         """Return the completed fraction; repeating a step does not reduce it."""

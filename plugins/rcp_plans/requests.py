@@ -44,7 +44,7 @@ class StepRequests:
         """Identifies the approval of the whole plan."""
 
     async def send(
-        self, node: Node, step: Operate, left: float | None, told: Told
+        self, node: Node, step: Operate, left: float | None, on_progress: Told
     ) -> tuple[Any, str | None]:
         """Send an operation within `left` seconds; return its result and message.
 
@@ -55,7 +55,7 @@ class StepRequests:
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
             request = await self._request(node, step, limit)
-            reply = await self._ask(node, request, told)
+            reply = await self._ask(node, request, on_progress)
             if reply.error is None:
                 node.state.truncated, node.state.cursor = reply.truncated, reply.cursor
                 if isinstance(step, Read):  # writes and commands are recorded anyway
@@ -89,7 +89,7 @@ class StepRequests:
             approval=self.token,
         )
 
-    async def _ask(self, node: Node, request: Request, told: Told) -> Reply:
+    async def _ask(self, node: Node, request: Request, on_progress: Told) -> Reply:
         final: asyncio.Future[Reply] = self._loop.create_future()
 
         def answer(reply: Reply) -> None:
@@ -101,7 +101,7 @@ class StepRequests:
             if reply.final:
                 final.set_result(reply)
             elif reply.status == "in_progress":
-                told(_plain(reply.body), reply.progress)
+                on_progress(_plain(reply.body), reply.progress)
 
         with self._turns.spending():
             self._host.send(self._session, request, answer)

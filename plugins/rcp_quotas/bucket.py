@@ -28,7 +28,7 @@ class TokenBucket:
         """The owner whose quota of unread bytes this session's clients exceed."""
 
     def take(self, moment: float) -> bool:
-        """Charge a request at `moment` (`perf_counter`); False if it is refused."""
+        """Charge a request at `moment` (`Clock.monotonic`); False if it is refused."""
         first, second = self.first, self.second
         paid = first.paid
         if paid < moment:  # noqa: PLR1730 - saves a call per request

@@ -7,7 +7,6 @@ demand, so that no way to end a session can be missed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from time import perf_counter
 from typing import Any
 
 from rcp_kernel.features import FeatureHost
@@ -27,6 +26,7 @@ class QuotaTracker:
 
     def __init__(self, tables: QuotaTables, host: FeatureHost) -> None:
         self.tables = tables
+        self._monotonic = host.clock.monotonic
         self._known: dict[tuple[Owner, Any], QuotaUsage] = {}
         self._buckets: dict[Session, TokenBucket] = {}
         """The buckets of the counted sessions."""
@@ -69,7 +69,7 @@ class QuotaTracker:
         return usage
 
     def _prune(self) -> None:
-        moment = perf_counter()
+        moment = self._monotonic()
         for key in [key for key, usage in self._known.items() if usage.idle(moment)]:
             del self._known[key]
 

@@ -38,7 +38,7 @@ class QuotaUsage:
         self.owner: Owner = owner
         self.name = name
         self.paid = 0.0
-        """Time up to which its requests are paid for, in s of `perf_counter`."""
+        """Time up to which its requests are paid for, in s of `Clock.monotonic`."""
         self.sessions: set[Session] = set()
         self.commands: set[str] = set()
         """Ids of the unfinished commands."""

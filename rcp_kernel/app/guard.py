@@ -58,7 +58,7 @@ class GuardLink:
         self._events = events
         self._shutdown = shutdown
         self._loop = loop
-        arming.process.on_report.append(self._told)
+        arming.process.on_report.append(self._on_report)
         self._plans: dict[str, dict[str, Any]] = {}
         self._seen: list[tuple[str, int]] = []
         self._senders: dict[str, tuple[str, str]] = {}
@@ -134,7 +134,7 @@ class GuardLink:
         if plans == held:
             return
         same = {name for name, plan in plans.items() if held.get(name) == plan}
-        self._senders = {name: told for name, told in self._senders.items() if name in same}
+        self._senders = {name: report for name, report in self._senders.items() if name in same}
         self._plans = plans
         self._process.replace_plans(plans)
 
@@ -188,7 +188,7 @@ class GuardLink:
 
     # -- what the guard says ---------------------------------------------------------------------
 
-    def _told(self, message: dict[str, Any]) -> None:
+    def _on_report(self, message: dict[str, Any]) -> None:
         match message:
             case {"event": "sender", "plan": str(plan), "state": str(state), "detail": str(detail)}:
                 self._senders[plan] = state, detail
@@ -262,8 +262,8 @@ class GuardLink:
             if plan["group"] in names:
                 state, detail = self._senders.get(name, ("opening", ""))
                 one = {"backend": plan["group"], "name": name.partition("/")[2]}
-                told = {"sender": plan["sender"], "state": state, "detail": detail or None}
-                plans.append(one | told)
+                facts = {"sender": plan["sender"], "state": state, "detail": detail or None}
+                plans.append(one | facts)
         return {
             "state": self.state,
             "armed": not names.isdisjoint(self._arming.armed),

@@ -99,6 +99,6 @@ class EventBus:
     def tell(self, event: Event) -> bool:
         """Tell of an event; return whether replies about it should wait."""
         wait = False
-        for hear in self.on_event:  # all of them hear of it
-            wait = bool(hear(event)) or wait
+        for listener in self.on_event:  # all of them hear of it
+            wait = bool(listener(event)) or wait
         return wait

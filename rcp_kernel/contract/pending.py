@@ -38,9 +38,9 @@ def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
 
 def attribute_error(error: Exception, origin: str, path: str) -> RcpError:
     """Turn what a backend raised, and no client may see, into an error that says whose it is."""
-    told = to_internal_error(error, backend=origin, path=path)
-    told.origin = origin
-    return told
+    internal = to_internal_error(error, backend=origin, path=path)
+    internal.origin = origin
+    return internal
 
 
 class Pending:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.features.robots import Robots
@@ -28,6 +29,11 @@ class FeatureHost(Protocol):
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop, with the gateway's monotonic time; running whenever the feature is."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The gateway's clock, for rules on ages and deadlines; the loop's time runs with it."""
         ...
 
     @property

@@ -77,13 +77,15 @@ class Admission:
             self._shutdown.check()
             return
         if entry.barred:
-            check_motion(entry, entry.unit.latch)
+            check_motion(entry)
             self._check_thaw(entry)
             check_hold(entry, call.value)
         if self.control and entry.tenant is not None:
             _ask(self.control, call)
-        self._shutdown.check()
-        self._replies.check()
+        if self._shutdown.begun:
+            self._shutdown.check()
+        if self._replies.demands:
+            self._replies.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if self._early:
@@ -107,10 +109,7 @@ class Admission:
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises RcpError: a guard refuses that decides who has control.
         """
-        check_motion(call.entry, call.entry.unit.latch)
-        self._confirm_control(call)
-
-    def _confirm_control(self, call: Call) -> None:
+        check_motion(call.entry)
         if self.control and call.entry.tenant is not None:
             _confirm(self.control, call)
 
@@ -132,9 +131,10 @@ class Admission:
             check_age(entry, request.timestamp)
         if not entry.is_hold:
             if entry.barred:
-                check_motion(entry, entry.unit.latch)
+                check_motion(entry)
                 check_hold(entry, call.value)
-            self._confirm_control(call)
+            if self.control and entry.tenant is not None:
+                _confirm(self.control, call)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()

@@ -174,7 +174,7 @@ class Commands:
         fraction: float | None = None,
     ) -> None:
         """Tell how far a command has come: the `Progress` that its backend gets."""
-        if command.final:
+        if command.finished is not None:
             return
         body: Any = NO_BODY
         if feedback is not None:
@@ -239,18 +239,21 @@ class Commands:
             )
 
     def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
-        if not command.final:
+        if command.finished is None:
             self._end(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # looked at, so that asyncio does not report it as lost
-        if self._active.get(command.path) is command:
-            del self._active[command.path]
-            self._next(command.path)
+        command.task = None  # with all that it refers to; the command is remembered for long
+        path = command.path
+        if self._active.get(path) is command:
+            del self._active[path]
+            if path in self._queues:
+                self._next(path)
 
     def _next(self, path: str) -> None:
-        queue = self._queues.get(path)
+        queue = self._queues[path]
         if not queue:
-            self._queues.pop(path, None)
+            del self._queues[path]
             return
         following = queue.popleft()
         if not queue:

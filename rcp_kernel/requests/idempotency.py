@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock, now
 from rcp_kernel.errors import DuplicateRequest, InternalError
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.command import Command, Record
@@ -62,7 +62,8 @@ class _Seen:
 class Keys:
     """The first outcome of each key, by principal, for a day."""
 
-    def __init__(self, store: Store, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, store: Store, loop: asyncio.AbstractEventLoop, clock: Clock) -> None:
+        self._now = clock.now
         self._store = store
         self._loop = loop
         self._known: OrderedDict[str, _Seen] = OrderedDict()
@@ -77,7 +78,7 @@ class Keys:
         if request.idempotency_key is None:
             return None
         found = self._known.get(_name(session, request.idempotency_key, path))
-        if found is None or found.created < now() - _AGE:
+        if found is None or found.created < self._now() - _AGE:
             return None
         if found.outcome is None:
             raise _unreadable(path)
@@ -94,7 +95,7 @@ class Keys:
         name = _name(session, request.idempotency_key, path)
         if name in self._known:
             self._drop(name)
-        seen = _Seen(_digest(request, path), now(), request.type, path)
+        seen = _Seen(_digest(request, path), self._now(), request.type, path)
         seen.outcome = outcome
         if isinstance(outcome, Command):
             seen.command = outcome.id
@@ -136,7 +137,7 @@ class Keys:
         self._store.put(_TABLE, name, None)
 
     def _bound(self) -> None:
-        oldest = now() - _AGE
+        oldest = self._now() - _AGE
         while len(self._known) > _KEPT or self._bytes > _BYTES:
             self._drop(next(iter(self._known)))
         while self._known and self._known[next(iter(self._known))].created < oldest:
@@ -162,8 +163,8 @@ class Keys:
 
 def _name(session: Session, key: str, path: str) -> str:
     """Name a key: that of a principal, by its proof, in one tenant."""
-    who, proof = session.principal.identity
-    text = f"{len(who)}:{who}:{proof}:{tenant_of(path)}:{key}"
+    name, proof = session.principal.identity
+    text = f"{len(name)}:{name}:{proof}:{tenant_of(path)}:{key}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -86,7 +86,8 @@ class CommandJournal:
             self._close(command, step)
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
-        self.tell(command, step)
+        for hear in self.on_step:
+            hear(command, step)
         for follower in tuple(command.followers):
             follower(command, step)
         if status in FINAL:
@@ -113,10 +114,11 @@ class CommandJournal:
     def _forget(self, command: Command) -> None:
         self._store.put(TABLE, command.id, None)
 
-    def tell(self, command: Command, step: Record) -> None:
-        """Tell a step to those who hear of all commands."""
-        for hear in self.on_step:
-            hear(command, step)
+    def tell_cut_off(self) -> None:
+        """Tell those who hear of all commands which ones the end of the earlier run cut off."""
+        for command in self.cut_off:
+            for hear in self.on_step:
+                hear(command, command.history[-1])
 
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float
@@ -132,7 +134,7 @@ class CommandJournal:
             if len(session.commands) > _FOLLOWED:
                 _forget_finished(session.commands)
 
-        def told(command: Command, step: Record) -> None:
+        def on_step(command: Command, step: Record) -> None:
             reply = command.reply(step)
             reply.id = request.id  # others may follow the same command under ids of theirs
             if step.status in FINAL:
@@ -142,9 +144,9 @@ class CommandJournal:
 
         history = command.history
         if not history or not command.final:
-            command.followers.append(told)
+            command.followers.append(on_step)
         if history:
-            told(command, history[-1])
+            on_step(command, history[-1])
 
 
 def _forget_finished(commands: dict[str, OwnCommand]) -> None:

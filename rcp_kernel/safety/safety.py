@@ -10,12 +10,11 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.latches import Latch
 from rcp_kernel.wire import Request
 
 __all__ = [
@@ -32,12 +31,13 @@ _UNTAKEN = 0.25  # s that the robot may not take a safe value before its other b
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 
 
-def check_motion(entry: Entry, latch: Latch | None) -> None:
+def check_motion(entry: Entry) -> None:
     """Refuse motion under a latched e-stop.
 
     :raises EstopActive: the path moves something, and its robot is stopped.
     """
-    if latch is not None and entry.barred:
+    latch = entry.unit.latch if entry.barred else None
+    if latch is not None:
         raise EstopActive(
             f"{latch.by} has latched an e-stop" + (f": {latch.reason}" if latch.reason else ""),
             path=entry.path,
@@ -83,7 +83,7 @@ def check_age(entry: Entry, timestamp: str | float) -> None:
     limit = entry.resource.max_age
     if limit is None:
         return
-    age = (now() - sent) / 1e9
+    age = (entry.clock.now() - sent) / 1e9
     if abs(age) > limit:
         raise StaleCommand(
             f"the command is {age:.3f} s old; the limit of {entry.path} is {limit:g} s",

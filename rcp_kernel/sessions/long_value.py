@@ -10,7 +10,10 @@ from rcp_kernel.errors import InvalidValue
 from rcp_kernel.values import Encoding, ValueType, dump, to_plain
 from rcp_kernel.wire import Body
 
-__all__ = ["LongValue", "checked", "plain"]
+__all__ = ["SCALARS", "LongValue", "checked", "plain"]
+
+SCALARS = (float, int, bool, type(None))
+"""Types of values that are never long, and plain as they are."""
 
 
 class LongValue(Body):
@@ -47,10 +50,10 @@ def checked(type_: ValueType, value: Any) -> Generator[None, None, LongValue]:
     """
     value, json = yield from type_.check_in_steps(value)
     yield
-    told = LongValue(value, json)
+    long = LongValue(value, json)
     with suppress(InvalidValue):  # an integer of more than 64 bits, which only JSON can carry
-        told.encoded(Encoding.MSGPACK)
-    return told
+        long.encoded(Encoding.MSGPACK)
+    return long
 
 
 def plain(value: Any) -> Any:

@@ -93,7 +93,7 @@ class Channel:
 
     def _end(self, error: RcpError) -> None:
         self._over = error
-        self.calls.fail(lambda call: _told(error, call))
+        self.calls.fail(lambda call: _for_call(error, call))
         for subscription in list(self.subscriptions.values()):
             subscription.fail(error)
 
@@ -143,7 +143,7 @@ class Channel:
         if session is not None:
             body |= {"session": session, "resume_token": self._resume_token}
             body["resume_from"] = self._seen()
-        asked = now()
+        requested = now()
         reply = await self._first(link, {"type": "hello", "body": body})
         facts: dict[str, Any] = reply.body or {}
         self.greeting = facts
@@ -152,7 +152,7 @@ class Channel:
         limits = facts.get("limits") or {}
         link.segment_size = limits.get("segment_size") or facts.get("segment_size")
         if reply.timestamp is not None:
-            self._recovery.greeted(reply.timestamp, asked, resumed=session is not None)
+            self._recovery.greeted(reply.timestamp, requested, resumed=session is not None)
 
     async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
         """Send a request on a link that is not in general use yet."""
@@ -330,7 +330,7 @@ class Channel:
             self._lost.set()
 
 
-def _told(error: RcpError, call: Call) -> RcpError:
+def _for_call(error: RcpError, call: Call) -> RcpError:
     """Copy an error for one call, so that each names its own path."""
     made = type(error)(error.message, path=call.envelope.get("path"), remedy=error.remedy)
     made.__cause__ = error

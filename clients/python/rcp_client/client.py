@@ -338,8 +338,8 @@ class Client:
         which
         then raises `LeaseLost`.
         """
-        asked = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
-        return Lease(self.channel, kept(asked))
+        body = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
+        return Lease(self.channel, kept(body))
 
     async def leases(self) -> list[dict[str, Any]]:
         """List the leases on robots visible to this principal."""

@@ -36,8 +36,8 @@ def _from_file(path: Path) -> str | None:
     try:
         with path.open(encoding="utf-8") as file:
             facts = os.fstat(file.fileno())
-            mine = not hasattr(os, "getuid") or facts.st_uid == os.getuid()
-            if not mine or stat.S_IMODE(facts.st_mode) & ~_ONLY_OWNER:
+            is_own = not hasattr(os, "getuid") or facts.st_uid == os.getuid()
+            if not is_own or stat.S_IMODE(facts.st_mode) & ~_ONLY_OWNER:
                 return None
             return file.readline().strip() or None
     except (OSError, UnicodeDecodeError):

@@ -33,23 +33,23 @@ def error_of(reply: Reply) -> RcpError | None:
     """Return the error in a reply, or None if it contains none."""
     if reply.status not in ("failed", "rejected", "cancelled"):
         return None
-    told = reply.error or {}
-    code = told.get("code")
+    body = reply.error or {}
+    code = body.get("code")
     class_ = BY_CODE.get(str(code)) or _BY_STATUS.get(reply.status, Failed)
-    details = told.get("details")
+    details = body.get("details")
     if str(code) not in BY_CODE and code is not None:
         details = {"code": code, **(details or {})}
     if reply.body is not None:  # of a plan: the state of each step
         details = {**(details or {}), "body": reply.body}
     error = class_(
-        told.get("message") or reply.message or f"the gateway answered '{reply.status}'",
-        path=told.get("path") or reply.path,
-        origin=told.get("origin"),
-        remedy=told.get("remedy"),
-        retry_after=told.get("retry_after"),
+        body.get("message") or reply.message or f"the gateway answered '{reply.status}'",
+        path=body.get("path") or reply.path,
+        origin=body.get("origin"),
+        remedy=body.get("remedy"),
+        retry_after=body.get("retry_after"),
         details=details,
     )
-    error.trace_id = told.get("trace_id")
+    error.trace_id = body.get("trace_id")
     return error
 
 

@@ -23,9 +23,9 @@ class Lease:
     Losing it cancels the block, which then raises `LeaseLost` with the reason.
     """
 
-    def __init__(self, channel: Channel, asked: dict[str, Any]) -> None:
+    def __init__(self, channel: Channel, body: dict[str, Any]) -> None:
         self._channel = channel
-        self._asked = asked
+        self._asked = body
         self.facts: dict[str, Any] = {}
         """The last known state of the lease: `lease`, `scope`, `holder`, `expires`, …"""
         self.lost: LeaseLost | None = None

@@ -251,11 +251,11 @@ def _refusal(error: WSHandshakeError, address: Address) -> RcpError:
     if response is None:
         return ConnectionLost(f"{address.url} does not respond like a gateway: {error}")
     try:
-        told = error_of(json.decode(error.raw_body or response.body or b"", type=Reply))
+        refusal = error_of(json.decode(error.raw_body or response.body or b"", type=Reply))
     except (DecodeError, UnicodeDecodeError):
-        told = None
-    if told is not None:
-        return told
+        refusal = None
+    if refusal is not None:
+        return refusal
     status = int(response.status)
     if status in (401, 403):
         kind = Unauthenticated if status == 401 else Forbidden

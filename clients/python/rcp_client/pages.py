@@ -28,15 +28,15 @@ async def pages(
     """
     end = None if deadline is None else time.monotonic() + deadline
     while True:
-        asked = dict(envelope)
+        page_request = dict(envelope)
         if end is not None:
-            asked["deadline"] = end - time.monotonic()
-            if asked["deadline"] <= 0:
+            page_request["deadline"] = end - time.monotonic()
+            if page_request["deadline"] <= 0:
                 raise DeadlineExceeded(
                     f"only part of {envelope.get('path')} was read within {deadline:g} s",
                     path=envelope.get("path"),
                 )
-        reply = await ask(asked)
+        reply = await ask(page_request)
         yield reply
         cursor = reply.cursor
         if cursor is None and isinstance(reply.body, dict):  # discovery of an older gateway

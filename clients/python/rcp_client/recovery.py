@@ -63,10 +63,10 @@ class Recovery:
         self._doubt = False
         """A new session has started, and pending calls have not been settled yet."""
 
-    def greeted(self, timestamp: str, asked: int, *, resumed: bool) -> None:
+    def greeted(self, timestamp: str, requested: int, *, resumed: bool) -> None:
         """Record a handshake: its time there, and when it was requested here."""
         there = parse_time(timestamp)
-        self._offset = there - (asked + now()) // 2
+        self._offset = there - (requested + now()) // 2
         if self._met is None:
             self._met = there
         elif not resumed:

@@ -193,8 +193,8 @@ class Subscription:
 
         :raises RcpError: the error that ended the subscription, if any.
         """
-        mine = not self._standing and not self._finished
-        if mine:
+        started_here = not self._standing and not self._finished
+        if started_here:
             await self._begin()
         try:
             while True:
@@ -205,7 +205,7 @@ class Subscription:
                 self._wake.clear()
                 await self._wake.wait()
         finally:
-            if mine:
+            if started_here:
                 self.close()
         if self._error is not None:
             raise self._error
@@ -281,10 +281,10 @@ class Subscription:
             self.seen[notice.path] = max(last, self.seen.get(notice.path, 0))
         elif notice.code == "subscription_ended":
             self._finish()
-        elif (told := notice.facts.get("error")) is not None:
-            class_ = BY_CODE.get(told.get("code"), Overrun)
-            facts = {key: told.get(key) for key in ("path", "remedy", "details")}
-            self.fail(class_(told.get("message", notice.code), **facts))
+        elif (error := notice.facts.get("error")) is not None:
+            class_ = BY_CODE.get(error.get("code"), Overrun)
+            facts = {key: error.get(key) for key in ("path", "remedy", "details")}
+            self.fail(class_(error.get("message", notice.code), **facts))
 
     # -- after a lost connection ---------------------------------------------------------------
 

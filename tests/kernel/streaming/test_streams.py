@@ -10,6 +10,7 @@ import pytest
 
 from kernel.world import Client, World
 from rcp_kernel.model import Resource
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist, quantity
 
 pytestmark = pytest.mark.anyio
@@ -160,21 +161,24 @@ async def test_a_duration_ends_the_subscription_by_itself(world: World) -> None:
 async def test_a_pattern_takes_in_what_appears_later_and_tells_of_both(world: World) -> None:
     client = world.client()
     id_ = await subscribed(client, "/sensor/**")
-    world.robot.host.declare(
+    world.robot.add(
         Resource(name="sensor/new/thing", description="New.", value=quantity("1"), live=True)
     )
     assert (await client.notice("resource_added"))["path"] == "/tenant/alpha/sensor/new/thing"
     world.robot.host.publish("sensor/new/thing", 5.0)
     update = await client.until(lambda m: m["type"] == "update" and m["path"].endswith("thing"))
     assert (update["id"], update["body"]) == (id_, 5.0)
-    world.robot.host.withdraw("sensor/new/thing")
+    world.robot.remove("sensor/new/thing")
     assert (await client.notice("resource_removed"))["path"] == "/tenant/alpha/sensor/new/thing"
 
 
-async def test_a_source_that_falls_silent_is_told_as_stale(world: World) -> None:
+async def test_a_source_that_falls_silent_is_told_as_stale(
+    world: World, stepped: SteppedClock
+) -> None:
     publish(world, 1.0)
     client = world.client()
-    await subscribed(client, qos={"deadline": 0.05})
+    await subscribed(client, qos={"deadline": 60.0})
+    stepped.advance(100)
     assert (await client.notice("deadline_missed"))["path"] == LEVEL
     assert (await client.notice("stale"))["path"] == LEVEL
     assert (await client.ask(type="read", path=LEVEL))["state"] == "stale"

@@ -227,8 +227,8 @@ async def _lease_list(client: Client, out: Output, _: Arguments) -> int:
 
 async def _lease_acquire(client: Client, out: Output, args: Arguments) -> int:
     names = ("ttl", "take", "reason")
-    asked = {name: args[name] for name in names if args[name]}
-    return await _lease_whole(client, out, {"do": "acquire", "scope": args["scope"], **asked})
+    body = {name: args[name] for name in names if args[name]}
+    return await _lease_whole(client, out, {"do": "acquire", "scope": args["scope"], **body})
 
 
 async def _lease_release(client: Client, out: Output, args: Arguments) -> int:

@@ -38,10 +38,10 @@ def _post(client: Client, envelope: dict[str, Any]) -> Reply:
     # The gateway's own reply is more specific than a time-out here.
     deadline = envelope.setdefault("deadline", settings.deadline)
     url = settings.address.url.rstrip("/") + "/rcp/v1/messages"
-    asked = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
+    http_request = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
     try:
         with urllib.request.urlopen(  # noqa: S310 - the address of the client's own connection
-            asked, timeout=deadline + MARGIN, context=settings.ssl
+            http_request, timeout=deadline + MARGIN, context=settings.ssl
         ) as answer:
             data = answer.read()
     except urllib.error.HTTPError as refusal:
