@@ -58,7 +58,7 @@ class GuardLink:
         self._events = events
         self._shutdown = shutdown
         self._loop = loop
-        arming.process.on_report.append(self._told)
+        arming.process.on_report.append(self._on_report)
         self._plans: dict[str, dict[str, Any]] = {}
         self._seen: list[tuple[str, int]] = []
         self._senders: dict[str, tuple[str, str]] = {}
@@ -188,7 +188,7 @@ class GuardLink:
 
     # -- what the guard says ---------------------------------------------------------------------
 
-    def _told(self, message: dict[str, Any]) -> None:
+    def _on_report(self, message: dict[str, Any]) -> None:
         match message:
             case {"event": "sender", "plan": str(plan), "state": str(state), "detail": str(detail)}:
                 self._senders[plan] = state, detail

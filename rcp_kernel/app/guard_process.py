@@ -43,7 +43,7 @@ class GuardProcess:
         self._socket: socket.socket | None = None
         self._partial = b""
         self._waiting = b""
-        self._told: frozenset[str] = frozenset()
+        self._sent_armed: frozenset[str] = frozenset()
         self._heard = 0.0
         self._pause = _FIRST_RETRY
         self._due = 0.0
@@ -75,7 +75,7 @@ class GuardProcess:
                 self._start()
             else:
                 return
-        if armed != self._told:
+        if armed != self._sent_armed:
             self.arm(armed)
         else:
             self._write(b"" if self._waiting else b"\n")
@@ -87,7 +87,7 @@ class GuardProcess:
     def arm(self, armed: frozenset[str]) -> None:
         """Tell the guard at once which groups may move."""
         if self._process is not None:
-            self._told = armed
+            self._sent_armed = armed
             self._send({"armed": sorted(armed)})
 
     async def close(self) -> None:
@@ -139,7 +139,7 @@ class GuardProcess:
         parent.setblocking(False)
         self._socket, self._heard = parent, 0.0
         self._partial = self._waiting = b""
-        self._told = frozenset()
+        self._sent_armed = frozenset()
         self._loop.add_reader(parent, self._hear)
         self._send({"plans": self.plans})
 

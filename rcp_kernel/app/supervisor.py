@@ -110,7 +110,7 @@ class BackendSupervisor:
         self._on_loss = BaseBackend.on_loss
         self._closing = asyncio.Event()
         self._discovering = False
-        self._told = 0.0
+        self._logged_at = 0.0
         self._note_growth()
 
     # -- Owner ---------------------------------------------------------------------------------
@@ -157,8 +157,8 @@ class BackendSupervisor:
         """Note a bad value; a stream of them is logged once a second."""
         self.faults += 1
         self.last_error = detail
-        if time.monotonic() - self._told > _FAULTS:
-            self._told = time.monotonic()
+        if time.monotonic() - self._logged_at > _FAULTS:
+            self._logged_at = time.monotonic()
             log.warning("backend_fault", backend=self.name, detail=detail, faults=self.faults)
 
     # -- Host ----------------------------------------------------------------------------------

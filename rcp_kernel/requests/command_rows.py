@@ -11,7 +11,7 @@ from msgspec import Raw
 from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Record
-from rcp_kernel.sessions.long_value import LongValue
+from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.sessions.resume import hashed
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import is_system
@@ -54,6 +54,8 @@ def as_row(command: Command) -> dict[str, Any]:
 
 def _written(value: Any) -> Any:
     """Return a value as it is put into the row; a long one is written already."""
+    if isinstance(value, SCALARS):
+        return value
     if isinstance(value, LongValue):
         try:
             return Raw(value.encoded(Encoding.MSGPACK))
