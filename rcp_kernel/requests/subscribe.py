@@ -38,6 +38,7 @@ from rcp_kernel.streams.filters import Change, Options, check_fields, parse_wher
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
@@ -230,15 +231,31 @@ class SubscribeHandler:
         return list(found.values())
 
     def _renew_all(self, session: Session) -> None:
-        """Bring a session's subscriptions under its new rights.
+        """Bring a session's subscriptions under its new rights, in steps.
 
-        What is forbidden now goes at once, however much that is: no sample of it may follow. What is
-        allowed now joins in steps.
+        No update is sent before all that is forbidden now has gone: no sample of it may follow.
         """
+        connection = session.connection
+        outbox = None if connection is None else connection.outbox
         for subscription in session.subscriptions.values():
-            for feed in tuple(subscription.feeds.values()):
+            if outbox is not None:
+                outbox.hold()
+            self._links.begin(subscription, self._renew(session, subscription, outbox))
+
+    def _renew(self, session: Session, subscription: Subscription, outbox: Outbox | None) -> Work:
+        """Take out what is forbidden now, let the rest be sent, and link what is allowed now."""
+        rights = session.rights
+        for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
+            if session.rights is not rights:  # it has come under others, which hold it too
+                break
+            if subscription.feeds.get(feed.entry.path) is feed:
                 self._renew_feed(session, subscription, feed)
-            self._links.begin(subscription, self._join(subscription))
+            if not number % _STEP:
+                yield
+        if outbox is not None:
+            outbox.release()
+        if session.rights is rights:
+            yield from self._join(subscription)
 
     def _join(self, subscription: Subscription) -> Work:
         """Link what a subscription may have by now."""
