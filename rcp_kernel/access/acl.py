@@ -3,13 +3,16 @@
 Deny takes precedence, and anything that no rule allows is denied. Roles are granted per tenant: a
 rule applies only in the tenant in which its role is held, whatever its pattern, and to `/system/`.
 The mask of a path is computed once per set of roles and cached until the rules change, so a request
-costs one dictionary lookup. Conditions are evaluated only if the other rules do not decide.
+costs one dictionary lookup. Where no rule distinguishes the paths of a folder, it is computed once for
+the folder: twenty thousand paths under new rules cost milliseconds. Conditions are evaluated only if
+the other rules do not decide.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
 
@@ -69,6 +72,7 @@ class Rights:
         "_asked",
         "_conditions",
         "_deny",
+        "_folders",
         "_held",
         "_room",
         "_terms",
@@ -112,6 +116,8 @@ class Rights:
         self._room = room or Room()
         self._room.users.add(self)
         self._terms: dict[str, _Terms] = {}
+        self._folders: dict[str, int | None] = {}
+        """The mask of all that is in a folder; None where the rules tell it apart."""
         self.masks: dict[str | None, int] = {}
         """Cached masks, by path."""
 
@@ -161,16 +167,34 @@ class Rights:
         )
 
     def mask(self, path: str) -> int:
-        """Return the operations that are allowed in any state, as bits of `Operation`.
+        """Return the operations allowed on an existing path in any state, as bits of `Operation`.
 
         Zero means that the path is hidden. Higher bits stand for conditional operations: see
         `reach`.
         """
         mask = self.masks.get(path)
         if mask is None:
-            mask = self.compute_mask(path)
+            mask = self._mask_in(path.rpartition("/")[0], path)
             self.remember(path, mask)
         return mask
+
+    def _mask_in(self, folder: str, path: str) -> int:
+        """Work the mask of a path out, or take that of its folder.
+
+        For paths that exist: those that are only asked for would fill the memory, and the time that one
+        takes would tell whether its folder exists.
+        """
+        try:
+            known = self._folders[folder]
+        except KeyError:
+            self._room.take()
+            alike = not any(_tells_apart(r.pattern.text, folder) for r in self._near(folder))
+            known = self._folders[folder] = self.compute_mask(path) if alike else None
+        return self.compute_mask(path) if known is None else known
+
+    def _near(self, folder: str) -> Iterator[_Reach]:
+        tenant = tenant_of(folder)
+        return (r for r in (*self._allow, *self._deny) if r.place in ("*", tenant))
 
     def hides(self, text: str) -> bool:
         """Return whether a text is a path, existing or not, that is hidden."""
@@ -258,6 +282,7 @@ class Rights:
     def forget(self) -> None:
         """Clear the cached masks."""
         self.masks.clear()
+        self._folders.clear()
         self._terms.clear()
         self._asked.clear()
 
@@ -283,6 +308,21 @@ def _bits(rules: Iterable[_Reach]) -> int:
     for one in rules:
         bits |= one.bits
     return bits
+
+
+def _tells_apart(text: str, folder: str) -> bool:
+    """Tell whether a pattern may match one path in a folder and not another, by the name alone."""
+    head, _, last = text.rpartition("/")
+    if last == "**" and _pattern(text).matches(folder):  # and so everything below it
+        return False
+    if last == "*" or not head:
+        return False
+    return _tells_apart(head, folder) if last == "**" else _pattern(head).matches(folder)
+
+
+@lru_cache(maxsize=4096)
+def _pattern(text: str) -> Pattern:
+    return Pattern(text)
 
 
 def _implied(role: Role) -> tuple[Rule, ...]:

@@ -8,10 +8,9 @@ from typing import Any
 import structlog
 from msgspec import Raw
 
-from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Record
-from rcp_kernel.sessions.long_value import LongValue
+from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.sessions.resume import hashed
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import is_system
@@ -54,6 +53,8 @@ def as_row(command: Command) -> dict[str, Any]:
 
 def _written(value: Any) -> Any:
     """Return a value as it is put into the row; a long one is written already."""
+    if isinstance(value, SCALARS):
+        return value
     if isinstance(value, LongValue):
         try:
             return Raw(value.encoded(Encoding.MSGPACK))
@@ -84,14 +85,14 @@ def _read(row: dict[str, Any]) -> Command | None:
     return command
 
 
-def cut_off(command: Command) -> None:
+def cut_off(command: Command, moment: int) -> None:
     """End a command that was interrupted by the end of the gateway."""
     error = InternalError(
         "the gateway stopped while the command was running",
         path=command.path,
         remedy="Check the state of the robot, then send the command again if it is still needed.",
     )
-    command.finished = now()
+    command.finished = moment
     command.history.append(
         Record("failed", command.finished, message=error.message, error=error_body(error))
     )

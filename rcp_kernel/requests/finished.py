@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rcp_kernel.sessions.long_value import LongValue
+from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import NO_BODY
 
@@ -18,7 +18,6 @@ __all__ = ["Finished"]
 _KEPT = 1000
 _BYTES = 32 * 1024 * 1024  # of inputs, feedback and results
 _EMPTY = 1024  # bytes that any command counts for, numbers included
-_SCALARS = (float, int, bool, type(None))
 
 
 class Finished:
@@ -58,7 +57,7 @@ def _size(command: Command) -> int:
 
 
 def _length(value: Any) -> int:
-    if isinstance(value, _SCALARS):
+    if isinstance(value, SCALARS):
         return 0
     if isinstance(value, LongValue):
         return value.size

@@ -38,6 +38,7 @@ from rcp_kernel.streams.filters import Change, Options, check_fields, parse_wher
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
@@ -230,16 +231,31 @@ class SubscribeHandler:
         return list(found.values())
 
     def _renew_all(self, session: Session) -> None:
-        """Apply the new rights of a session to its subscriptions.
+        """Apply the new rights of a session to its subscriptions, in steps.
 
-        Forbidden paths are removed immediately, however many: no sample of them may follow. Newly
-        allowed
-        ones are added in steps.
+        No update is sent before all forbidden paths are removed: no sample of them may follow.
         """
+        connection = session.connection
+        outbox = None if connection is None else connection.outbox
         for subscription in session.subscriptions.values():
-            for feed in tuple(subscription.feeds.values()):
+            if outbox is not None:
+                outbox.hold()
+            self._links.begin(subscription, self._renew(session, subscription, outbox))
+
+    def _renew(self, session: Session, subscription: Subscription, outbox: Outbox | None) -> Work:
+        """Take out what is forbidden now, let the rest be sent, and link what is allowed now."""
+        rights = session.rights
+        for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
+            if session.rights is not rights:  # it has come under others, which hold it too
+                break
+            if subscription.feeds.get(feed.entry.path) is feed:
                 self._renew_feed(session, subscription, feed)
-            self._links.begin(subscription, self._join(subscription))
+            if not number % _STEP:
+                yield
+        if outbox is not None:
+            outbox.release()
+        if session.rights is rights:
+            yield from self._join(subscription)
 
     def _join(self, subscription: Subscription) -> Work:
         """Add the paths that a subscription may now have."""

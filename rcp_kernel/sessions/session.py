@@ -98,7 +98,6 @@ class Session:
     """One principal's subscriptions, commands and replies not yet delivered."""
 
     __slots__ = (
-        "_monotonic",
         "account",
         "away",
         "commands",
@@ -114,6 +113,7 @@ class Session:
         "lapse",
         "missed",
         "missed_bytes",
+        "monotonic",
         "news",
         "one_way",
         "overflowed",
@@ -156,7 +156,8 @@ class Session:
         self.commands: dict[str, OwnCommand] = {}
         self.inflight: dict[str, Pending | None] = {}
         self.created = clock.now()
-        self._monotonic = clock.monotonic
+        self.monotonic = clock.monotonic
+        """The time by which its requests are paced."""
         self.cut: int | None = None
         """When the connection was lost, ns; None while there is one."""
         self.expiry: asyncio.TimerHandle | None = None
@@ -201,7 +202,7 @@ class Session:
         :raises RateLimited: the limit is exceeded.
         """
         account = self.account
-        if account is not None and not account.take(moment := self._monotonic()):
+        if account is not None and not account.take(moment := self.monotonic()):
             raise account.refusal(moment)
 
     def check_pace(self) -> None:
@@ -212,7 +213,7 @@ class Session:
         :raises RateLimited: the limit would be exceeded.
         """
         account = self.account
-        if account is not None and not account.allows(moment := self._monotonic()):
+        if account is not None and not account.allows(moment := self.monotonic()):
             raise account.refusal(moment)
 
     @property
