@@ -49,6 +49,7 @@ from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.long_bodies import LongBodies
+from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
@@ -251,7 +252,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
 def _records(base: _Base, store: Store) -> _Records:
     events = EventBus()
     replies = ReplyGate(base.settings, base.loop)
-    journal = CommandJournal(store, base.inflight, base.counts, replies)
+    journal = CommandJournal(store, base.inflight, base.counts, replies, base.clock)
     return _Records(store, events, SafetyEvents(events), replies, journal)
 
 
@@ -308,7 +309,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.journal, arming.arm, base.turns, base.loop)
+    commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
     return _Motion(
         arming,
         partners,
@@ -598,6 +599,8 @@ def _client_api(
 ) -> ClientApi:
     discovery = Discovery(base.registry, base.sights, features.describe)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
+    ping = PingHandler(base.counts)
+    requests.router.add("ping", ping.ping)
     handshake = Handshake(
         clients.sessions,
         settings=base.settings,
@@ -613,7 +616,7 @@ def _client_api(
     connections = ConnectionParts(
         handle=requests.router.handle,
         prepare=requests.long_bodies.prepare,
-        read_at_once=handlers.read.read_at_once,
+        at_once={"read": handlers.read.read_at_once, "ping": ping.ping_at_once},
         handshake=handshake,
         sessions=clients.sessions,
         identities=clients.identities,

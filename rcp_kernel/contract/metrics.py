@@ -21,11 +21,12 @@ __all__ = ["BUCKETS", "Histogram", "Metrics", "counter", "gauge", "histogram"]
 
 BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 10.0)
 """Upper bounds in seconds."""
+_SHORTEST = BUCKETS[0]
 _HEAD = 2  # lines of a family before its samples: HELP and TYPE
 
 
 class Histogram:
-    """Counts by bucket; one `bisect` and two additions for an observation."""
+    """Counts by bucket; most durations belong in the first one, the others take a `bisect`."""
 
     __slots__ = ("counts", "total")
 
@@ -35,14 +36,14 @@ class Histogram:
 
     def observe(self, seconds: float) -> None:
         """Count one duration."""
-        self.counts[bisect_left(BUCKETS, seconds)] += 1
+        self.counts[0 if seconds <= _SHORTEST else bisect_left(BUCKETS, seconds)] += 1
         self.total += seconds
 
 
 def counter(
     name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]
 ) -> Metric:
-    """Make a counter family of rows of label values and count."""
+    """Return a counter family, from rows of label values and count."""
     family = CounterMetricFamily(name, text, labels=labels)
     for values, count in rows:
         family.add_metric(values, count)
@@ -52,7 +53,7 @@ def counter(
 def gauge(
     name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]
 ) -> Metric:
-    """Make a gauge family of rows of label values and value."""
+    """Return a gauge family, from rows of label values and value."""
     family = GaugeMetricFamily(name, text, labels=labels)
     for values, value in rows:
         family.add_metric(values, value)
@@ -62,7 +63,7 @@ def gauge(
 def histogram(
     name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], Histogram]]
 ) -> Metric:
-    """Make a histogram family of rows of label values and histogram."""
+    """Return a histogram family, from rows of label values and histogram."""
     family = HistogramMetricFamily(name, text, labels=labels)
     for values, found in rows:
         below = 0
@@ -83,7 +84,7 @@ class _Single(Collector):
 
 
 class Metrics:
-    """What `/metrics` answers: the process's own families, and the gateway's."""
+    """The metrics of the process and of the gateway, for `/metrics`."""
 
     def __init__(self) -> None:
         registry = CollectorRegistry(auto_describe=False)
@@ -96,7 +97,7 @@ class Metrics:
     def exposition(self, families: Iterable[Metric]) -> Generator[None, None, bytes]:
         """Write the exposition, text format 0.0.4, in steps: one for each family.
 
-        A long family comes in parts, one behind the other.
+        A long family is written in several parts.
         """
         written: list[bytes] = []
         last = ""

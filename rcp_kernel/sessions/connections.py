@@ -1,10 +1,10 @@
-"""The connections that sessions come in by: whole messages in, replies and updates out."""
+"""The connections of sessions: whole messages in, replies and updates out."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -44,22 +44,23 @@ _HELD = 256  # messages that wait for a `hello`
 
 
 _HELLO = value_type(Hello)
+AtOnce = Mapping[str, Callable[[Session, Request], bytes | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionParts:
-    """What connections use of the gateway, the same for all of them."""
+    """The parts of the gateway that connections use, shared by all of them."""
 
     handle: Handler
     prepare: Callable[[Session, Request], Generator[None, None, Request]]
     """Decodes a long body in steps."""
-    read_at_once: Callable[[Session, Request], bytes | None]
-    """Answers the read that nearly all reads are."""
+    at_once: AtOnce
+    """By type, what answers in JSON what nearly all requests of the type are."""
     handshake: Handshake
     sessions: Sessions
     identities: Identities
     unwelcome: Callable[[Session, Reply, Answer], Answer]
-    """Records that a `hello` was refused; returns what its reply goes to."""
+    """Records that a `hello` was refused; returns the receiver of its reply."""
     counts: RequestCounts
     outbound: Outbound
     settings: Settings
@@ -76,13 +77,12 @@ class Connection:
     """
 
     __slots__ = (
+        "_at_once",
         "_handle",
         "_held",
         "_identifying",
         "_parts",
-        "_read_at_once",
         "_settings",
-        "_splices",
         "closed",
         "encoding",
         "expelled",
@@ -106,7 +106,8 @@ class Connection:
         one_way: bool = False,
     ) -> None:
         self._parts = parts
-        self._handle, self._read_at_once = parts.handle, parts.read_at_once
+        self._handle = parts.handle
+        self._at_once: AtOnce = parts.at_once if encoding is Encoding.JSON else {}
         self._settings = parts.settings
         self.peer = peer
         self.encoding = encoding
@@ -114,18 +115,18 @@ class Connection:
         self.session = session
         self.closed = False
         self.one_way = one_way
-        """The client sends no requests by it: it is told things, and commands nothing."""
+        """Whether the client sends no requests (SSE): it receives, and commands nothing."""
         self.expelled = False
         """The session was ended by the gateway; the transport closes once it has said so."""
         self.greetings = 0
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
-        """The transport's part of `hello`: what it adopts, and the limits it answers with."""
+        """The transport's part of `hello`: the options it adopts, and the limits it returns."""
         self.released: Callable[[deque[bytes]], None] = self._receive_all
-        """Takes what came while `hello` waited; a transport that takes turns sets its own."""
+        """Handles messages received while `hello` waited; a transport with its own turns
+        replaces it."""
         self._held: deque[bytes] | None = None
-        """Messages since a `hello` or a long message that is not handled yet."""
+        """Unhandled messages since a `hello` or a long message."""
         self._identifying: asyncio.Task[None] | None = None
-        self._splices = encoding is Encoding.JSON
         session.connection = self
         session.one_way = one_way
         session.encoding = encoding
@@ -137,11 +138,13 @@ class Connection:
         released: Callable[[deque[bytes]], None],
         cut: Callable[[], None],
     ) -> None:
-        """Have a transport take part in what it would otherwise not hear of.
+        """Set the callbacks of a transport.
 
-        `hello` adopts what a client asks for, and returns facts for the answer. `released` gets
-        what came while an earlier message was being handled, to pass it to `receive` in its turns.
-        `cut` closes a client that does not take what waits for it.
+        `hello` adopts what a client requests, and returns facts for the reply. `released` gets the
+        messages
+        received while an earlier one was being handled, to pass them to `receive` in its turns.
+        `cut` closes
+        a client that does not read.
         """
         self.on_hello, self.released = hello, released
         self.outbox.backlog.cut = cut
@@ -159,7 +162,7 @@ class Connection:
     def receive(self, data: bytes) -> None:
         """Handle one whole message from the client; every reply goes through the outbox.
 
-        One that comes after `close` is nobody's: the session may be another connection's by now.
+        A message after `close` is ignored: the session may belong to another connection by now.
         """
         if self.closed:
             return
@@ -172,8 +175,9 @@ class Connection:
                 return
             request = decode_request(data, self.encoding)
             outbox = self.outbox
-            if request.type == "read" and self._splices and outbox.waiting <= SHARE:
-                reply = self._read_at_once(self.session, request)
+            at_once = self._at_once.get(request.type)
+            if at_once is not None and outbox.waiting <= SHARE:
+                reply = at_once(self.session, request)
                 if reply is not None:
                     outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
                     return
@@ -184,7 +188,7 @@ class Connection:
             self.stumbled(data, error)
 
     def _take_long(self, data: bytes) -> None:
-        """Have a message handled when its turn has come, and before all that come after it."""
+        """Handle a message when its turn has come, and before all later ones."""
         check_size(data, self.limit)
         if len(data) > self._settings.limits.unproved:
             self.session.check_pace()
@@ -197,7 +201,7 @@ class Connection:
             raise
 
     def _unfold(self, data: bytes, held: deque[bytes]) -> Work:
-        """Handle a long message in steps: count what is in it, decode the envelope, then the rest."""
+        """Handle a long message in steps: count its values, decode the envelope, then the rest."""
         try:
             yield from check_structure(data, self.encoding, self._settings.limits.values)
             request = decode_request(data, self.encoding)
@@ -205,7 +209,7 @@ class Connection:
             if not self.closed:
                 request = yield from self._parts.prepare(self.session, request)
             if not self.closed:
-                self._held = None  # a `hello` may begin to hold messages by itself
+                self._held = None  # a `hello` may start to hold messages itself
                 self._carry_out(request)
         except RcpError as error:
             self._refuse(data, error)
@@ -237,7 +241,7 @@ class Connection:
         self.send(failure(internal, type_, id_))
 
     def send(self, reply: Reply) -> None:
-        """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
+        """Queue a reply; unread feedback of a slow client is replaced by newer feedback."""
         if self.closed:
             return
         outbox = self.outbox
@@ -250,19 +254,19 @@ class Connection:
             if last is not None:
                 outbox.put(last())
         data = self.encode(reply)
-        if reply.path != ESTOP and outbox.backlog.refuses(len(data)):
+        if len(data) > SMALL and reply.path != ESTOP and outbox.backlog.refuses(len(data)):
             data = self.encode(left_out(reply, len(data)))
         outbox.put(data)
 
     def _bounded(self, request: Request, reply: bytes) -> bytes:
-        """Return the answer to a read, counted already, or what is told where it has no room."""
+        """Return a reply that is already counted, or a substitute if it does not fit."""
         if not self.outbox.backlog.refuses(len(reply)):
             return reply
-        answer = Reply(type="read", id=request.id, path=request.path)
+        answer = Reply(type=request.type, id=request.id, path=request.path)
         return self.encode(left_out(answer, len(reply)))
 
     def encode(self, reply: Reply) -> bytes:
-        """Write a reply; one whose body cannot be written becomes the error that says so."""
+        """Encode a reply; if that fails, its error instead."""
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
@@ -303,7 +307,7 @@ class Connection:
         body = self._parts.handshake.greet(self, hello, principal)
         self._parts.counts.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
-        # Ahead of what a resumed session has to say: the client must know first whose it is.
+        # Before the messages of a resumed session: the client must first know which session it has.
         self.outbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
@@ -313,7 +317,7 @@ class Connection:
         self._parts.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:
-        """Find out whose token it is, while what the client says next waits for that."""
+        """Identify the principal of a token, while the client's next messages wait."""
         try:
             principal = await self._parts.identities.wait(token, self.peer)
             if not self.closed:
@@ -338,7 +342,7 @@ class Connection:
         self.send(failure(QueueFull("an earlier message is not handled yet"), type_, id_))
 
     def close(self, *, resumable: bool = True) -> None:
-        """Tell the gateway that the client is gone, and whether it may come back to its session."""
+        """Report that the client has disconnected, and whether it may resume its session."""
         if not self.closed:
             self.closed = True
             self.session.greeted &= resumable

@@ -28,8 +28,9 @@ def iso(ns: int) -> str:
     if text is None:
         if len(_seconds) >= _MAX_SECONDS:
             _seconds.clear()
-        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.%%09dZ", time.gmtime(second))
-    return text % (ns - second * 1_000_000_000)
+        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
+    # A billion more keeps the leading zeros, in half the time that `%09d` takes.
+    return f"{text}{str(ns - second * 1_000_000_000 + 1_000_000_000)[1:]}Z"
 
 
 def parse_time(value: str | float) -> int:

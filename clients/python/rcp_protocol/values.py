@@ -207,7 +207,7 @@ class ValueType:
             value = self.convert(value)
         if not self.probes_null and not self._shape.has_wide_int:
             return value, None
-        return value, self.encode(value, Encoding.JSON)
+        return value, self.encode(value, _JSON)
 
     def check_in_steps(self, value: Any) -> Generator[None, None, tuple[Any, bytes | None]]:
         """Validate as `check`; encodes values without a declared type in steps.

@@ -174,6 +174,7 @@ _to_msgpack = msgspec.msgpack.Encoder()
 # Local names: in Python 3.11 an enum member access takes 0.1 µs.
 _JSON, _CBOR, _MSGPACK = Encoding.JSON, Encoding.CBOR, Encoding.MSGPACK
 _json_encode, _msgpack_encode = _to_json.encode, _to_msgpack.encode
+_json_decode, _msgpack_decode = _from_json.decode, _from_msgpack.decode
 
 
 def decode_request(data: bytes, encoding: Encoding) -> Request:
@@ -185,15 +186,16 @@ def decode_request(data: bytes, encoding: Encoding) -> Request:
     if encoding is _CBOR:
         data = _as_msgpack(data)
         encoding = _MSGPACK
-    decoder = _from_json if encoding is _JSON else _from_msgpack
+    decode = _json_decode if encoding is _JSON else _msgpack_decode
     try:
-        request = decoder.decode(data)
+        request = decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         request = _decode_slowly(data, encoding, error)
     else:
         if request.custom is not None or request.encoding is not _JSON:
             request = _decode_slowly(data, encoding, msgspec.DecodeError("reserved field"))
-    request.encoding = encoding
+    if encoding is not _JSON:
+        request.encoding = encoding
     if request.timestamp is not None:
         parse_time(request.timestamp)
     if request.version is not None and request.version != VERSION:
