@@ -323,8 +323,8 @@ async def test_a_reset_stops_it_and_begins_a_new_frame() -> None:
 
 async def test_a_goal_in_a_frame_without_a_transform_is_refused() -> None:
     async with rover() as rig:
-        with pytest.raises(InvalidValue, match="no transform from 'map'"):
-            await rig.moving(1.0, frame="map")
+        with pytest.raises(InvalidValue, match="no transform from 'earth'"):
+            await rig.moving(1.0, frame="earth")
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,7 @@ import can
 
 import rcp_can
 from backends.can.rig import channel
-from backends.can.rover import LEFT, RIGHT, Truth, tables
-from rcp_can.sim import Bench, make_twin
+from backends.can.rover import Truth, rover_bench, tables, twins
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
 from rcp_kernel.testing.backend import Robot
@@ -24,8 +23,7 @@ FORWARD = {"linear": {"x": 0.3}}
 async def robot() -> AsyncGenerator[tuple[Robot, Truth]]:
     name = channel()
     line = can.Bus(name, "virtual", ignore_config=True)
-    twins = [make_twin("cia402", node, control="cyclic") for node in (LEFT, RIGHT)]
-    with Bench(line, twins) as bench:
+    with rover_bench(line) as bench:
         async with serve_backend(next(iter(rcp_can.rcp_backends())), tables(name)) as served:
             await served.supervisor.settled.wait()
             found = Robot(served)
@@ -34,7 +32,7 @@ async def robot() -> AsyncGenerator[tuple[Robot, Truth]]:
                 return (await found.ask("execute", "service/enable"))["status"] == "completed"
 
             await eventually(enabled, "it is enabled")
-            yield found, Truth(bench)
+            yield found, twins(bench)[2]
 
 
 async def moves(truth: Truth) -> None:

@@ -1,4 +1,4 @@
-"""A group of three CiA 402 drives stops as one, whatever goes on and whatever goes wrong."""
+"""Three CiA 402 drives are an arm, and stop as one whatever goes on and whatever goes wrong."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import rcp_can
 from backends.can.rig import Node, channel
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import Goal, StopRig, StopSuite, eventually
+from rcp_kernel.testing import Goal, ProfileSuite, StopRig, StopSuite, eventually
 from rcp_kernel.testing.backend import Robot
 
 JOINTS = {"shoulder": 1, "elbow": 2, "wrist": 3}
@@ -127,3 +127,16 @@ class ArmRig(StopRig):
 
 class TestArmStops(ArmRig, StopSuite):
     pass
+
+
+class TestArmProfiles(ArmRig, ProfileSuite):
+    profiles = ("arm", "power")
+
+    async def joints(self) -> Mapping[str, float]:
+        twins = zip(JOINTS, self.device.twins, strict=True)
+        return {name: twin.plant.position for name, twin in twins}
+
+    async def powered(self) -> bool:
+        states = {twin.enabled for twin in self.device.twins}
+        assert len(states) == 1
+        return states.pop()

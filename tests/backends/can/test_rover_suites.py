@@ -1,4 +1,4 @@
-"""A differential drive of two CiA 402 drives stops as one, whatever goes on and whatever goes wrong."""
+"""Two CiA 402 drives are a mobile robot, and stop as one whatever goes on and whatever goes wrong."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import can
 
 import rcp_can
 from backends.can.rig import Node, channel
-from backends.can.rover import LEFT, RIGHT, tables
-from rcp_can.sim import Bench, make_twin
+from backends.can.rover import RIGHT, rover_bench, tables, twins
+from rcp_can.sim import Bench
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import Goal, StopRig, StopSuite, eventually
+from rcp_kernel.testing import Body, Goal, ProfileSuite, StopRig, StopSuite, eventually
 from rcp_kernel.testing.backend import Robot
 
 
@@ -27,8 +27,7 @@ class RoverRig(StopRig):
     async def twin(self) -> AsyncGenerator[Bench]:
         self.channel = channel()
         line = can.Bus(self.channel, "virtual", ignore_config=True)
-        twins = [make_twin("cia402", node, control="cyclic") for node in (LEFT, RIGHT)]
-        with Bench(line, twins) as bench:
+        with rover_bench(line) as bench:
             yield bench
 
     def table(self) -> Mapping[str, Any]:
@@ -58,7 +57,7 @@ class RoverRig(StopRig):
         return {"action/move_to": Goal(good=near, long=far)}
 
     async def at_rest(self) -> bool:
-        return all(abs(twin.plant.velocity) < 0.1 for twin in self.device.twins)
+        return twins(self.device)[2].still()
 
     async def break_link(self) -> None:
         for twin in self.device.twins:
@@ -108,3 +107,17 @@ class RoverRig(StopRig):
 
 class TestRoverStops(RoverRig, StopSuite):
     pass
+
+
+class TestRoverProfiles(RoverRig, ProfileSuite):
+    profiles = ("mobile", "power")
+
+    async def body(self) -> Body:
+        truth = twins(self.device)[2]
+        forward, turn = truth.moving
+        return Body(x=truth.x, y=truth.y, yaw=truth.heading, forward=forward, yaw_rate=turn)
+
+    async def powered(self) -> bool:
+        left, right, _ = twins(self.device)
+        assert left.enabled == right.enabled
+        return left.enabled
