@@ -1,4 +1,4 @@
-"""Conditions: CEL expressions over the values of robots, with a bound on what evaluating one costs."""
+"""Conditions: CEL expressions over the values of robots, with bounded evaluation cost."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """One condition: a CEL expression over named values, compiled once.
 
-What is missing makes the whole unknown unless the rest of the expression decides without it.
+A missing value makes the result unknown, unless the rest of the expression decides.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["CLOCK", "Condition", "ConditionTooCostly", "Ref", "condition"]
 
 log = structlog.get_logger("rcp.conditions")
 Ref = tuple[str, ...]
-"""`sensor.battery.percentage` as a tuple; which of it is the resource, the registry tells."""
+"""`sensor.battery.percentage` as a tuple; the registry knows which part names the resource."""
 
 _VALUES = ("sensor", "actuator", "param", "event")
 CLOCK: dict[str, Callable[[datetime], int]] = {
@@ -43,7 +43,7 @@ CLOCK: dict[str, Callable[[datetime], int]] = {
     "minute": lambda t: t.minute,
     "weekday": lambda t: t.weekday(),
 }
-"""What of the time can be named."""
+"""The time values that conditions can use."""
 _ROOTS = (*_VALUES, "action", "service", "time", "mode")
 _FUNCTIONS = frozenset(
     re.findall(
@@ -55,12 +55,12 @@ _FUNCTIONS = frozenset(
 )
 _STEP = re.compile(r"'[^'\\\n]*'|\"[^\"\\\n]*\"")
 _SCALARS = (float, int, bool, type(None))
-_SHOWN = 500  # characters of a condition in the message that refuses it
-_OWN = re.compile(r"v\d+_")  # the names that values get in the engine
+_SHOWN = 500  # characters of a condition shown in an error message
+_OWN = re.compile(r"v\d+_")  # the names of values in the engine
 
 
 class ConditionTooCostly(ConfigError):
-    """An evaluation could hold everybody else up."""
+    """An evaluation could block the event loop."""
 
     remedy = (
         "Nest fewer comprehensions (all, exists, filter, map), or use shorter lists; or have the "
@@ -71,8 +71,8 @@ class ConditionTooCostly(ConfigError):
 class Condition:
     """A compiled expression.
 
-    :raises ConfigError: it is not CEL, or names what is not there.
-    :raises ConditionTooCostly: it is longer, deeper or dearer than a condition may be.
+    :raises ConfigError: it is not valid CEL, or uses unknown names.
+    :raises ConditionTooCostly: it exceeds a limit of length, depth or cost.
     """
 
     __slots__ = ("_afforded", "_names", "_program", "_told", "_tree", "refs", "text", "times")
@@ -104,7 +104,7 @@ class Condition:
         self.times: tuple[Ref, ...] = tuple(r for r in self._names if r[0] == "time")
 
     def _named(self, node: Node, bound: frozenset[str]) -> Node:
-        """Put one variable in the place of each value's whole name."""
+        """Replace the full name of each value by a variable."""
         steps = _chain(node)
         if steps is not None and steps[0] not in bound:
             return Name(self._name(steps))
@@ -158,8 +158,8 @@ class Condition:
         return kind(f"the condition `{shown}` is {'too costly' if costly else 'wrong'}: {why}")
 
     def excess(self, values: dict[Ref, Any]) -> str | None:
-        """Say why values are too large for it, so that it is not evaluated; None: they are not."""
-        # Scalars cost no more than what was assumed when it was compiled.
+        """Return why values are too large to evaluate it; None if they are not."""
+        # Scalars never cost more than assumed at compile time.
         large = {ref: value for ref, value in values.items() if not isinstance(value, _SCALARS)}
         if not large:
             return None
@@ -183,9 +183,9 @@ class Condition:
         return None
 
     def evaluate(self, values: dict[Ref, Any]) -> bool | None:
-        """Evaluate over known values; None: what is missing decides, or a type does not fit.
+        """Evaluate over the known values; None if a missing value decides or a type does not fit.
 
-        So it is where the values are so large that it could take longer than a few milliseconds.
+        Also None if the values are so large that it could take longer than a few milliseconds.
         """
         why = self.excess(values)
         if why is not None:
@@ -214,7 +214,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _chain(node: Node) -> Ref | None:
-    """Return a value's name as its steps; None: it is something else."""
+    """Return the segments of a value's name; None for another expression."""
     steps: list[str] = []
     while True:
         match node:
@@ -238,9 +238,9 @@ def _read(text: str) -> Condition | ConfigError:
 
 
 def condition(text: str) -> Condition:
-    """Compile an expression once; what is wrong with one is found out once, too.
+    """Compile an expression; results and errors are cached.
 
-    :raises ConfigError: as `Condition` does.
+    :raises ConfigError: as for `Condition`.
     """
     found = _read(text)
     if isinstance(found, ConfigError):

@@ -1,10 +1,10 @@
-"""The cost of a condition: estimated from its tree before the engine is let at it.
+"""Cost of a condition, estimated from its syntax tree before the engine runs it.
 
-The engine has no bound of its own and cannot be interrupted, so the work is bounded beforehand, as
-Kubernetes does for its rules: each comprehension multiplies what stands in it by the length of its
-list. One unit is about 0.1 µs of the engine, measured on a slow core. Two things decide its
-formulas: the engine copies whatever a name stands for, and `map` and `filter` copy all that they
-have gathered for each element, so they grow with the square of the length.
+The engine has no limit and cannot be interrupted, so its work is bounded beforehand, as Kubernetes
+does for its rules: each comprehension multiplies the cost of its body by the length of its list. A
+unit is about 0.1 µs of the engine, measured on a slow core. The formulas reflect that the engine
+copies the value of every name, and that `map` and `filter` copy their results for each element,
+which makes them quadratic.
 """
 
 from __future__ import annotations
@@ -33,58 +33,58 @@ from rcp_conditions.expression import (
 __all__ = ["ASSUMED", "BUDGET", "Size", "cost", "size_of"]
 
 BUDGET = 40_000
-"""Units that one evaluation may cost: about 4 ms."""
+"""Maximum cost of an evaluation: about 4 ms."""
 ASSUMED = 50
-"""Elements that a value counts as while it is not known yet."""
-_LARGEST = BUDGET // 3  # elements of a value: with more it exceeds the budget by itself
-_SLOW = 3  # elements more that one counts as that has to be looked at by itself
+"""Assumed size of a value that is not known yet."""
+_LARGEST = BUDGET // 3  # elements of a value; more would exceed the budget by themselves
+_SLOW = 3  # cost in elements of an element that must be inspected individually
 _DEEPEST = 32  # levels of a value
-_TEXT = 32  # bytes of text that cost what an element does
+_TEXT = 32  # bytes of text that cost as much as an element
 _REPEATS = re.compile(r"\{\s*(\d*)\s*(?:,\s*(\d*)\s*)?\}")
 _CLASSES = (
     (4000, re.compile(r"\\[wWpPxuU]|[^\x00-\x7f]")),  # a large class takes 0.3 ms to compile
     (700, re.compile(r"\\[dD]")),
     (80, re.compile(r"\\[sSbB]|\[|\.")),
 )
-"""What classes of characters cost in a regular expression, which is compiled each time."""
+"""Cost of character classes in a regular expression, which is compiled at each evaluation."""
 _SCALARS = (float, int, bool, type(None))
 _FLAT = {float, int, bool}
 _PATTERN = 200  # characters of a regular expression
 
 
 class Size(NamedTuple):
-    """How large a value is at most."""
+    """The maximum size of a value."""
 
     width: int
     """Elements that a comprehension over it visits."""
     total: int
-    """Elements in all its levels, and text by its length."""
+    """Elements on all levels, including text by its length."""
     largest: int
-    """The total of its largest element."""
+    """Total of its largest element."""
 
     @property
     def element(self) -> Size:
-        """Whatever is in it."""
+        """The size of its elements."""
         return Size(self.largest, self.largest, self.largest)
 
 
 _ONE = Size(1, 1, 1)
 _UNKNOWN = Size(ASSUMED, ASSUMED, 1)
 _PASSING = frozenset(["?:", "||", "&&", "+", "-", "*", "string", "bytes", "dyn"])
-"""Operators and functions whose value may be as large as their operands."""
+"""Operators and functions whose result may be as large as their operands."""
 
 
 def cost(tree: Node, sizes: Mapping[str, Size]) -> int:
-    """Estimate what an evaluation costs at most; a name without a size counts as `ASSUMED`.
+    """Estimate the maximum cost of an evaluation; a name without a size counts as `ASSUMED`.
 
-    :raises ExpressionError: it has no bound.
+    :raises ExpressionError: the cost is not bounded.
     """
     return _weigh(tree, dict(sizes))[0] + sum(2 * size.total for size in sizes.values())
 
 
 def _weigh(node: Node, sizes: dict[str, Size]) -> tuple[int, Size]:
-    """Return the cost of a part, and the size of its value."""
-    # One function, for few levels of Python's stack for each level of the tree.
+    """Return the cost of a node and the size of its value."""
+    # One function, to use few Python stack frames per level of the tree.
     match node:
         case Literal(text):
             total = 1 + len(text) // _TEXT
@@ -135,7 +135,7 @@ def _weigh_macro(node: Macro, sizes: dict[str, Size]) -> tuple[int, Size]:
 def _weigh_pattern(node: Call, text: int) -> int:
     """Estimate a match: the pattern is compiled each time, then run over the text.
 
-    :raises ExpressionError: the pattern cannot be seen beforehand, or is too long.
+    :raises ExpressionError: the pattern is not a literal, or is too long.
     """
     pattern = node.operands[1] if len(node.operands) > 1 else None
     if not isinstance(pattern, Literal) or pattern.text[-1] not in "'\"":
@@ -147,7 +147,7 @@ def _weigh_pattern(node: Call, text: int) -> int:
         raise ExpressionError(why, excess=True)
     classes = sum(units * len(found.findall(pattern.text)) for units, found in _CLASSES)
     repeats = [max(1, int(low or 0), int(high or 0)) for low, high in _repeats(pattern.text)]
-    # Repeated groups multiply what is repeated in them.
+    # Repeated groups multiply the cost of their contents.
     times = math.prod(repeats) if "){" in pattern.text else max(repeats, default=1)
     return times * (states + classes + 2 * text * states)
 
@@ -160,7 +160,7 @@ def _repeats(pattern: str) -> list[tuple[str, str]]:
 
 
 def size_of(value: Any) -> Size | None:
-    """Measure a value; None: it is too large or too deep for any condition."""
+    """Measure a value; None if it is too large or too deep for any condition."""
     if isinstance(value, _SCALARS):
         return _ONE
     room = [_LARGEST]
@@ -173,7 +173,7 @@ def size_of(value: Any) -> Size | None:
 
 
 def _count(value: Any, room: list[int], depth: int) -> int | None:
-    """Take a value's elements out of the room; return how many its largest element has."""
+    """Subtract a value's elements from `room`; return the size of its largest element."""
     room[0] -= 1
     if isinstance(value, _SCALARS):
         return None if room[0] < 0 else 0
@@ -184,7 +184,7 @@ def _count(value: Any, room: list[int], depth: int) -> int | None:
     items = _items(value)
     if len(items) > room[0] or not depth:
         return None
-    if set(map(type, items)) <= _FLAT:  # by far the most frequent, and the longest
+    if set(map(type, items)) <= _FLAT:  # by far the most frequent case, and the longest lists
         room[0] -= len(items)
         return 1
     largest = 0

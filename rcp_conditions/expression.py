@@ -1,9 +1,11 @@
-"""The syntax of conditions: a small parser of CEL that runs before the engine sees a text.
+"""The syntax of conditions: a small CEL parser that checks a text before the engine sees it.
 
-The engine offers neither its syntax tree nor a bound on what it does, so a text is read here
-first: within bounds of length, depth and terms, and into a tree whose cost can be estimated. The
-engine is given what `Writer` writes from the tree, so that both mean the same. What this subset
-leaves out (messages, optionals, macros of extensions) is refused.
+The engine provides neither its syntax tree nor a limit on its work, so each text is parsed here
+first: with limits on length, depth and terms, and into a tree whose cost can be estimated. The
+engine
+receives the text that `write` generates from the tree, so that both agree. Syntax outside this
+subset
+(messages, optionals, extension macros) is refused.
 """
 
 from __future__ import annotations
@@ -32,37 +34,37 @@ __all__ = [
 ]
 
 LENGTH = 2000
-"""Characters of an expression."""
+"""Maximum length of an expression, characters."""
 TERMS = 200
-"""Names, literals, operators and calls of an expression."""
+"""Maximum number of names, literals, operators and calls."""
 DEPTH = 24
-"""Levels of brackets, signs and choices within each other."""
+"""Maximum nesting of brackets, signs and choices."""
 MACROS = ("all", "exists", "exists_one", "filter", "map")
 
 
 class ExpressionError(ValueError):
-    """A text is no expression, or exceeds a bound; the message says why."""
+    """A text is not a valid expression, or exceeds a limit; the message says why."""
 
     def __init__(self, why: str, *, excess: bool = False) -> None:
         super().__init__(why)
         self.excess = excess
-        """It is only too long, too deep or too rich in terms."""
+        """Whether it is valid but exceeds a limit."""
 
 
 class Literal(NamedTuple):
-    """A number, text, truth value or null, as it is written."""
+    """A number, string, boolean or null, as written."""
 
     text: str
 
 
 class Name(NamedTuple):
-    """A variable; of the conditions' own or bound by a macro."""
+    """A variable: a value, or bound by a macro."""
 
     name: str
 
 
 class Select(NamedTuple):
-    """A field of something."""
+    """A field of an expression."""
 
     of: Node
     field: str
@@ -94,13 +96,13 @@ class Macro(NamedTuple):
 
 
 class ListLiteral(NamedTuple):
-    """A list written out."""
+    """A list literal."""
 
     items: tuple[Node, ...]
 
 
 class MapLiteral(NamedTuple):
-    """A map written out: keys and values in turn."""
+    """A map literal: keys and values alternating."""
 
     items: tuple[Node, ...]
 
@@ -136,9 +138,9 @@ _PRECEDENCE = {sign: level for level, signs in enumerate(_LEVELS, 1) for sign in
 
 
 def parse(text: str) -> tuple[Node, int]:
-    """Read an expression; returns its tree and the number of its terms.
+    """Parse an expression; return its tree and the number of its terms.
 
-    :raises ExpressionError: it is none, or exceeds a bound.
+    :raises ExpressionError: it is invalid, or exceeds a limit.
     """
     if len(text) > LENGTH:
         raise ExpressionError(f"it has {len(text)} characters; the limit is {LENGTH}", excess=True)
@@ -147,7 +149,7 @@ def parse(text: str) -> tuple[Node, int]:
 
 
 class _Parser:
-    """Recursive descent over one text."""
+    """A recursive descent parser of one text."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -218,7 +220,7 @@ class _Parser:
         return node
 
     def _infix(self, least: int) -> Node:
-        """Read operators that bind at least so strongly, each with what is left of it."""
+        """Parse operators of at least this precedence, each with its left operand."""
         left = self._unary()
         while (own := _PRECEDENCE.get(self._lexeme, 0)) >= least and self._kind != "string":
             sign = self._lexeme
@@ -233,7 +235,7 @@ class _Parser:
         count = 0
         while self._take(sign):
             count += 1
-        # As the grammar has it: a run of one sign, and no other sign after it.
+        # By the grammar: a run of one sign, without another sign after it.
         self._depth += count
         if self._depth > DEPTH:
             raise ExpressionError(f"it is nested deeper than {DEPTH} levels", excess=True)
@@ -313,8 +315,8 @@ class _Parser:
 
 
 def write(node: Node, level: int = _CHOICE) -> str:
-    """Write a tree as text, with brackets only where precedence needs them."""
-    # One function, for one level of Python's stack for each level of the tree.
+    """Format a tree as text, with brackets only where precedence requires them."""
+    # One function, to use one Python stack frame per level of the tree.
     own = _MEMBER
     match node:
         case Literal(text) | Name(text):

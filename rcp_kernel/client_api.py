@@ -382,24 +382,24 @@ class ClientApi:
         """Have `answer` called with each further reply of a command; return what ends that."""
         held = self._parts.replies.follower(answer)
 
-        def told(command: Command, step: Record) -> None:
+        def on_step(command: Command, step: Record) -> None:
             held(command.reply(step))
 
         def stop() -> None:
-            if told in command.followers:
-                command.followers.remove(told)
+            if on_step in command.followers:
+                command.followers.remove(on_step)
 
-        command.followers.append(told)
+        command.followers.append(on_step)
 
         return stop
 
-    def until_end(self, session: Session, told: Callable[[RcpError], None]) -> Callable[[], None]:
-        """Have `told` called if the session's proof is not good any more; return what ends that.
+    def until_end(self, session: Session, on_end: Callable[[RcpError], None]) -> Callable[[], None]:
+        """Call `on_end` when the session's proof becomes invalid; return what ends that.
 
         For answers that take long without a connection: they end with that error.
         """
-        session.endings.add(told)
-        return lambda: session.endings.discard(told)
+        session.endings.add(on_end)
+        return lambda: session.endings.discard(on_end)
 
     def discover(
         self, session: Session, pattern: str, query: Query

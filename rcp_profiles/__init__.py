@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rcp_profiles.bounds import Keyed, bounded
-from rcp_profiles.claim import claim, offer
+from rcp_profiles.claim import Offer, claim, offer
 from rcp_profiles.document import Change, changes, document, unannounced
 from rcp_profiles.profile import Definition, Profile
 from rcp_profiles.standard import STANDARD, profile_named
@@ -13,6 +13,7 @@ __all__ = [
     "Change",
     "Definition",
     "Keyed",
+    "Offer",
     "Profile",
     "bounded",
     "changes",

@@ -35,6 +35,11 @@ def bounded(type_: Any, bounds: Bounds) -> Any:
 
     :raises PluginError: a bound names no number of the type.
     """
+    return _bounded(type_, bounds, "Keyed")
+
+
+def _bounded(type_: Any, bounds: Bounds, name: str) -> Any:
+    """Return a type with bounds; `name` is that of a map in it, different for each in a schema."""
     if not bounds:
         return type_
     if (own := bounds.get("")) is not None:
@@ -43,13 +48,14 @@ def bounded(type_: Any, bounds: Bounds) -> Any:
         return _number(type_, own)
     origin, args = get_origin(type_), get_args(type_)
     if origin is Annotated:
-        return Annotated[(bounded(args[0], bounds), *args[1:])]  # pyright: ignore[reportInvalidTypeForm]
+        return Annotated[(_bounded(args[0], bounds, name), *args[1:])]  # pyright: ignore[reportInvalidTypeForm]
     if origin in (Union, types.UnionType):
-        return Union[tuple(arg if arg is type(None) else bounded(arg, bounds) for arg in args)]  # noqa: UP007 - made of a list
+        made = (arg if arg is type(None) else _bounded(arg, bounds, name) for arg in args)
+        return Union[tuple(made)]  # noqa: UP007 - made of a list
     if origin is list:
-        return list[bounded(args[0], bounds)]
+        return list[_bounded(args[0], bounds, name)]
     if origin is dict:
-        return _keyed(args[1], bounds)
+        return _keyed(args[1], bounds, name)
     if isinstance(type_, type) and issubclass(type_, Struct):
         return _struct(type_, bounds)
     raise PluginError(f"{', '.join(bounds)}: {type_!r} has no such part")
@@ -89,7 +95,8 @@ def _struct(type_: type[Struct], bounds: Bounds) -> type[Struct]:
     parts = _parts(bounds)
     fields: list[tuple[str, Any, Any]] = []
     for field in msgspec.structs.fields(type_):
-        made = bounded(field.type, parts.pop(field.encode_name, {}))
+        name = type_.__name__ + field.encode_name.title().replace("_", "")
+        made = _bounded(field.type, parts.pop(field.encode_name, {}), name)
         fields.append((field.name, made, _default(field, made)))
     if parts:
         raise PluginError(f"{type_.__name__} has no field {', '.join(parts)}")
@@ -119,13 +126,13 @@ def _default(field: Any, made: Any) -> Any:
     return value
 
 
-def _keyed(type_: Any, bounds: Bounds) -> type[Struct]:
+def _keyed(type_: Any, bounds: Bounds, name: str) -> type[Struct]:
     fields: list[tuple[str, Any, Any]] = []
     for number, (key, own) in enumerate(_parts(bounds).items()):
-        made = bounded(type_, own)
+        made = _bounded(type_, own, f"{name}{number}")
         fields.append((f"key_{number}", made | None, msgspec.field(name=key, default=None)))
     return msgspec.defstruct(
-        "Keyed",
+        name,
         fields,
         bases=(Keyed,),
         namespace={"__doc__": "Values by name."},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from rcp_profiles.compatibility import unaccepted, unexpected
 from rcp_profiles.profile import Definition, Profile
@@ -13,6 +13,7 @@ from rcp_protocol.values import to_plain, value_type
 __all__ = ["Change", "changes", "document", "unannounced"]
 
 _PARTS = ("value", "input", "output", "feedback")
+_WORDS = ("$id", "title", "description", "examples")
 _BEHAVIOUR = ("valid_for", "max_age", "timeout")
 _PROMISES = ("kind", "frame", "energises")
 
@@ -169,7 +170,7 @@ def _type_changed(
     sent: bool,
     received: bool,
 ) -> Iterator[Change]:
-    if old == new:
+    if _without_words(old) == _without_words(new):
         return
     if old is None or new is None:
         yield Change(f"{what} is {'new' if old is None else 'gone'}", breaks=True)
@@ -180,4 +181,20 @@ def _type_changed(
     for text in broken:
         yield Change(f"{what}: {text}", breaks=True)
     if not broken:
-        yield Change(f"{what} is wider, or described otherwise", breaks=False)
+        yield Change(f"{what} is wider", breaks=False)
+
+
+def _without_words(schema: Any) -> Any:
+    """Leave out what is said of a type: its wording may be improved without a new version."""
+    if isinstance(schema, list):
+        return [_without_words(item) for item in cast("list[Any]", schema)]
+    if not isinstance(schema, dict):
+        return schema
+    items = cast("dict[str, Any]", schema).items()
+    return {
+        key: {name: _without_words(one) for name, one in item.items()}  # names, not words
+        if key in ("properties", "$defs")
+        else _without_words(item)
+        for key, item in items
+        if key not in _WORDS
+    }

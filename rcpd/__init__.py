@@ -1,1 +1,1 @@
-"""The command line of the gateway: `rcpd`, its demo, its skeletons of plugins and the care of its store."""
+"""The command line of the gateway: `rcpd`, its demo, plugin scaffolds, and store maintenance."""

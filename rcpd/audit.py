@@ -1,4 +1,4 @@
-"""`rcpd audit`: verify the record's chain, export it."""
+"""`rcpd audit`: verify or export the audit log."""
 
 from __future__ import annotations
 

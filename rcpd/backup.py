@@ -1,4 +1,4 @@
-"""A copy of a store, made while its gateway writes it."""
+"""A backup of a store, also while its gateway writes to it."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from rcpd.verification import Verdict
 
 __all__ = ["check_whole", "copied", "make_backup"]
 
-_PAGES = 256  # copied at once
-_PAUSE = 0.002  # s between: the disk is the gateway's first
+_PAGES = 256  # pages copied at once
+_PAUSE = 0.002  # s between them: the gateway has priority for the disk
 
 
 def make_backup(path: Path, target: Path) -> Verdict:
-    """Copy a store into a file that is verified before it has its name; return what was verified.
+    """Copy a store to a file that is verified before it gets its name; return the verdict.
 
-    What is copied is the state of one moment. Readers do not hold up whoever writes; only the WAL
-    grows until the copy is made.
+    The copy is a consistent snapshot. Readers do not block the writer; only the WAL grows until the
+    copy
+    is finished.
 
-    :raises ConfigError: the store is damaged or cannot be read, or the file is there already.
+    :raises ConfigError: the store is damaged or cannot be read, or the file already exists.
     """
     if target.exists():
         raise ConfigError(f"'{target}' already exists: choose another name for the backup")
@@ -36,7 +37,7 @@ def make_backup(path: Path, target: Path) -> Verdict:
     if damage is not None:
         raise ConfigError(f"the store '{path}' is damaged: {damage}. Run `rcpd store repair` first")
     part = target.with_name(target.name + ".part")
-    head = HeadFile(path).read() or (0, GENESIS)  # before the copy, which must hold it
+    head = HeadFile(path).read() or (0, GENESIS)  # before the copy, which must contain it
     try:
         copied(path, part)
         verdict = check_whole(part)
@@ -55,7 +56,7 @@ def make_backup(path: Path, target: Path) -> Verdict:
 
 
 def copied(path: Path, target: Path) -> None:
-    """Copy a database into one file with no neighbours, and have it flushed to the disk.
+    """Copy a database into one file without side files, and flush it to disk.
 
     :raises ConfigError: it cannot be read, or the copy cannot be written.
     """
@@ -63,7 +64,7 @@ def copied(path: Path, target: Path) -> None:
         target.unlink(missing_ok=True)
         os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
         source.execute("BEGIN")
-        source.execute("SELECT count(*) FROM sqlite_master").fetchall()  # one moment for all steps
+        source.execute("SELECT count(*) FROM sqlite_master").fetchall()  # takes one snapshot
         with closing(sqlite3.connect(target)) as copy:
             source.backup(copy, pages=_PAGES, progress=_pause)
             copy.execute("PRAGMA journal_mode=DELETE")
@@ -79,7 +80,7 @@ def _pause(_status: int, _left: int, _pages: int) -> None:
 
 
 def check_whole(path: Path) -> Verdict:
-    """Check every page of a database, and every record; return what its chain holds.
+    """Check every page of a database and every record; return the verdict on its chain.
 
     :raises ConfigError: SQLite finds damage.
     """

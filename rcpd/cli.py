@@ -1,4 +1,4 @@
-"""`rcpd`, the gateway: demo, serve, check, plugins, profiles, new, audit, token, version; and what plugins add."""
+"""`rcpd`: demo, serve, check, plugins, profiles, new, audit, token, version, plugin commands."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ __all__ = ["main"]
 
 
 class _Commands(click.Group):
-    """The commands of the kernel, and those that plugins bring: entry points `rcp.commands`."""
+    """The commands of the kernel and of plugins (entry points `rcp.commands`)."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return every name."""
+        """Return all names."""
         return sorted({*super().list_commands(ctx), *_brought()})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command; a plugin is imported only for its own."""
+        """Return a command; a plugin is imported only for its own command."""
         found = super().get_command(ctx, cmd_name)
         if found is None and (point := _brought().get(cmd_name)) is not None:
             found = point.load()
@@ -102,8 +102,8 @@ def check(config: Path) -> None:
     found = prepared.config
     for name in weak_keys(found.keys):
         click.echo(
-            f"warning: key '{name}' is easy to guess: put the output of `openssl rand -hex 32` in its "
-            f"place, or a token: `rcpd token create {name} --config {config} --role ROLE`",
+            f"warning: key '{name}' is easy to guess: use the output of `openssl rand -hex 32` "
+            f"instead, or a token: `rcpd token create {name} --config {config} --role ROLE`",
             err=True,
         )
     robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
@@ -146,7 +146,7 @@ def new() -> None:
 
 
 def _new(kind: str) -> click.Command:
-    """Make the command that generates a plugin of a kind."""
+    """Create the command that generates a plugin of a kind."""
 
     @click.command(
         kind,
@@ -186,10 +186,10 @@ def version() -> None:
 
 
 def _warn_of_damage(path: Path | None) -> None:
-    """Tell of a damaged store: the gateway starts with one, but not as its operator expects."""
+    """Warn of a damaged store: the gateway starts with one, but latches its robots."""
     if path is None:
         return
-    with suppress(sqlite3.Error, OSError):  # serving says what stands in the way
+    with suppress(sqlite3.Error, OSError):  # `serve` reports what is wrong
         damage = find_damage(path)
         if damage is not None:
             text = (

@@ -107,19 +107,19 @@ joints = ["pan", "tilt"]
 
 
 def token_file(host: str, port: int) -> Path:
-    """Return where the demo leaves its key for `rcpctl` of the same user."""
+    """Return the file with the demo's key for `rcpctl` of the same user."""
     base = os.environ.get("XDG_RUNTIME_DIR") or str(Path.home() / ".cache")
     return Path(base) / "rcp" / f"{host}_{port}.token"
 
 
 def _usable(group: str, name: str) -> bool:
-    """Tell whether a plugin is installed with the libraries that it needs."""
+    """Return whether a plugin is installed with its libraries."""
     point = installed(group).get(name)
     return point is not None and obstacle(point) is None
 
 
 class Demo:
-    """The demo's configuration and what it prints."""
+    """The demo's configuration and banner."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -129,7 +129,7 @@ class Demo:
         self._drone, self._head = _usable("backends", "mavlink"), _usable("backends", "can")
 
     def config(self, level: str) -> str:
-        """Write the configuration as TOML."""
+        """Return the configuration as TOML."""
         return _CONFIG.format(
             port=self._port,
             level=level,
@@ -142,13 +142,13 @@ class Demo:
         )
 
     def url(self, server: Server) -> str:
-        """Return the address that the listener really has."""
+        """Return the actual address of the listener."""
         found = [facts["url"] for facts in server.status.transports if "url" in facts]
         return found[0] if found else f"http://127.0.0.1:{self._port}"
 
     @contextmanager
     def credentials(self, server: Server) -> Generator[None]:
-        """Keep the operator's key where `rcpctl` of the same user finds it, while the demo runs."""
+        """Store the operator's key for `rcpctl` of the same user while the demo runs."""
         host, _, port = self.url(server).rpartition("/")[2].partition(":")
         path = token_file(host, int(port or 80))
         try:
@@ -167,7 +167,7 @@ class Demo:
                 path.unlink()
 
     def banner(self, server: Server) -> str:
-        """Say what runs and what to try first."""
+        """Return what is running, and commands to try first."""
         url = self.url(server)
         beside = Path(sys.argv[0]).with_name("rcpctl")
         rcpctl = "rcpctl" if shutil.which("rcpctl") or not beside.exists() else beside
@@ -177,12 +177,12 @@ class Demo:
             where += ", a drone in gamma"
             does = f"  {rcpctl} --url {url} execute /tenant/gamma/action"
             fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
-        look = "  To add CAN motors: pip install 'rcp-gateway[can]'"
+        motors = "  To add CAN motors: pip install 'rcp-gateway[can]'"
         if self._head:
             where += ", a head with two motors in delta"
             does = f"  {rcpctl} --url {url} execute /tenant/delta"
             goal = """'{"positions": {"pan": 1, "tilt": 0.5}}'"""
-            look = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
+            motors = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
         a2a = f"{url}/a2a               A2A, for other agents"
         if not self._a2a:
             a2a = "To add A2A: pip install 'rcp-gateway[a2a]'"
@@ -206,7 +206,7 @@ Try:
   {rcpctl} --url {url} read /tenant/alpha/sensor/pose
   {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
 {fly}
-{look}
+{motors}
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"

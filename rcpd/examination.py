@@ -1,4 +1,4 @@
-"""The verification of a whole store's record, also while its gateway writes it."""
+"""Verification of a store's whole audit log, also while its gateway writes to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def examined(path: Path, heads: tuple[Head, ...] = ()) -> Verdict:
 
     :raises ConfigError: it cannot be read.
     """
-    beside = head_beside(path)  # before the database: a gateway that runs goes on meanwhile
+    beside = head_beside(path)  # before the database, to which a running gateway adds records
     with closing(open_read_only(path)) as base:
         base.execute("BEGIN")
         try:
@@ -36,7 +36,7 @@ def rows_of(base: sqlite3.Connection) -> Iterator[Row]:
     :raises sqlite3.Error: one cannot be read.
     """
     for seq, digest, data in base.execute(f"{ROWS} ORDER BY seq"):
-        # A spoilt file may hold any type in any column.
+        # A corrupt file may contain any type in any column.
         if not (isinstance(seq, int) and isinstance(digest, bytes) and isinstance(data, bytes)):
             raise sqlite3.DatabaseError("a row of the audit table is malformed")
         yield seq, digest, data

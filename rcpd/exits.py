@@ -1,4 +1,4 @@
-"""How a command ends: its exit codes, and the sentence that says why."""
+"""Exit codes and error messages of commands."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ RECORD_LOST = 3
 
 
 def fail(text: str) -> NoReturn:
-    """End the command with a sentence."""
+    """Exit with an error message."""
     click.echo(f"rcpd: {text}", err=True)
     sys.exit(FAILED)

@@ -1,7 +1,7 @@
-"""Garbage is collected while nothing moves: looking through a full gateway takes a second.
+"""Garbage collection while nothing moves: a full collection in a large gateway takes a second.
 
-Counting references frees nearly everything at once. What is left are cycles, for which Python goes
-through all objects of the process, and no e-stop or dead-man is heard meanwhile.
+Reference counting frees nearly everything at once. For the remaining cycles Python visits all
+objects of the process, during which no e-stop and no dead-man is handled.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from contextlib import contextmanager
 __all__ = ["collected_at_rest"]
 
 _THRESHOLDS = (2_000, 50_000, 10)
-"""The youngest objects are looked through in some milliseconds; older ones only when the process
-has gained a hundred million without ever resting."""
-_LOOK = 5.0  # s between looks whether something moves
-_EVERY = 12  # looks at rest from one collection to the next
+"""Collecting the youngest generation takes some milliseconds; older ones are collected only when
+the
+process has gained a hundred million objects without ever being at rest."""
+_LOOK = 5.0  # s between two checks for motion
+_EVERY = 12  # checks at rest between two collections
 
 
 @contextmanager
 def collected_at_rest(
     loop: asyncio.AbstractEventLoop, moving: Callable[[], bool]
 ) -> Generator[None]:
-    """Collect all garbage only while nothing is `moving`; what is there now is never looked at."""
+    """Collect garbage only while nothing is `moving`; objects that exist now are frozen."""
     before = gc.get_threshold()
     gc.collect()
     gc.freeze()

@@ -1,7 +1,8 @@
-"""Have freed memory kept for the next large message, instead of being given back and fetched anew.
+"""Keep freed memory in the process for the next large message.
 
-A camera frame passes through half a dozen buffers of a megabyte. glibc returns each to the system
-and faults it in again page by page, 0.5 ms a buffer, which is twenty times what is done in it.
+A camera frame passes through half a dozen buffers of a megabyte. By default glibc returns each to
+the
+system and then faults it in again page by page: 0.5 ms per buffer, twenty times the useful work.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ import sys
 __all__ = ["keep_freed_memory"]
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of mallopt(3)
-_KEPT = 64 * 1024 * 1024  # bytes that stay with the process
-_LARGEST = 16 * 1024 * 1024  # bytes of a buffer that comes from them
+_KEPT = 64 * 1024 * 1024  # bytes kept in the process
+_LARGEST = 16 * 1024 * 1024  # bytes of the largest buffer allocated from them
 
 
 def keep_freed_memory() -> None:
-    """Set the allocator so, where it is one that can be."""
+    """Configure the allocator, if it is glibc's."""
     if not sys.platform.startswith("linux"):
         return
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)

@@ -1,4 +1,4 @@
-"""Tell systemd how the gateway is: `sd_notify` by a datagram, and its watchdog from the loop."""
+"""systemd notifications: readiness by `sd_notify`, and the watchdog fed from the event loop."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class Notifier:
         self._address = environment.get("NOTIFY_SOCKET", "")
         self._socket: socket.socket | None = None
         self.period = _watchdog_period(environment)
-        """Seconds between two signs of life to the watchdog, or None if it wants none."""
+        """Seconds between two watchdog notifications; None without a watchdog."""
         if self._address and hasattr(socket, "AF_UNIX"):
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
 
     def send(self, *lines: str) -> None:
-        """Send assignments such as `READY=1`; never waits, and a failure is logged only."""
+        """Send assignments such as `READY=1`; never blocks, and failures are only logged."""
         if self._socket is None:
             return
         address = self._address
@@ -50,7 +50,7 @@ class Notifier:
 def notifying(
     loop: asyncio.AbstractEventLoop, environment: Mapping[str, str] = os.environ
 ) -> Generator[Notifier]:
-    """Feed the watchdog while entered; only a loop that turns does so."""
+    """Feed the watchdog while entered, which requires a running event loop."""
     notifier = Notifier(environment)
     timer: asyncio.TimerHandle | None = None
     period = notifier.period
@@ -71,7 +71,7 @@ def notifying(
 
 
 def _watchdog_period(environment: Mapping[str, str]) -> float | None:
-    """Return half of `WATCHDOG_USEC`, as sd_watchdog_enabled(3) advises, if it is meant for us."""
+    """Return half of `WATCHDOG_USEC` in s, as sd_watchdog_enabled(3) advises."""
     try:
         limit = int(environment.get("WATCHDOG_USEC", "0"))
         process = int(environment.get("WATCHDOG_PID", os.getpid()))

@@ -1,4 +1,4 @@
-"""Which store a command works on: by a configuration, or by its file."""
+"""The store on which a command works: from a configuration, or given as a file."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def path_of(config: Path) -> Path:
     except ConfigError as error:
         fail(str(error))
     if path is None:
-        fail(f"{config} has no [store] path: nothing is kept")
+        fail(f"{config} has no [store] path, so there is no store")
     return Path(path).expanduser()

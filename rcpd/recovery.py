@@ -1,4 +1,4 @@
-"""What can still be read of a database, whatever became of the rest of it."""
+"""Recovery of readable data from a damaged database."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rcp_kernel.store.file import FAULTS, ROWS, Kept
 
 __all__ = ["readable_kept", "readable_records", "readable_tokens"]
 
-_BLOCK = 256  # records asked for at once; of a block that cannot be read, one by one
+_BLOCK = 256  # records queried at once; in an unreadable block, one by one
 _TOKENS = "id, name, hash, grants, created, expires, revoked, changed"
 
 
 def readable_records(base: sqlite3.Connection, last: int) -> Iterator[Row]:
-    """Yield the records of the audit up to a number, past those that cannot be read."""
+    """Yield the audit records up to a number, skipping unreadable ones."""
     for low in range(_first(base), max(last, _last(base)) + 1, _BLOCK):
         for row in _between(base, low, low + _BLOCK - 1):
             if len(row[1]) == len(GENESIS):
@@ -46,7 +46,7 @@ def _between(base: sqlite3.Connection, low: int, high: int) -> list[Row]:
 
 
 def readable_kept(base: sqlite3.Connection) -> Iterator[Kept]:
-    """Yield what is kept by key: from the front and from the back, as far as either goes."""
+    """Yield the stored key-value rows, read from the front and from the back up to any damage."""
     for order in ("", " DESC"):
         by = f"place{order}, key{order}"
         for row in _until_damage(base, f"SELECT place, key, value FROM kept ORDER BY {by}"):  # noqa: S608 - constants
@@ -55,7 +55,7 @@ def readable_kept(base: sqlite3.Connection) -> Iterator[Kept]:
 
 
 def readable_tokens(base: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
-    """Yield the API keys, likewise."""
+    """Yield the API keys in the same way."""
     for order in ("", " DESC"):
         yield from _until_damage(base, f"SELECT {_TOKENS} FROM tokens ORDER BY rowid{order}")  # noqa: S608 - constants
 

@@ -1,7 +1,7 @@
-"""A store made anew of what can be read of a damaged one, of what followed, and of a backup.
+"""A store rebuilt from the readable part of a damaged one, its interim file, and a backup.
 
-Records keep their numbers, hashes and bytes. Where some are lost, the chain says how many: the
-record of the repair names the last one that there was. What was there before is kept in a folder.
+Records keep their numbers, hashes and bytes. If some are lost, the record of the repair states the
+last number that existed. The old files are kept in a folder.
 """
 
 from __future__ import annotations
@@ -40,20 +40,21 @@ _ADD_KEY = (
 
 
 class Repaired(msgspec.Struct):
-    """What a repair found and made."""
+    """The result of a repair."""
 
     aside: Path
-    """The folder that holds what there was before."""
+    """The folder with the old files."""
     records: int
     missing: int
     head: Head
     tokens: int
     apart: bool
-    """Whether the record that was made meanwhile is in the folder only: its numbers are taken."""
+    """Whether the interim records are only in that folder, because their numbers are already in
+    use."""
 
 
 def repair(path: Path) -> Repaired | None:
-    """Make a damaged store anew of what can be read; return None if it is not damaged.
+    """Rebuild a damaged store from its readable data; return None if it is not damaged.
 
     :raises ConfigError: a gateway uses it, or nothing can be written beside it.
     """
@@ -65,9 +66,9 @@ def repair(path: Path) -> Repaired | None:
 
 
 def restore(path: Path, backup: Path) -> Repaired:
-    """Put a backup in a store's place, with the later records that can still be read.
+    """Replace a store by a backup, and add later records that are still readable.
 
-    :raises ConfigError: as `repair`; or the backup is damaged, or one of another store.
+    :raises ConfigError: as for `repair`; or the backup is damaged, or of another store.
     """
     with store_errors(path):
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -92,7 +93,7 @@ def _check_backup(path: Path, backup: Path) -> None:
 
 
 class _Repair:
-    """One store being made anew beside the damaged one."""
+    """The rebuilding of one store beside the damaged one."""
 
     def __init__(self, path: Path, reason: str) -> None:
         self._path = path
@@ -103,7 +104,7 @@ class _Repair:
         self._apart = False
 
     def run(self, records: list[Path], kept: list[Path]) -> Repaired:
-        """Make it of the records of some files, and of what others keep by key; put it in place."""
+        """Rebuild from the records of some files and the rows of others; put it in place."""
         head = max(map(known_head, (*records, self._interim)))
         for suffix in SUFFIXES:
             self._fresh.with_name(self._fresh.name + suffix).unlink(missing_ok=True)
@@ -128,7 +129,7 @@ class _Repair:
             base.executemany("INSERT OR IGNORE INTO audit VALUES (?, ?, ?)", rows)
 
     def _take_interim(self, base: sqlite3.Connection, last: int) -> None:
-        """Add what was recorded meanwhile, unless its numbers are those of older records."""
+        """Add the interim records, unless their numbers are already in use."""
         if not self._interim.exists():
             return
         before = base.execute("SELECT coalesce(max(seq), 0) FROM audit").fetchone()[0]
@@ -147,13 +148,13 @@ class _Repair:
     def _take_tokens(self, base: sqlite3.Connection, path: Path) -> None:
         with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as source, base:
             for row in readable_tokens(source):
-                with suppress(sqlite3.Error):  # a row that was spoilt proves nobody
+                with suppress(sqlite3.Error):  # a corrupt row authenticates nobody
                     base.execute(_ADD_KEY, row)
 
     def _seal(self, base: sqlite3.Connection, head: Head) -> Repaired:
-        """Add the record of the repair, and the latch that stands until somebody has looked."""
+        """Add the record of the repair, and an e-stop latch for someone to check the robots."""
         count, last = base.execute("SELECT count(*), coalesce(max(seq), 0) FROM audit").fetchone()
-        if last >= head[0]:  # what is there tells best how it ends
+        if last >= head[0]:  # the existing records show best how they end
             head = base.execute("SELECT seq, hash FROM audit WHERE seq = ?", (last,)).fetchone()
             head = head or (0, GENESIS)
         missing = head[0] - (anchor_of(base) or (0, GENESIS))[0] - count
@@ -176,9 +177,10 @@ class _Repair:
         return Repaired(self._aside, count, missing, row[:2], tokens, self._apart)
 
     def _put_in_place(self, head: Head) -> None:
-        """Keep what there was, then put what was made in its place.
+        """Keep the old files, then put the new store in place.
 
-        Cut off in between, it is a damaged store still, and what there was is in the folder.
+        If it is interrupted in between, the store is still damaged, and the old files are in the
+        folder.
         """
         self._aside.mkdir(mode=0o700)
         old = [_named(path, suffix) for path in (self._path, self._interim) for suffix in SUFFIXES]
@@ -188,7 +190,7 @@ class _Repair:
         for suffix in ("-wal", "-shm", "-journal"):  # SQLite would apply them to the new database
             _named(self._path, suffix).unlink(missing_ok=True)
         self._fresh.replace(self._path)
-        _named(self._path, ".head").unlink(missing_ok=True)  # not written into: it has another name
+        _named(self._path, ".head").unlink(missing_ok=True)  # it has a second name
         with closing(HeadFile(self._path)) as file:
             file.open(head)
         for suffix in SUFFIXES:
@@ -200,7 +202,7 @@ def _named(path: Path, suffix: str) -> Path:
 
 
 def _copy_name(file: Path, name: Path) -> None:
-    """Give a file a second name, or copy it where it can have only one."""
+    """Give a file a second name, or copy it where hard links are not supported."""
     try:
         name.hardlink_to(file)
     except OSError:

@@ -1,7 +1,8 @@
-"""Write the beginning of a plugin: a distribution of its own that passes the public suite.
+"""Scaffolds of plugins: a distribution that passes the public test suite.
 
-Each has a small example in it, so that every part has a place already: a backend a simulated linear
-axis, the others what the tutorials describe. Its author replaces it.
+Each contains a small example, so that every part already has its place: a backend a simulated
+linear
+axis, the others the example of their tutorials. The author replaces it.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ _LONGEST = 40  # characters
 
 
 class _Kind(NamedTuple):
-    """What differs between the kinds of plugins."""
+    """The differences between the kinds of plugins."""
 
     group: str
-    """Of its entry point: `rcp.<group>`."""
+    """Its entry point group, without `rcp.`."""
     table: str
-    """Of the configuration."""
+    """Its table in the configuration."""
     page: str
-    """The tutorial."""
+    """Its tutorial."""
     readme: str = "README_client.md"
     needs: str = '"pytest>=8.3"'
-    """What its tests need."""
+    """Requirements of its tests."""
 
 
 KINDS = {
@@ -44,9 +45,9 @@ KINDS = {
 
 
 def write_plugin(kind: str, name: str, into: Path) -> Path:
-    """Write `rcp-<kind>-<name>` below a folder, of one of `KINDS`; return the folder it made.
+    """Write `rcp-<kind>-<name>` below a folder, for one of `KINDS`; return the new folder.
 
-    :raises ConfigError: the name cannot be a package's, or the folder is there already.
+    :raises ConfigError: the name is not a valid package name, or the folder already exists.
     """
     if not _NAME.match(name) or len(name) > _LONGEST:
         raise ConfigError(

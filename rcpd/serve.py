@@ -1,4 +1,4 @@
-"""The process of a gateway: its event loop, its signals, its exit code."""
+"""The gateway process: event loop, signals, exit code."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ __all__ = ["loop_factory", "run"]
 
 
 def run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
-    """Serve a configuration until told to stop, then end the process with its exit code.
+    """Serve a configuration until stopped, then exit.
 
-    `path` is the file that SIGHUP reads again; `source` names the configuration in messages.
+    `path` is the file that SIGHUP reloads; `source` names the configuration in messages.
     """
     keep_freed_memory()
     recent = configure(config.log.level, config.log.format)
@@ -50,16 +50,16 @@ def run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None
 
 
 def loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
-    """Return uvloop's, where there is one; None is asyncio's own."""
+    """Return uvloop's factory, if installed; None for that of asyncio."""
     try:
         import uvloop
-    except ImportError:  # Windows has none
+    except ImportError:  # not available on Windows
         return None
     return uvloop.new_event_loop
 
 
 async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> int:
-    """Serve until told to stop; return the exit code."""
+    """Serve until stopped; return the exit code."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     with notifying(loop) as notifier:

@@ -1,4 +1,4 @@
-"""`rcpd store`: check, back up, repair and restore what a gateway keeps."""
+"""`rcpd store`: check, back up, repair and restore a gateway's store."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rcpd token`: API keys made and taken back, also while the gateway runs."""
+"""`rcpd token`: create and revoke API keys, also while the gateway runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["token"]
 
 _UNITS = {"m": 60, "h": 3600, "d": 86_400, "w": 604_800}  # s
 _S = 1_000_000_000  # ns
-_GLANCE = 0.2  # s that the store is looked through for damage
+_GLANCE = 0.2  # s spent checking the store for damage
 _NAME = r"[A-Za-z0-9_.@-]{1,64}"
 
 
@@ -94,8 +94,11 @@ def create(
 @click.option("--all", "every", is_flag=True, help="Include expired and revoked keys.")
 def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
     """List the keys, without their secrets."""
+    from rcp_kernel.clock import now
+
+    moment = now()
     for one in _read(config, store):
-        if every or one.state == "good":
+        if every or one.state(moment) == "good":
             click.echo(_line(one))
 
 
@@ -123,7 +126,7 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Generator[TokenFile]:
-    """Open the keys that the gateway looks at: beside a damaged store, if it goes on there.
+    """Open the keys that the gateway uses: beside a damaged store, if it continues there.
 
     :raises ConfigError: they cannot be read or written.
     """
@@ -153,7 +156,7 @@ def _read(config: Path | None, store: Path | None) -> list[Token]:
 
 
 def _found(config: Path | None, store: Path | None) -> tuple[Path, GatewayConfig | None]:
-    """Return the store, and the configuration that names it."""
+    """Return the store, and the configuration that names it, if any."""
     from rcp_kernel.access.identities import store_file
     from rcp_kernel.config.file import load
 
@@ -202,11 +205,11 @@ def _end(text: str) -> int:
 
 
 def _line(one: Token) -> str:
-    from rcp_kernel.clock import iso
+    from rcp_kernel.clock import iso, now
 
     grants = " ".join(f"{tenant}={','.join(roles)}" for tenant, roles in one.grants)
     end = "never" if one.expires is None else iso(one.expires)[:19] + "Z"
     return (
-        f"{one.id}  {one.name:<20} {one.state:<8} {grants:<30} "
+        f"{one.id}  {one.name:<20} {one.state(now()):<8} {grants:<30} "
         f"created {iso(one.created)[:19]}Z  expires {end}"
     )

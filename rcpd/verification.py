@@ -1,4 +1,4 @@
-"""How tampering with a chain of records is found."""
+"""Detection of tampering in a chain of audit records."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ __all__ = ["Verdict", "verify"]
 
 
 class Verdict(msgspec.Struct):
-    """What a look at the whole chain found."""
+    """The result of verifying a whole chain."""
 
     count: int = 0
     first: int = 0
     head: Head = (0, GENESIS)
     findings: list[tuple[int, str]] = []
-    """Where the chain does not hold, and how: empty if nothing was tampered with."""
+    """Positions where the chain is broken, with descriptions; empty if it is intact."""
 
 
 def verify(rows: Iterable[Row], anchor: Head | None, heads: Sequence[Head] = ()) -> Verdict:
-    """Check every record against the one before it, and the chain against heads kept elsewhere.
+    """Check every record against its predecessor, and the chain against heads stored elsewhere.
 
     `anchor` is the last record that retention deleted.
     """
@@ -40,10 +40,10 @@ class _Walk:
         self._heads = list(heads)
         self._last, self._hash = anchor or (0, GENESIS)
         self._sound = True
-        """Whether `_hash` is known to be the hash of the record before."""
+        """Whether `_hash` is known to be the hash of the previous record."""
         self._verdict = Verdict(first=self._last + 1)
         self._known: dict[int, bytes] = {self._last: self._hash}
-        """Hashes that some head is to be compared with."""
+        """Hashes to compare with the heads."""
         self._wanted = {seq for seq, _ in heads}
 
     def _find(self, seq: int, what: str) -> None:
@@ -58,13 +58,13 @@ class _Walk:
         elif self._sound and link(self._hash, data) != digest:
             self._find(seq, "changed: its hash does not follow from it and the record before it")
         self._look(seq, digest, data)
-        # A row whose hash was changed is found again by its successor, which names the place.
+        # A row with a changed hash is reported by its successor, which names the position.
         self._last, self._hash = seq, digest
         if seq in self._wanted:
             self._known[seq] = digest
 
     def _join(self, seq: int, data: bytes) -> None:
-        """Go on after records that a damaged store has lost, where the chain says that it does."""
+        """Continue after records lost with a damaged store, if the chain states that loss."""
         head = joint(decoded(data)) if b'"head"' in data else None
         if head is None or head[0] != seq - 1 or head[0] < self._last:
             return
@@ -76,22 +76,22 @@ class _Walk:
     def _look(self, seq: int, digest: bytes, data: bytes) -> None:
         try:
             record: Any = msgspec.json.decode(data)
-            said, what = record["seq"], record["what"]
+            number, what = record["seq"], record["what"]
             facts: dict[str, Any] = record
         except (msgspec.DecodeError, UnicodeDecodeError, TypeError, KeyError):
-            self._find(seq, "changed: it is not a record")
+            self._find(seq, "changed: it is not a valid record")
             return
-        if said != seq:
-            self._find(seq, f"moved: it says that it is record {said}")
+        if number != seq:
+            self._find(seq, f"moved: it says that it is record {number}")
         if what == "prune" and self._anchor is not None:
-            told = (facts.get("to"), facts.get("hash"))
-            self._anchored = self._anchored or told == (self._anchor[0], self._anchor[1].hex())
+            recorded = (facts.get("to"), facts.get("hash"))
+            self._anchored = self._anchored or recorded == (self._anchor[0], self._anchor[1].hex())
         self._anchored = self._anchored or joint(facts) == self._anchor
         if what == "start":
             self._restart(seq, facts.get("head"))
 
     def _restart(self, seq: int, head: Any) -> None:
-        """Compare what was there when a gateway began with the head that the one before it left."""
+        """Compare the chain at a gateway's start with the head left by the previous run."""
         try:
             left = parse_head(str(head)) if head is not None else None
         except ValueError:

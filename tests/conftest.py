@@ -9,6 +9,7 @@ import signal
 from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from hypothesis import settings
 
 from failures import LISTED, Failure, failure, note
 from pairs import left_out
+from rcp_kernel.testing import SteppedClock, SteppedLoop
 from scheduling import PROCESSES, Scheduling
 
 _under_way: set[str] = set()
@@ -70,9 +72,18 @@ def _own_logging() -> Generator[None]:
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    """Run on asyncio: the kernel's event loop."""
-    return "asyncio"
+def stepped() -> SteppedClock:
+    """The time of the gateway's rules and of the test's event loop, which the test puts forward."""
+    return SteppedClock()
+
+
+@pytest.fixture
+def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
+    """Run on asyncio, the kernel's event loop: by the time of `stepped` where a test asks for it."""
+    if "stepped" not in request.fixturenames:
+        return "asyncio", {}
+    clock: SteppedClock = request.getfixturevalue("stepped")
+    return "asyncio", {"loop_factory": partial(SteppedLoop, clock)}
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

@@ -17,6 +17,7 @@ from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.eds_node import EdsPart
+from rcp_can.group_power import group_powers
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
@@ -165,14 +166,16 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         for bus in (buses[node.bus],)
     ]
     drives = [
-        DiffDrivePart(name, drive, axes[drive.left], axes[drive.right])
+        DiffDrivePart(name, drive, axes[drive.left], axes[drive.right], host)
         for name, drive in config.diff_drives.items()
     ]
     groups = [
         JointGroupPart(name, group, [axes[joint] for joint in group.joints], host)
         for name, group in config.joint_groups.items()
     ]
-    for part in (*lines, *map(MotorPart, axes.values()), *devices, *nodes, *drives, *groups):
+    powers = group_powers(config, drives, groups)
+    motors = map(MotorPart, axes.values())
+    for part in (*lines, *motors, *devices, *nodes, *drives, *groups, *powers):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:

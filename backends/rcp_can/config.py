@@ -77,6 +77,13 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
             for joint in group.joints:
                 if joint not in self.motors:
                     raise ValueError(f"joint_groups.{name}.joints: there is no motor {joint!r}")
+        for table in ("diff_drives", "joint_groups"):
+            robots = [name for name, group in getattr(self, table).items() if group.as_robot]
+            if len(robots) > 1:
+                raise ValueError(
+                    f"{table}.{robots[1]}.as_robot: {robots[0]!r} is the robot already; put the "
+                    "other into a backend of its own"
+                )
         known = ", ".join(self.buses)
         for table in ("motors", "devices", "nodes"):
             for name, on in getattr(self, table).items():

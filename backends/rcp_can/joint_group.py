@@ -1,39 +1,40 @@
-"""Joint groups: several motors commanded together, with synchronized moves."""
+"""Joint groups: several motors commanded together, with synchronized moves and trajectories."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Coroutine, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import anyio
-
-from rcp_can import motor_messages as m
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config_joints import JointGroupConfig
 from rcp_can.guard import check, check_feedback, check_link, ready
+from rcp_can.joint_limits import joint_limits
+from rcp_can.joint_resources import JointNames, joint_resources
+from rcp_can.joint_run import JointRun
 from rcp_can.joint_types import joint_types
-from rcp_can.motor import abandon, drive_to, released
+from rcp_can.joint_watch import MoveWatch, TrajectoryWatch
+from rcp_can.motor import released
 from rcp_can.path import Leg, Path
-from rcp_can.power_switch import enable
-from rcp_can.standstill import rested
+from rcp_can.trajectory import Trajectory
+from rcp_can.trajectory_plan import Joint, Point, plan
+from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, ModeForbids, RcpError
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress, check_fence, fenced_off
+from rcp_kernel.spi import Host, Progress, check_fence
+from rcp_profiles.messages import JointsMoved, JointStates
 
 __all__ = ["JointGroupPart"]
 
-_POLL_PERIOD = 0.01  # s
-_FEEDBACK = 0.1  # s between two reports of a move
-_MOVE = 120.0  # s, the longest that a move may take
+_LATE = 1.5  # periods that a set-point may go on at once, however late it is
 
 
 class JointGroupPart(Part):
     """One joint group; its joints also remain separate motors.
 
-    :raises ConfigError: one of the motors has no position control.
+    :raises ConfigError: one of the motors has no position control, or no position in its limits.
     """
 
     def __init__(
@@ -45,127 +46,87 @@ class JointGroupPart(Part):
                     f"joint_groups.{name}.joints: '{axis.name}' ({axis.config.profile}) has no "
                     "position control; remove it"
                 )
-        self._name, self._config, self._axes, self._host = name, config, tuple(axes), host
-        self._types = joint_types(self._axes)
-        self._states = f"sensor/{name}/joints"
-        self._ended: list[RcpError] | None = None
-        """Where the move in progress is notified that it has ended."""
+        self._name, self._config, self._host = name, config, host
+        self._joints = {axis.name: axis for axis in axes}
+        self._limits = {axis.name: joint_limits(name, config, axis) for axis in axes}
+        self._place = None if config.as_robot else name
+        self._names = JointNames.make(self._place)
+        self._types = joint_types(self._limits)
+        self._late = _LATE / min(axis.config.rate for axis in axes)
+        self._run: JointRun | None = None
+        """The move in progress."""
         self._seen = 0
         for bus in {axis.bus for axis in axes}:
             bus.after_batch(self._batch)
 
     def resources(self) -> list[Resource]:
-        """List joint positions and moves."""
-        name, types = self._name, self._types
-        middle = {axis.name: _near_rest(axis) for axis in self._axes}
-        meta = {"joints": [axis.name for axis in self._axes]}
-        return [
-            Resource(
-                name=self._states,
-                description=f"Positions and velocities of all joints of '{name}'.",
-                value=types.states,
-                live=True,
-                deadline=max(axis.config.timeout for axis in self._axes),
-                meta=meta,
-            ),
-            Resource(
-                name=f"actuator/{name}/joints",
-                description="Target positions; a joint that is not listed keeps its position.",
-                value=types.targets,
-                examples=(middle, {}),
-                max_age=1.0,
-                valid_for=self._config.valid_for,
-                safe={},
-                meta=meta,
-            ),
-            Resource(
-                name=f"action/{name}/move_joints",
-                description="Move the joints together along a straight line in joint space; completes when every drive reports that it is done.",
-                input=types.move,
-                output=types.moved,
-                feedback=types.feedback,
-                examples=({"positions": middle}, {"positions": middle, "speed": 0.5}),
-                timeout=_MOVE,
-                max_age=1.0,
-                meta=meta,
-            ),
-            *(
-                Resource(
-                    name=f"service/{name}/{verb}",
-                    description=f"Joints of '{name}': {text}",
-                    timeout=10.0,
-                    energises=verb == "enable",
-                )
-                for verb, text in _SERVICES.items()
-            ),
-        ]
+        """Claim the profile `arm`."""
+        timeout = max(axis.config.timeout for axis in self.axes)
+        return joint_resources(self._config, self._limits, self._types, timeout, self._place)
+
+    # What it measures
 
     def _batch(self) -> None:
-        seen = sum(axis.status.moved for axis in self._axes)
-        fresh = all(axis.online and axis.blind is None for axis in self._axes)
-        if seen != self._seen and fresh:
-            self._seen = seen
-            if (value := self._value()) is not None:
-                self._host.publish(self._states, value)
+        seen = sum(axis.status.moved for axis in self.axes)
+        fresh = all(axis.online and axis.blind is None for axis in self.axes)
+        if seen == self._seen or not fresh:
+            return
+        self._seen = seen
+        for name in (self._names.joints, self._names.states):
+            if (value := self._value(name)) is not None:
+                self._host.publish(name, value)
 
-    def _value(self) -> Any:
-        positions, velocities = self._positions(), [axis.velocity for axis in self._axes]
-        if positions is None or None in velocities:
+    def _value(self, name: str) -> Any:
+        positions = _known(axis.position for axis in self.axes)
+        velocities = _known(axis.velocity for axis in self.axes)
+        if positions is None or velocities is None:
             return None
-        kind = self._types.states
-        speeds = _type_of(kind, "velocities")
-        return kind(positions=positions, velocities=_filled(speeds, velocities))
+        if name == self._names.joints:
+            types = self._types
+            return types.states(
+                positions=_filled(types.positions, positions),
+                velocities=_filled(types.velocities, velocities),
+            )
+        efforts = _known(_torque(axis) for axis in self.axes)
+        return JointStates([*self._joints], positions, velocities, efforts, iso(now()))
 
-    def _positions(self) -> Any:
-        found = [axis.position for axis in self._axes]
-        kind = _type_of(self._types.states, "positions")
-        return None if None in found else _filled(kind, found)
+    def _positions(self) -> dict[str, float]:
+        """Return the positions that are known: all of them, while a move runs."""
+        found = {name: axis.position for name, axis in self._joints.items()}
+        return {name: position for name, position in found.items() if position is not None}
 
     async def read(self, name: str) -> Any:
         """Return the last positions, if all drives are still connected."""
-        if name != self._states:
+        if name not in (self._names.joints, self._names.states):
             return await super().read(name)
-        for axis in self._axes:
+        for axis in self.axes:
             check_link(axis)
             check_feedback(axis)
-        if (value := self._value()) is None:
+        if (value := self._value(name)) is None:
             raise AdapterUnavailable(
                 f"not every joint of '{self._name}' has reported its position yet"
             )
         return value
 
+    # Set-points
+
     async def write(self, name: str, value: Any) -> None:
         """Set the positions of all listed joints or of none; the others keep theirs."""
         check_fence()
-        targets = self._targets(value)
-        if not targets and self._ended is not None:
-            self._ended.append(ModeForbids("a stop of the joints ended the move"))
+        fields = zip(self.axes, value.__struct_fields__, strict=True)
+        wanted = {axis: getattr(value, field) for axis, field in fields}
+        targets = {axis: position for axis, position in wanted.items() if position is not None}
+        if not targets:
+            self.settle(ModeForbids(f"a stop of '{self._name}' ended the move"))
             return
         for axis in targets:
             self._check(axis)
-        for axis in self._axes:
+        for axis in self.axes:
             if axis in targets:
                 axis.command("position", targets[axis])
+                axis.ramp.limit = self._limits[axis.name].velocity
             else:
-                self._rest(axis)
-        if not targets:  # a stop that may not have reached every joint does not count as one
-            for axis in self._axes:
-                check_link(axis)
-
-    def _targets(self, value: Any) -> dict[Axis, float]:
-        found = zip(self._axes, value.__struct_fields__, strict=True)
-        wanted = {axis: getattr(value, field) for axis, field in found}
-        return {axis: position for axis, position in wanted.items() if position is not None}
-
-    def _rest(self, axis: Axis) -> None:
-        driven = axis.owner is not None
-        if driven:
-            axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
-        if axis.status.enabled and not axis.stopped:
-            if driven:  # perhaps by the drive's own trajectory, which no set-point stops
-                axis.rest()
-            else:
-                axis.hold()
+                _rest(axis, ModeForbids(f"a stop of '{self._name}' ended the move"))
 
     def _check(self, axis: Axis) -> None:
         if axis.owner is not None:
@@ -175,171 +136,129 @@ class JointGroupPart(Part):
             )
         check(axis)
 
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Move the joints together, or run a service on all of them."""
-        verb = name.rpartition("/")[2]
-        if verb != "disable":
-            for axis in self._axes:
-                await ready(axis)
-                await released(axis)
-        match verb:
-            case "enable":
-                await _together(enable(axis) for axis in self._axes if not axis.status.enabled)
-            case "disable":
-                await _together(axis.disable() for axis in self._axes)
-            case "clear_faults":
-                await _together(axis.clear_faults() for axis in self._axes)
-            case _:
-                return await self._move(value, name, progress)
-        return None
+    # What the services of its motors do with it
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """Its motors."""
+        return tuple(self._joints.values())
+
+    def settle(self, reason: RcpError) -> None:
+        """Bring all joints to rest; what drives them ends with `reason`."""
+        if self._run is not None:
+            self._run.end(reason)
+            return
+        for axis in self.axes:
+            _rest(axis, reason)
+        for axis in self.axes:  # a stop that may not have reached every joint is no stop
+            check_link(axis)
+
+    def reset(self) -> None:
+        """Do nothing: it counts nothing, and has no parameters."""
 
     # Moves
 
-    async def _move(self, move: Any, name: str, progress: Progress) -> Any:
-        targets = self._targets(move.positions)
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Move the joints together, in a straight line or along a trajectory."""
+        for axis in self.axes:
+            await ready(axis)
+            await released(axis)
+        started = time.monotonic()
+        if name == self._names.move:
+            await self._move(value, progress)
+        else:
+            await self._follow(value, progress)
+        return JointsMoved(self._positions(), time.monotonic() - started)
+
+    async def _move(self, move: Any, progress: Progress) -> None:
+        targets: dict[str, float] = move.positions.given()
         if not targets:
             raise InvalidValue("no joint to move", details={"pointer": "/positions"})
-        for axis in targets:
+        goals = {self._joints[name]: position for name, position in targets.items()}
+        for axis in goals:
             self._check(axis)
-        legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in targets.items()}
-        path = Path(legs.values())
-        self._ended = ended = []
-        started = time.monotonic()
-        for axis in legs:
-            axis.owner = name
-        try:
-            await self._go(legs, path, ended, progress)
-            await self._arrive(legs, ended)
-        except (asyncio.CancelledError, RcpError) as error:
-            self._ended = None
-            await _halted(legs, path, error)
-            raise
-        finally:
-            self._ended = None
-            for axis in legs:
-                axis.owner = axis.ended = None
-        duration = time.monotonic() - started
-        return self._types.moved(positions=self._positions(), duration=duration)
+        legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in goals.items()}
+        path = Path(legs.values(), late=self._late)
+        follows = {axis: path.follow(leg) for axis, leg in legs.items()}
+        watch = MoveWatch(goals, lambda: path.advance()[0], self._positions, progress)
+        await self._go(JointRun(self._names.move, path, goals, follows), watch)
 
     def _leg(self, axis: Axis, goal: float, speed: float) -> Leg:
-        acceleration = axis.config.acceleration or self._config.acceleration
-        start = axis.position
-        assert start is not None  # checked before the move began
-        return Leg(start, goal, axis.velocity_limit * speed, acceleration)
+        limits = self._limits[axis.name]
+        return Leg(self._start(axis), goal, limits.velocity * speed, limits.acceleration)
 
-    async def _go(
-        self, legs: dict[Axis, Leg], path: Path, ended: list[RcpError], progress: Progress
-    ) -> None:
-        for axis, leg in legs.items():
-            axis.ended = ended.append
-            axis.command("position", leg.goal, path.follow(leg))
-        reported_at = 0.0
-        while not path.over:
-            if (
-                time.monotonic() - reported_at >= _FEEDBACK
-                and (here := self._positions()) is not None
-            ):
-                reported_at = time.monotonic()
-                left = max(abs(leg.goal - (axis.position or 0.0)) for axis, leg in legs.items())
-                feedback = self._types.feedback(positions=here, left=left)
-                progress(feedback, fraction=path.advance()[0])
-            await asyncio.sleep(_POLL_PERIOD)
-            if ended:
-                raise ended[0]
-
-    async def _arrive(self, legs: dict[Axis, Leg], ended: list[RcpError]) -> None:
-        """Wait until every drive reports that it has reached its goal."""
-        ways = _together(
-            drive_to(axis, m.Move(position=leg.goal), _silently) for axis, leg in legs.items()
-        )
-        arriving = asyncio.ensure_future(ways)
+    async def _follow(self, wanted: Any, progress: Progress) -> None:
+        points = [
+            Point(
+                each.time,
+                each.positions.given(),
+                each.velocities.given() if each.velocities else {},
+            )
+            for each in wanted.points
+        ]
+        axes = [self._joints[name] for name in points[0].positions]
+        for axis in axes:
+            self._check(axis)
+            if not axis.resting:
+                raise ModeForbids(
+                    f"joint '{axis.name}' is moving", remedy="Bring it to rest first."
+                )
+        joints = {axis.name: Joint(self._start(axis), self._limits[axis.name]) for axis in axes}
+        tolerance = self._config.tracking_tolerance
+        for axis in axes:
+            axis.owner = self._names.follow
         try:
-            while not arriving.done():
-                await asyncio.wait((arriving,), timeout=_POLL_PERIOD)
-                if ended:
-                    raise ended[0]
-            arriving.result()
+            # Beside the loop: thousands of points take longer than it may stand still.
+            curves = await asyncio.to_thread(plan, points, joints, tolerance)
+            for axis in axes:
+                check(axis)
         finally:
-            arriving.cancel()
-            with anyio.CancelScope(shield=True):
-                await asyncio.wait((arriving,))
+            for axis in axes:
+                axis.owner = None
+        duration = points[-1].time
+        accelerations = [joints[name].limits.acceleration for name in curves]
+        line = Trajectory([*curves.values()], accelerations, duration, self._late)
+        goals = {self._joints[name]: points[-1].positions[name] for name in curves}
+        follows = {axis: line.follow(number) for number, axis in enumerate(goals)}
+        watch = TrajectoryWatch(axes, line, tolerance, self._positions, progress)
+        await self._go(JointRun(self._names.follow, line, goals, follows), watch)
+
+    def _start(self, axis: Axis) -> float:
+        """Return where a move begins: where the joint was told to stay, if it is near that."""
+        here, kept = axis.position, axis.ramp.position
+        assert here is not None  # checked before
+        near = abs(kept - here) <= self._config.tracking_tolerance
+        return kept if axis.mode == "position" and axis.resting and near else here
+
+    async def _go(self, run: JointRun, watch: Callable[[], None]) -> None:
+        self._run = run
+        try:
+            await run.run(watch)
+        finally:
+            if self._run is run:
+                self._run = None
 
 
-_SERVICES = {
-    "enable": "switch the power stages on, without moving.",
-    "disable": "switch the power stages off.",
-    "clear_faults": "clear the faults; the power stages stay off.",
-}
-
-
-async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None:
-    """Brake along the shared line, and wait until each joint is at rest.
-
-    :raises RcpError: the move was cancelled, and a joint is not confirmed to be at rest.
-    """
-    if fenced_off():  # the stop controls the joints now: this move sends nothing more
-        for axis in legs:
-            axis.ended = None
-        return
-    settled: list[BaseException | None] = []
-    with anyio.CancelScope(shield=True):
-        path.brake()
-        for axis in legs:
-            axis.ended, axis.leaving = None, True
-        while not path.over and any(axis.mode == "position" for axis in legs):  # noqa: ASYNC110
-            await asyncio.sleep(_POLL_PERIOD)
-        settled = await asyncio.gather(
-            *(_settle(axis, why) for axis in legs), return_exceptions=True
-        )
-    if isinstance(why, asyncio.CancelledError):
-        for error in settled:
-            if isinstance(error, BaseException):
-                raise error
-
-
-async def _settle(axis: Axis, why: BaseException) -> None:
-    try:
-        if axis.mode == "position" and why is not axis.gone:
-            await rested(axis)  # and it holds the position where it came to rest
+def _rest(axis: Axis, reason: RcpError) -> None:
+    driven = axis.owner is not None
+    if driven:
+        axis.forget(reason)
+    if axis.status.enabled and not axis.stopped:
+        if driven:  # perhaps by the drive's own trajectory, which no set-point stops
+            axis.rest()
         else:
-            await abandon(axis, why)
-    except RcpError:
-        if axis.status.energised is not False:
-            axis.stop()
-        raise
-    finally:
-        axis.leaving = False
+            axis.hold()
 
 
-async def _together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
-    """Run all concurrently; the first failure cancels the others and is raised."""
-    tasks = [asyncio.ensure_future(each) for each in work]
-    if not tasks:
-        return
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
-    finally:
-        for task in tasks:
-            task.cancel()
-        with anyio.CancelScope(shield=True):
-            await asyncio.wait(tasks)
-    for task in tasks:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            raise error
+def _known(values: Any) -> list[float] | None:
+    found: list[float | None] = list(values)
+    return None if None in found else [each for each in found if each is not None]
 
 
-def _silently(*_: Any, **__: Any) -> None:
-    """Ignore progress: the group reports it."""
+def _torque(axis: Axis) -> float | None:
+    raw = axis.status.torque
+    return None if raw is None else raw * axis.ratio
 
 
-def _near_rest(axis: Axis) -> float:
-    low, high = max(axis.low, -1.0), min(axis.high, 1.0)
-    return round(low + 0.55 * (high - low), 4)
-
-
-def _type_of(struct: Any, field: str) -> Any:
-    return struct.__annotations__[field]
-
-
-def _filled(kind: Any, values: Sequence[Any]) -> Any:
+def _filled(kind: Any, values: Sequence[float]) -> Any:
     return kind(**dict(zip(kind.__struct_fields__, values, strict=True)))

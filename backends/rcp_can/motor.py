@@ -222,7 +222,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
     tolerance = move.tolerance or axis.config.tolerance
     velocity = min(move.velocity or axis.velocity_limit, axis.velocity_limit)
     start = axis.position or 0.0
-    way = abs(move.position - start)
+    distance = abs(move.position - start)
     own = axis.drive.moves
     acceleration = axis.config.acceleration
     if own:
@@ -235,7 +235,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
         axis.ended = lost.append
         axis.command("position", move.position)
         axis.ramp.limit = velocity
-    patience = way / velocity + _SETTLE
+    patience = distance / velocity + _SETTLE
     if acceleration is not None:
         patience += velocity / acceleration
     began = reported_at = time.monotonic()
@@ -249,7 +249,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
         left = move.position - here
         if now - reported_at >= _FEEDBACK:
             reported_at = now
-            part = max(0.0, 1 - abs(left) / way) if way else 1.0
+            part = max(0.0, 1 - abs(left) / distance) if distance else 1.0
             progress(m.MoveFeedback(position=here, left=left), fraction=part)
         fresh = axis.status.reports + axis.status.moved > reports + 1
         there = abs(left) <= tolerance and fresh

@@ -34,16 +34,18 @@ class Path:
     Each joint stays within its limits. Every query advances the path to the current time.
     """
 
-    def __init__(self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic) -> None:
-        ways = [leg for leg in legs if abs(leg.way) > _NOTHING]
-        speed = min((leg.velocity / abs(leg.way) for leg in ways), default=math.inf)
-        self._acceleration = min((leg.acceleration / abs(leg.way) for leg in ways), default=1.0)
+    def __init__(
+        self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic, late: float = _LATE
+    ) -> None:
+        moving = [leg for leg in legs if abs(leg.way) > _NOTHING]
+        speed = min((leg.velocity / abs(leg.way) for leg in moving), default=math.inf)
+        self._acceleration = min((leg.acceleration / abs(leg.way) for leg in moving), default=1.0)
         self._peak = min(speed, math.sqrt(self._acceleration))
-        self._clock = clock
+        self._clock, self._late = clock, late
         self._last = clock()
         self._elapsed = 0.0
         self._braked: tuple[float, float, float] | None = None
-        self.duration = 1 / self._peak + self._peak / self._acceleration if ways else 0.0
+        self.duration = 1 / self._peak + self._peak / self._acceleration if moving else 0.0
         """Duration in s, unless it is braked."""
 
     def follow(self, leg: Leg) -> Callable[[], tuple[float, float]]:
@@ -58,7 +60,7 @@ class Path:
     def advance(self) -> tuple[float, float]:
         """Advance to the current time; return the completed fraction and its rate in 1/s."""
         now = self._clock()
-        self._elapsed += min(now - self._last, _LATE)
+        self._elapsed += min(now - self._last, self._late)
         self._last = now
         return self._at(self._elapsed)
 

@@ -23,7 +23,8 @@ def set_point(axis: AxisState, dt: float) -> SetPoint | None:
     """Advance the ramp by `dt` s and return the next set-point; None if there is no command."""
     match axis.mode:
         case "velocity":
-            goal = _within(axis, axis.goal)
+            path = axis.ramp.path
+            goal = _within(axis, axis.goal if path is None else path()[1])
             return SetPoint("velocity", axis.ramp.to_velocity(goal, dt) * axis.ratio)
         case "position":
             goal = clamp(axis.goal, axis.low, axis.high)

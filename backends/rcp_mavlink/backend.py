@@ -42,8 +42,8 @@ class MavlinkBackend(BaseBackend):
 
     def changed(self, vehicle: Vehicle) -> None:
         """Report lost and returned vehicles."""
-        mine = [r for r in self.robots.values() if r.vehicle is vehicle and not vehicle.lost]
-        for robot in mine:  # before the report, whose listeners may request messages
+        own = [r for r in self.robots.values() if r.vehicle is vehicle and not vehicle.lost]
+        for robot in own:  # before the report, whose listeners may request messages
             robot.stop.doubt()
             robot.stop_if_latched()
             robot.restore()
@@ -53,7 +53,7 @@ class MavlinkBackend(BaseBackend):
             self._host.report(detail, down=len(lost) == len(self.hub.vehicles))
         else:
             self._host.report(None)
-        for robot in mine:
+        for robot in own:
             robot.back()
 
     async def poll(self) -> None:

@@ -28,17 +28,17 @@ class Clock:
         self._requested = time.time_ns()
         return self._requested
 
-    def on_reply(self, theirs: int, requested: int) -> None:
+    def on_reply(self, remote: int, requested: int) -> None:
         """Handle the reply to the latest request; the shortest round trip is the most accurate."""
-        took = time.time_ns() - requested
-        if theirs == 0 or requested != self._requested or not 0 <= took <= _SLOWEST:
+        round_trip = time.time_ns() - requested
+        if remote == 0 or requested != self._requested or not 0 <= round_trip <= _SLOWEST:
             return
         self._requested = 0
-        if self._best and took > self._best * _WORSE:
+        if self._best and round_trip > self._best * _WORSE:
             self._best *= _WORSE
             return
-        self._best = max(1.0, took)
-        self._offset = requested + took // 2 - theirs
+        self._best = max(1.0, round_trip)
+        self._offset = requested + round_trip // 2 - remote
 
     def on_system_time(self, unix: int, booted: int) -> None:
         """Handle SYSTEM_TIME (us, ms) of a vehicle that does not answer TIMESYNC."""

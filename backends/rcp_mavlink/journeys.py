@@ -69,13 +69,15 @@ class Journeys:
         self._check(goal)
         lat, lon = place_of(vehicle, goal, fix)
         altitude = fix.height if goal.altitude is None or family.drives else goal.altitude
-        way = max(away(vehicle, fix, lat, lon, altitude), 0.1)
+        distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         pace = Pace(vehicle, goal.speed, goal.yaw)
 
         def report() -> bool:
             now = fix_of(vehicle)
             left = away(vehicle, now, lat, lon, altitude)
-            progress(m.OnItsWay(left, now.height, vehicle.mode), fraction=part(way - left, way))
+            progress(
+                m.OnItsWay(left, now.height, vehicle.mode), fraction=part(distance - left, distance)
+            )
             fresh = vehicle.came["GLOBAL_POSITION_INT"] > since
             there = fresh and self._arrived(now, lat, lon, altitude, goal.tolerance)
             return pace.update(there=there)

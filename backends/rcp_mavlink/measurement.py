@@ -39,8 +39,8 @@ class Measurement:
 
     def age(self, message: str) -> float:
         """Return the age of the last message of a type, s."""
-        came = self._vehicle.came.get(message, -math.inf)
-        return math.inf if came < self.doubtful_since else time.monotonic() - came
+        received = self._vehicle.came.get(message, -math.inf)
+        return math.inf if received < self.doubtful_since else time.monotonic() - received
 
     # State, from heartbeats
 

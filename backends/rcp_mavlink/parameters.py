@@ -139,17 +139,17 @@ class Parameters:
         self._vehicle.check()
         config, own = self._hub.config, name.encode()
         answered: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-        came = False
+        received = False
 
         def take(frame: Frame) -> None:
-            nonlocal came
+            nonlocal received
             fields = frame.fields()
             if fields["param_id"].split(b"\0", 1)[0] != own or answered.done():
                 return
             if "error" in fields:
                 answered.set_result(fields["error"])
                 return
-            came = True
+            received = True
             if good(self._decoded(frame, fields["param_type"])):
                 answered.set_result(0)
 
@@ -160,12 +160,12 @@ class Parameters:
             for _ in range(1 if once else config.retries + 1):
                 self._hub.send(self._vehicle, message)
                 done, _pending = await asyncio.wait({answered}, timeout=config.timeout)
-                if done or came:
+                if done or received:
                     break
                 self._vehicle.check()
         if answered.done() and (error := answered.result()):
             raise self._refusal(name, error)
-        return self.known[name].value if came else None
+        return self.known[name].value if received else None
 
     def _refusal(self, name: str, error: int) -> RcpError:
         if error == _NOT_THERE:

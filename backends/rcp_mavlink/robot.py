@@ -266,8 +266,8 @@ class Robot:
     def poll(self) -> None:
         """Repeat requests for messages that do not arrive; called periodically."""
         now = time.monotonic()
-        came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.last_message_at - 1)
-        if not self.vehicle.lost and now - came > _RETRY_AFTER:
+        received = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.last_message_at - 1)
+        if not self.vehicle.lost and now - received > _RETRY_AFTER:
             self.intervals.begin()
         if self.vehicle.lost:  # the uplink may work although the downlink does not
             self.stop_if_latched()

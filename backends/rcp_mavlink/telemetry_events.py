@@ -79,14 +79,14 @@ class TelemetryEvents:
 
     def _health(self) -> None:
         """Clear the reasons once it is ready; request them if it is not and none is known."""
-        told, now = self._prearm(), time.monotonic()
-        if told.ready and now - self._complained > _SETTLED:
+        prearm, now = self._prearm(), time.monotonic()
+        if prearm.ready and now - self._complained > _SETTLED:
             self._complaints = []
-        unknown = not (told.ready or told.reasons or self._vehicle.family.px4)
+        unknown = not (prearm.ready or prearm.reasons or self._vehicle.family.px4)
         if unknown and self._vehicle.prearm is False and now - self._requested > _RETRY_AFTER:
             self._requested = now
             self._check()
-        self._publish("sensor/prearm", told)
+        self._publish("sensor/prearm", prearm)
 
     def _complain(self, reason: str, now: float) -> None:
         """Add a reason; a repeated one, or one after a pause, starts a new list."""
@@ -148,10 +148,10 @@ class TelemetryEvents:
     def text(self, status_text: Text) -> None:
         """Publish a status text, and a separate event if it reports a failsafe."""
         severity = SEVERITIES[min(status_text.severity, len(SEVERITIES) - 1)]
-        told = m.StatusText(severity, status_text.text)
-        self._publish("event/statustext", told)
+        status = m.StatusText(severity, status_text.text)
+        self._publish("event/statustext", status)
         if any(word in status_text.text.lower() for word in _FAILSAFES):
-            self._publish("event/failsafe", told)
+            self._publish("event/failsafe", status)
         start = next((start for start in _PREARM if status_text.text.startswith(start)), None)
         if start is not None:
             self._complain(status_text.text.removeprefix(start), status_text.at)

@@ -38,7 +38,7 @@ class Texts:
             self._note(vehicle, fields["severity"], "".join(pieces))
 
     def _note(self, vehicle: Vehicle, severity: int, text: str) -> None:
-        said = Text(time.monotonic(), severity, text)
-        vehicle.texts.append(said)
+        entry = Text(time.monotonic(), severity, text)
+        vehicle.texts.append(entry)
         for callback in vehicle.on_text:
-            callback(said)
+            callback(entry)

@@ -23,8 +23,8 @@ _APART = 5e-5  # deg between neighbouring start positions
 
 def orders(config: MavlinkConfig, number: int) -> dict[str, object]:
     """Return the settings of the simulated vehicle behind a link."""
-    mine = [at for at, text in enumerate(config.links) if text.startswith("sim:")]
-    place = mine.index(number)
+    simulated = [at for at, text in enumerate(config.links) if text.startswith("sim:")]
+    place = simulated.index(number)
     lat, lon, height = config.twin.home
     given = msgspec.to_builtins(config.twin)
     return given | {

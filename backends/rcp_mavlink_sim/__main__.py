@@ -86,9 +86,9 @@ async def _run(given: argparse.Namespace) -> None:
     links = given.link or ["udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760"]
     async with AsyncExitStack() as stack:
         for number in range(given.count):
-            mine = links if number == 0 else [link for link in links if link.startswith("udpout")]
-            twin = await stack.enter_async_context(fly(Vehicle(_options(given, number)), *mine))
-            for link, (host, port) in zip(mine, twin.ports, strict=True):
+            own = links if number == 0 else [link for link in links if link.startswith("udpout")]
+            twin = await stack.enter_async_context(fly(Vehicle(_options(given, number)), *own))
+            for link, (host, port) in zip(own, twin.ports, strict=True):
                 print(f"vehicle {given.system + number} {link} from {host}:{port}", flush=True)  # noqa: T201
         await asyncio.Event().wait()
 

@@ -173,8 +173,8 @@ class Mission:
     def _travel(self, item: Item) -> None:
         pilot, body = self._vehicle.pilot, self._vehicle.body
         place = self._place(item)
-        way = math.dist(place, (body.n, body.e))
-        if way > 2:
+        distance = math.dist(place, (body.n, body.e))
+        if distance > 2:
             pilot.yaw = math.atan2(place[1] - body.e, place[0] - body.n)
         pilot.place, pilot.depth, pilot.attitude = place, self._depth(item), None
         pilot.passes = item.command in (16, 82)

@@ -49,8 +49,8 @@ class Pilot(ABC):
         """Hold the point where it would come to rest if it braked now."""
         body, limits = self.body, self.limits
         speed = math.hypot(body.vn, body.ve)
-        way = speed / (2 * limits.acceleration) + 0.4
-        self.place = (body.n + body.vn * way, body.e + body.ve * way)
+        distance = speed / (2 * limits.acceleration) + 0.4
+        self.place = (body.n + body.vn * distance, body.e + body.ve * distance)
         self.velocity = (0.0, 0.0)
         self.depth = body.d + body.vd * 0.5
         self.sinking = self.yaw_rate = 0.0
@@ -81,12 +81,12 @@ class Pilot(ABC):
         """Set the demands of the body for the next `dt` seconds."""
 
 
-def pace(way: float, fastest: float, acceleration: float, gain: float = 1.0) -> float:
+def pace(distance: float, fastest: float, acceleration: float, gain: float = 1.0) -> float:
     """Return the maximum speed from which it can brake within `way` m."""
     linear = acceleration / (gain * gain)
-    if way <= linear:
-        return min(fastest, gain * way)
-    return min(fastest, math.sqrt(2 * acceleration * (way - linear / 2)))
+    if distance <= linear:
+        return min(fastest, gain * distance)
+    return min(fastest, math.sqrt(2 * acceleration * (distance - linear / 2)))
 
 
 def clip(value: float, most: float) -> float:

@@ -167,6 +167,8 @@ class GraphWatch:
         if chosen not in offered:
             chosen = self._chosen[name] = offered[0]
         if len(offers) > 1:
-            each = ", ".join(f"{type_} by {who}" for type_, who in sorted(offers.items()))
+            each = ", ".join(
+                f"{type_} by {publisher}" for type_, publisher in sorted(offers.items())
+            )
             disputed[name] = f"{name} is published as {each}; only {chosen} is read"
         return chosen

@@ -107,7 +107,7 @@ def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
 
 
 def _override(wanted: Qos, matched: Profile) -> Profile:
-    said: dict[str, Any] = {
+    overrides: dict[str, Any] = {
         "reliable": _is(wanted.reliability, "reliable"),
         "latched": _is(wanted.durability, "transient_local"),
         "manual": _is(wanted.liveliness, "manual_by_topic"),
@@ -116,11 +116,11 @@ def _override(wanted: Qos, matched: Profile) -> Profile:
         "lifespan": _ns(wanted.lifespan),
         "lease": _ns(wanted.lease),
     }
-    return matched._replace(**{key: value for key, value in said.items() if value is not None})
+    return matched._replace(**{key: value for key, value in overrides.items() if value is not None})
 
 
-def _is(said: str | None, word: str) -> bool | None:
-    return None if said is None else said == word
+def _is(policy: str | None, word: str) -> bool | None:
+    return None if policy is None else policy == word
 
 
 def _ns(seconds: float | None) -> int | None:

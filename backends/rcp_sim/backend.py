@@ -30,6 +30,8 @@ from rcp_sim.simulation import DEFAULT_LIMIT, Trip
 __all__ = ["SimBackend", "open_sim"]
 
 _FEEDBACK = 0.2  # s between two progress reports of a trip
+_FRAME = "map"
+_TOLERANCE = 0.1  # m, unless the goal has its own
 _REST = 4.0  # s for a cancelled trip to come to rest
 
 
@@ -157,13 +159,20 @@ class SimBackend(BaseBackend):
     # Actions
 
     async def _move_to(self, goal: m.MoveTo, progress: Progress) -> m.MoveResult:
+        if goal.frame != _FRAME:
+            raise InvalidValue(
+                f"the rover has no frame '{goal.frame}' for its goals",
+                details={"pointer": "/frame"},
+                remedy=f"Give the goal in the frame '{_FRAME}'.",
+            )
         yaw = goal.yaw
         if goal.orientation is not None:
             if yaw is not None:
                 raise InvalidValue("give 'orientation' or 'yaw', not both")
             yaw = _yaw(goal.orientation.z, goal.orientation.w)
         x, y = goal.position.x, goal.position.y
-        trip = self._sim.go(x, y, yaw=yaw, tolerance=goal.tolerance, speed=goal.speed)
+        tolerance = goal.tolerance or _TOLERANCE
+        trip = self._sim.go(x, y, yaw=yaw, tolerance=tolerance, speed=goal.speed)
         await self._ride(trip, progress)
         rover = self._sim.rover
         return m.MoveResult(

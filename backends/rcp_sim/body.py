@@ -107,11 +107,11 @@ DESCRIPTION = f"""<?xml version="1.0"?>
 def joints(rover: Rover, now: int) -> JointState:
     """Return the angles and angular velocities of the wheels."""
     half = _TRACK / 2
-    way, turned, v, w = rover.path, rover.turned, rover.v, rover.w
+    distance, turned, v, w = rover.path, rover.turned, rover.v, rover.w
     return JointState(
         stamped("", now),
         ["left_wheel_joint", "right_wheel_joint"],
-        [(way - turned * half) / _WHEEL, (way + turned * half) / _WHEEL],
+        [(distance - turned * half) / _WHEEL, (distance + turned * half) / _WHEEL],
         [(v - w * half) / _WHEEL, (v + w * half) / _WHEEL],
     )
 

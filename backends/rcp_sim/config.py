@@ -50,7 +50,7 @@ class SimConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0)] = 1
     """Runs with the same seed, commands and ticks are identical."""
     rate: Hertz = 50.0
-    """Ticks per second; pose, odometry and IMU are sent at each tick."""
+    """Ticks per second; pose, velocity, odometry and IMU are sent at each tick."""
     scan_rate: SlowHertz = 10.0
     camera_rate: SlowHertz = 4.0
     points_rate: SlowHertz = 5.0

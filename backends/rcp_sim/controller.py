@@ -26,13 +26,13 @@ class Follower:
 
     def __init__(
         self,
-        way: list[tuple[float, float]],
+        path: list[tuple[float, float]],
         *,
         tolerance: float,
         yaw: float | None = None,
         speed: float = math.inf,
     ) -> None:
-        self._way = way
+        self._way = path
         self._tolerance = tolerance
         self._yaw = yaw
         self.speed = speed
@@ -56,9 +56,9 @@ class Follower:
         """Whether it has made no progress for a long time."""
         return self._still > _PATIENCE
 
-    def reroute(self, way: list[tuple[float, float]]) -> None:
+    def reroute(self, path: list[tuple[float, float]]) -> None:
         """Take another path to the same goal."""
-        self._way = way
+        self._way = path
         self.phase = "turning"
         self._best = math.inf
 

@@ -85,8 +85,8 @@ class Device:
     def boot(self, reason: Literal["power_on", "reset"] = "power_on") -> None:
         """Announce that the rover is up, and send the first values."""
         text = "The rover is ready." if reason == "power_on" else "The rover was reset."
-        came = Boot(reason, "simulated rover", text, iso(now()))
-        self.publisher.event("event/boot", came, now())
+        boot = Boot(reason, "simulated rover", text, iso(now()))
+        self.publisher.event("event/boot", boot, now())
         if reason == "power_on":
             self._event(FaultEvent("none", False, "The self-test passed.", None, iso(now())))
             idle = TaskEvent("none", "idle", "No task has run yet.", timestamp=iso(now()))

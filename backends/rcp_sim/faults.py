@@ -11,6 +11,7 @@ __all__ = ["COMMANDS", "SENSORS", "FaultBoard", "unknown_target"]
 
 SENSORS = (
     "sensor/pose",
+    "sensor/velocity",
     "sensor/odometry",
     "sensor/imu",
     "sensor/scan",

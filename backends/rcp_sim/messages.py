@@ -17,8 +17,10 @@ from rcp_kernel.types import (
     Time,
     Twist,
 )
+from rcp_profiles import messages
 
 __all__ = [
+    "FULL_TURN",
     "TOP_SPEED",
     "TOP_TURN",
     "Battery",
@@ -27,9 +29,6 @@ __all__ = [
     "ClearFaults",
     "Dock",
     "DockResult",
-    "Drive",
-    "DriveAngular",
-    "DriveLinear",
     "FaultEvent",
     "FaultSpec",
     "FaultsActive",
@@ -44,18 +43,13 @@ __all__ = [
     "Odometry",
     "ResetResult",
     "ResetSystem",
-    "SpeedLimit",
     "TaskEvent",
 ]
 
 TOP_SPEED = 2.5  # m/s, limit of the motors
 TOP_TURN = 2.0  # rad/s
+FULL_TURN = 6.2832  # rad
 
-SpeedLimit = Annotated[float, Meta(ge=0, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
-_Speed = Annotated[float, Meta(ge=-TOP_SPEED, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
-_Turn = Annotated[float, Meta(ge=-TOP_TURN, le=TOP_TURN, extra_json_schema={"unit": "rad/s"})]
-_NoSpeed = Annotated[float, Meta(ge=0, le=0, extra_json_schema={"unit": "m/s"})]
-_NoTurn = Annotated[float, Meta(ge=0, le=0, extra_json_schema={"unit": "rad/s"})]
 _Place = Annotated[float, Meta(ge=-1000, le=1000, extra_json_schema={"unit": "m"})]
 _Length = Annotated[float, Meta(ge=0.05, le=50, extra_json_schema={"unit": "m"})]
 _Count = Annotated[int, Meta(ge=0, le=2**31, extra_json_schema={"unit": "1"})]
@@ -70,16 +64,6 @@ _Amperes = Annotated[
 _Cell = Annotated[
     float, Meta(gt=0, description="Edge length of a cell.", extra_json_schema={"unit": "m"})
 ]
-_Tolerance = Annotated[
-    float,
-    Meta(
-        ge=0.02,
-        le=2,
-        description="Position tolerance at the goal.",
-        extra_json_schema={"unit": "m"},
-    ),
-]
-_TripSpeed = Annotated[float, Meta(gt=0, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
 _Miss = Annotated[
     float, Meta(ge=0, description="Distance from the goal.", extra_json_schema={"unit": "m"})
 ]
@@ -101,7 +85,6 @@ _Losses = Annotated[
         extra_json_schema={"unit": "1"},
     ),
 ]
-_Heading = Annotated[float, Meta(ge=-6.2832, le=6.2832, extra_json_schema={"unit": "rad"})]
 
 
 class Odometry(Struct, frozen=True, forbid_unknown_fields=True):
@@ -158,42 +141,11 @@ class OccupancyGrid(Struct, frozen=True, forbid_unknown_fields=True):
     timestamp: Time | None = None
 
 
-class DriveLinear(Struct, frozen=True, forbid_unknown_fields=True):
-    """The linear velocity of a differential drive: forward or backward."""
+class MoveTo(messages.MoveTo, frozen=True, forbid_unknown_fields=True):
+    """A goal on the map; `position.z` is ignored, because the floor is flat."""
 
-    x: _Speed = 0.0
-    y: _NoSpeed = 0.0
-    z: _NoSpeed = 0.0
-
-
-class DriveAngular(Struct, frozen=True, forbid_unknown_fields=True):
-    """The angular velocity of a differential drive: about the vertical axis, left positive."""
-
-    x: _NoTurn = 0.0
-    y: _NoTurn = 0.0
-    z: _Turn = 0.0
-
-
-class Drive(Struct, frozen=True, forbid_unknown_fields=True):
-    """A Twist in the body frame, within the limits of the rover."""
-
-    linear: DriveLinear = DriveLinear()
-    angular: DriveAngular = DriveAngular()
-
-
-class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
-    """A goal in the map frame; `position.z` is ignored, because the floor is flat."""
-
-    position: Point
     orientation: Annotated[
         Quaternion | None, Meta(description="Heading at the goal; give this, `yaw` or neither.")
-    ] = None
-    yaw: Annotated[
-        _Heading | None, Meta(description="Heading at the goal, counter-clockwise from x.")
-    ] = None
-    tolerance: _Tolerance = 0.1
-    speed: Annotated[
-        _TripSpeed | None, Meta(description="Maximum speed; the speed limit applies as well.")
     ] = None
 
 

@@ -70,14 +70,14 @@ class Planner:
         points = [*self._corners, start, goal]
         first, last = len(points) - 2, len(points) - 1
         cost = {first: 0.0}
-        came: dict[int, int] = {}
+        previous: dict[int, int] = {}
         done: set[int] = set()
         open_ = [(math.dist(start, goal), first)]
         while open_:
             _, here = heapq.heappop(open_)
             if here == last:
                 legs = [goal]
-                while (here := came[here]) != first:
+                while (here := previous[here]) != first:
                     legs.append(points[here])
                 return legs[::-1]
             if here in done:
@@ -89,7 +89,7 @@ class Planner:
                     continue
                 if self._visible(here, there, points):
                     cost[there] = length
-                    came[there] = here
+                    previous[there] = here
                     heapq.heappush(open_, (length + math.dist(point, goal), there))
         return None
 
@@ -105,13 +105,13 @@ class Planner:
 
 def _beside(rect: Rect, x: float, y: float) -> tuple[float, float]:
     """Return the nearest point on the border."""
-    ways = (
+    sides = (
         (x - rect.left, (rect.left, y)),
         (rect.right - x, (rect.right, y)),
         (y - rect.bottom, (x, rect.bottom)),
         (rect.top - y, (x, rect.top)),
     )
-    return min(ways)[1]
+    return min(sides)[1]
 
 
 def _crosses(rect: Rect, a: tuple[float, float], b: tuple[float, float]) -> bool:

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from rcp_kernel.spi import Host
+from rcp_kernel.types import AngularVelocity, LinearVelocity, Twist
 from rcp_sim.body import DESCRIPTION, joints, transforms
 from rcp_sim.camera import picture
 from rcp_sim.config import SimConfig
 from rcp_sim.depth import Depth
 from rcp_sim.faults import FaultBoard
-from rcp_sim.messages import Drive, DriveAngular, DriveLinear
-from rcp_sim.sensors import Sensors, battery, pose
+from rcp_sim.sensors import Sensors, battery, pose, velocity
 from rcp_sim.simulation import Simulation
 
 __all__ = ["Publisher"]
@@ -63,6 +63,7 @@ class Publisher:
         self._dt = config.time_scale / config.rate
         self._live: tuple[tuple[str, Callable[[int], Any]], ...] = (
             ("sensor/pose", lambda now: pose(sim.rover, now)),
+            ("sensor/velocity", lambda now: velocity(sim.rover, now)),
             ("sensor/odometry", lambda now: self.sensors.odometry(sim.rover, now)),
             ("sensor/imu", lambda now: self.sensors.imu(sim.rover, now)),
         )
@@ -147,10 +148,10 @@ class Publisher:
         finally:
             rhythm.wanted.remove(rate)
 
-    def _velocity(self) -> Drive:
+    def _velocity(self) -> Twist:
         """Return the commanded velocity as the actuator's value."""
         v, w = self._sim.velocity
-        return Drive(DriveLinear(v), DriveAngular(0.0, 0.0, w))
+        return Twist(LinearVelocity(v), AngularVelocity(0.0, 0.0, w))
 
     def _scan(self, now: int) -> Any:
         return self.sensors.scan(self._sim, now)

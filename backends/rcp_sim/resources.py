@@ -2,47 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.types import LaserScan, PoseStamped
+from rcp_profiles import Offer, claim, offer
 from rcp_sim import messages as m
 from rcp_sim.body import DESCRIPTION
 from rcp_sim.config import SimConfig
 from rcp_sim.spatial import JointState, PointCloud, Transforms
 
-__all__ = ["resources"]
+__all__ = ["PROFILES", "resources"]
 
 _DRIVE_TIME = 900.0  # s, enough for the longest path in the largest hall at walking pace
-_AT = "2026-05-29T14:12:04Z"
 _TURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+PROFILES = ("mobile", "battery", "camera", "lidar", "power")
 _BOX = {"x": 3.0, "y": 1.0, "size_x": 0.5, "size_y": 2.0}
 
 
 def resources(config: SimConfig) -> list[Resource]:
     """Return the resources of one rover."""
-    return [*_sensors(config), *_seen(), *_settings(), *_actions(), *_services(), *_events()]
+    return claim(
+        PROFILES,
+        *_sensors(config),
+        *_seen(),
+        *_commands(),
+        *_services(),
+        *_events(),
+    )
 
 
-def _sensors(config: SimConfig) -> list[Resource]:
+def _sensors(config: SimConfig) -> list[Resource | Offer]:
     fast = max(0.5, 5 / config.rate)
     position = {"x": 12.4, "y": 7.8, "z": 0.0}
     return [
-        Resource(
-            name="sensor/pose",
-            description="Position (in metres) and heading of the rover on the map.",
-            value=PoseStamped,
-            examples=(
-                {
-                    "position": position,
-                    "orientation": _TURNED,
-                    "frame_id": "map",
-                    "timestamp": _AT,
-                },
-            ),
-            live=True,
-            deadline=fast,
-        ),
+        offer("sensor/pose", live=True, deadline=fast),
+        offer("sensor/velocity", live=True, deadline=fast),
         Resource(
             name="sensor/odometry",
             description="Position and speeds from the wheel odometry; it drifts.",
@@ -65,33 +57,16 @@ def _sensors(config: SimConfig) -> list[Resource]:
             live=True,
             deadline=fast,
         ),
-        Resource(
-            name="sensor/scan",
-            description="One sweep of the laser range finder; a beam without a return is Infinity.",
-            value=LaserScan,
-            examples=(
-                {
-                    "angle_min": -3.14,
-                    "angle_increment": 1.57,
-                    "range_min": 0.05,
-                    "range_max": 12.0,
-                    "ranges": [4.2, "Infinity", 3.9, "Infinity"],
-                },
-            ),
-            deadline=2.5,
-            history=16,
-        ),
-        Resource(
-            name="sensor/battery",
-            description="Voltage, current and remaining charge of the battery.",
+        offer("sensor/scan", deadline=2.5, history=16),
+        offer(
+            "sensor/battery",
             value=m.Battery,
             examples=({"voltage": 12.1, "current": -0.7, "percentage": 0.81, "energy": 48.6},),
             live=True,
             deadline=max(3.0, 3 / config.battery_rate),
         ),
-        Resource(
-            name="sensor/camera",
-            description="Image of the rover's forward camera, as a small PNG.",
+        offer(
+            "sensor/camera",
             value=m.Image,
             examples=({"width": 160, "height": 120, "data": "iVBORw0KGgo="},),
             deadline=2.5,
@@ -176,34 +151,27 @@ def _seen() -> list[Resource]:
     ]
 
 
-def _settings() -> list[Resource]:
-    rest: dict[str, Any] = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
+def _commands() -> list[Resource | Offer]:
+    none, turn = (0, 0), (-m.TOP_TURN, m.TOP_TURN)
+    drive = {
+        "linear.x": (-m.TOP_SPEED, m.TOP_SPEED),
+        "linear.y": none,
+        "linear.z": none,
+        "angular.x": none,
+        "angular.y": none,
+        "angular.z": turn,
+    }
+    goal = {
+        "yaw": (-m.FULL_TURN, m.FULL_TURN),
+        "tolerance": (0.02, 2),
+        "speed": (None, m.TOP_SPEED),
+    }
     return [
-        Resource(
-            name="actuator/cmd_vel",
-            description="Commanded velocity, linear and angular, in force until the next one.",
-            value=m.Drive,
-            examples=({"linear": {"x": 0.4}, "angular": {"z": 0.2}}, rest),
-            live=True,
-            max_age=1.0,
-            valid_for=0.5,
-            safe=rest,
-        ),
-        Resource(
-            name="param/speed_limit",
-            description="Maximum speed of the rover, for every command.",
-            value=m.SpeedLimit,
-            examples=(1.0, 0.5),
-            live=True,
-        ),
-    ]
-
-
-def _actions() -> list[Resource]:
-    return [
-        Resource(
-            name="action/move_to",
-            description="Drive to a position on the map, around obstacles.",
+        offer("actuator/cmd_vel", drive, live=True),
+        offer("param/speed_limit", (0, m.TOP_SPEED), examples=(1.0, 0.5), live=True),
+        offer(
+            "action/move_to",
+            goal,
             input=m.MoveTo,
             output=m.MoveResult,
             feedback=m.MoveFeedback,
@@ -212,7 +180,6 @@ def _actions() -> list[Resource]:
                 {"position": {"x": -3.0, "y": 2.0}, "yaw": 1.57, "tolerance": 0.05, "speed": 0.8},
             ),
             timeout=_DRIVE_TIME,
-            max_age=30.0,
         ),
         Resource(
             name="action/dock",
@@ -227,10 +194,10 @@ def _actions() -> list[Resource]:
     ]
 
 
-def _services() -> list[Resource]:
+def _services() -> list[Resource | Offer]:
     return [
-        Resource(
-            name="service/reset_system",
+        offer(
+            "service/reset_system",
             description="Stop the rover and reset odometry, faults, placed boxes and speed limit.",
             input=m.ResetSystem | None,
             output=m.ResetResult,

@@ -74,25 +74,25 @@ class Rover:
         slow = HARD_TURN_BRAKE if hard else TURN_ACCEL
         self.w = _toward(turning, w, TURN_ACCEL * dt, slow * dt)
         self.bumped = False
-        way = (before + self.v) / 2 * dt
+        distance = (before + self.v) / 2 * dt
         turn = (turning + self.w) / 2 * dt
-        if way:
-            self._advance(way, self.yaw + turn / 2, clearance)
+        if distance:
+            self._advance(distance, self.yaw + turn / 2, clearance)
         if turn:
             self.yaw = wrapped(self.yaw + turn)
             self.turned += turn
         self.accel = (self.v - before) / dt
 
     def _advance(
-        self, way: float, heading: float, clearance: Callable[[float, float], float]
+        self, distance: float, heading: float, clearance: Callable[[float, float], float]
     ) -> None:
-        x = self.x + way * math.cos(heading)
-        y = self.y + way * math.sin(heading)
+        x = self.x + distance * math.cos(heading)
+        y = self.y + distance * math.sin(heading)
         room = clearance(x, y)
         if room < RADIUS and room < clearance(self.x, self.y):
             self.v = 0.0
             self.bumped = True
             return
         self.x, self.y = x, y
-        self.path += way
-        self.travelled += abs(way)
+        self.path += distance
+        self.travelled += abs(distance)

@@ -17,13 +17,14 @@ from rcp_kernel.types import (
     Quaternion,
     Twist,
 )
+from rcp_profiles.messages import TwistStamped
 from rcp_sim.config import SimConfig
 from rcp_sim.messages import Battery, Imu, OccupancyGrid, Odometry
 from rcp_sim.raycast import Fan
 from rcp_sim.rover import Rover
 from rcp_sim.simulation import Simulation
 
-__all__ = ["Sensors", "Wheels", "battery", "heading", "pose"]
+__all__ = ["Sensors", "Wheels", "battery", "heading", "pose", "velocity"]
 
 GRAVITY = 9.80665  # m/s2
 RANGE_MIN = 0.05  # m
@@ -37,6 +38,12 @@ def heading(yaw: float) -> Quaternion:
 def pose(rover: Rover, now: int) -> PoseStamped:
     """Return the rover's pose on the map; localisation is exact."""
     return PoseStamped(Point(rover.x, rover.y, 0.0), heading(rover.yaw), "map", iso(now))
+
+
+def velocity(rover: Rover, now: int) -> TwistStamped:
+    """Return the rover's velocity, as its wheels measure it."""
+    linear, angular = LinearVelocity(rover.v), AngularVelocity(0.0, 0.0, rover.w)
+    return TwistStamped(linear, angular, timestamp=iso(now))
 
 
 def battery(sim: Simulation, now: int) -> Battery:
@@ -72,10 +79,10 @@ class Wheels:
         if rover is not self._rover:
             self._rover = rover
         else:
-            way = (rover.path - self._path) * self._grow
+            distance = (rover.path - self._path) * self._grow
             turn = (rover.turned - self._turned) * self._twist
-            self.x += way * math.cos(self.yaw + turn / 2)
-            self.y += way * math.sin(self.yaw + turn / 2)
+            self.x += distance * math.cos(self.yaw + turn / 2)
+            self.y += distance * math.sin(self.yaw + turn / 2)
             self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
         self._path, self._turned = rover.path, rover.turned
 

@@ -140,7 +140,7 @@ class Simulation:
         :raises ModeForbids: another trip is running.
         :raises DeviceRejected: there is no path to it, or the battery is empty.
         """
-        way = self._way(x, y)
+        path = self._way(x, y)
         if self.trip is not None:
             raise ModeForbids(
                 f"action/{self.trip.task} is running",
@@ -148,7 +148,7 @@ class Simulation:
             )
         self._need_power()
         self.velocity = (0.0, 0.0)
-        follower = Follower(way, tolerance=tolerance, yaw=yaw, speed=speed or TOP_SPEED)
+        follower = Follower(path, tolerance=tolerance, yaw=yaw, speed=speed or TOP_SPEED)
         self.pack.charging = False
         self._hard = False
         self.trip = Trip(task, follower, self.rover)
@@ -162,10 +162,10 @@ class Simulation:
                 f"goal ({x:g}, {y:g}) is {where} an obstacle or wall",
                 remedy=f"Choose a goal at least {MARGIN} m from everything on sensor/map.",
             )
-        way = self.floor.planner.way((self.rover.x, self.rover.y), (x, y))
-        if way is None:
+        path = self.floor.planner.way((self.rover.x, self.rover.y), (x, y))
+        if path is None:
             raise DeviceRejected(f"no path to ({x:g}, {y:g})")
-        return way
+        return path
 
     def dock(self) -> Trip:
         """Start a trip to the charger at the start position."""
@@ -210,11 +210,11 @@ class Simulation:
         here = (self.rover.x, self.rover.y)
         if all(planner.clear(a, b) for a, b in pairwise([here, *follower.way])):
             return
-        way = planner.way(here, follower.goal)
-        if way is None:
+        path = planner.way(here, follower.goal)
+        if path is None:
             self.stop("the path is blocked")
         else:
-            follower.reroute(way)
+            follower.reroute(path)
 
     def reset_body(self, *, pose: bool, battery: bool) -> None:
         """Bring the rover to rest; optionally reset its position or its battery.

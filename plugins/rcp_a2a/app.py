@@ -94,7 +94,7 @@ class App:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request; errors use the format of the binding."""
         place = place_of(scope["path"])
-        asked = _Asked()
+        call = _Asked()
         try:
             if place.rest in (CARD, JWKS):
                 await self._cards.serve(scope, send, place)
@@ -104,16 +104,16 @@ class App:
                 _check_type(scope)
                 longest, refusal = await self._look(scope)
                 body = await read_body(receive, min(self._limit, longest), _BODY_TIMEOUT)
-                asked = _read(scope, place, body)
+                call = _read(scope, place, body)
                 if refusal is not None:
                     raise refusal
-            _check_state(scope, place, asked.call)
-            session = await session_of(self._client_api, scope, _tenant(place, asked.call))
-            stops = self._is_stop(session, place, asked, len(body))
+            _check_state(scope, place, call.call)
+            session = await session_of(self._client_api, scope, _tenant(place, call.call))
+            stops = self._is_stop(session, place, call, len(body))
             self._charge(session, stops=stops)
             caller = Caller(session, self._cards.base(scope))
             # The SDK needs a few ms per request, more for a long one: they take turns.
-            for _ in range(1 + asked.values // _STEP):
+            for _ in range(1 + call.values // _STEP):
                 await self._client_api.turns.place((session.principal.identity, stops))
             inner = {
                 **scope,
@@ -123,18 +123,18 @@ class App:
             }
             await _Exchange(self._client_api, inner, receive, send, body).run(self._sdk)
         except Exception as error:
-            told = to_internal_error(error, path=scope["path"])
-            self._client_api.refused("a2a", told.code)
-            trouble, id_ = trouble_of(told), asked.call.id
+            internal = to_internal_error(error, path=scope["path"])
+            self._client_api.refused("a2a", internal.code)
+            trouble, id_ = trouble_of(internal), call.call.id
             if isinstance(error, _Malformed):
                 trouble, id_ = error.trouble, id_ or error.id
-            await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
+            await refuse(send, trouble, place.binding, id_, wait=internal.retry_after)
 
-    def _is_stop(self, session: Session, place: Place, asked: _Asked, size: int) -> bool:
+    def _is_stop(self, session: Session, place: Place, call: _Asked, size: int) -> bool:
         """Return whether a request stops something; it then skips its caller's queue."""
         if size > SHORT:
             return False
-        request = as_request(place, asked.call.method, asked.plain)
+        request = as_request(place, call.call.method, call.plain)
         return request is not None and self._client_api.is_stop(session, request)
 
     def _charge(self, session: Session, *, stops: bool) -> None:

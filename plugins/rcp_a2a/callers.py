@@ -65,8 +65,8 @@ class Callers(ServerCallContextBuilder):
         caller: Caller = request.scope[CALLER]
         headers = dict(request.headers)
         if VERSION_HEADER.lower() not in headers:
-            asked = parse_qs(request.scope["query_string"].decode("latin-1"))
-            if (named := asked.get(VERSION_HEADER)) is not None:
+            query = parse_qs(request.scope["query_string"].decode("latin-1"))
+            if (named := query.get(VERSION_HEADER)) is not None:
                 headers[VERSION_HEADER.lower()] = named[0]
         return ServerCallContext(
             user=_Named(caller.principal),

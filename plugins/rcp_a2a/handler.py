@@ -109,8 +109,8 @@ class Handler(DefaultRequestHandler):
         """Handle `SendStreamingMessage`."""
         await self._check(params, context)
         stream = _send_stream(self, params, context)
-        async with aclosing(_masked(stream, self._mask(context, (params.message,)))) as told:
-            async for event in told:
+        async with aclosing(_masked(stream, self._mask(context, (params.message,)))) as events:
+            async for event in events:
                 yield event
 
     async def on_subscribe_to_task(
@@ -118,8 +118,8 @@ class Handler(DefaultRequestHandler):
     ) -> AsyncGenerator[Any, None]:
         """Handle `SubscribeToTask`."""
         stream = super().on_subscribe_to_task(params, context)
-        async with aclosing(_masked(stream, self._mask(context))) as told:
-            async for event in told:
+        async with aclosing(_masked(stream, self._mask(context))) as events:
+            async for event in events:
                 yield event
 
 
@@ -131,7 +131,7 @@ def _asked(task: Task) -> list[Message]:
 async def _masked(stream: AsyncGenerator[Any, None], mask: Mask) -> AsyncGenerator[Any, None]:
     try:
         async for event in stream:
-            if (told := mask.event(event)) is not None:
-                yield told
+            if (masked := mask.event(event)) is not None:
+                yield masked
     finally:
         await stream.aclose()

@@ -109,7 +109,7 @@ def _parameters(schema: Node | None) -> str:
         plain = _range(node) or (node.get("type") if node.get("type") != "object" else None)
         return f" Input: {plain}." if plain else " Takes no input."
     needed = set(node.get("required", ()))
-    told = [
+    lines = [
         " ".join(
             word
             for word in (name, "(needed)" if name in needed else "", _range(_followed(field, defs)))
@@ -117,7 +117,7 @@ def _parameters(schema: Node | None) -> str:
         )
         for name, field in list(fields.items())[:_SHOWN]
     ]
-    return f" Input: {', '.join(told)}."
+    return f" Input: {', '.join(lines)}."
 
 
 def _followed(schema: Node, defs: Node) -> Node:

@@ -112,8 +112,8 @@ class Tasks(InMemoryTaskStore):
     def _forget(self, owner: str, task_id: str) -> None:
         self._sizes.get(owner, {}).pop(task_id, None)
         self._shelf.put(task_id, None)
-        for told in self.forgotten:
-            told(task_id)
+        for callback in self.forgotten:
+            callback(task_id)
 
     def _make_room(self, owner: str) -> None:
         """Drop tasks that ended too long ago, and the oldest beyond the limits."""

@@ -49,6 +49,6 @@ def _make(config: ApprovalsConfig, host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer approvals."""
+    """Register the feature `approvals`."""
     kind = FeatureKind("approvals", ApprovalsConfig, _make, __doc__ or "", table=from_gateway)
     return [kind]

@@ -1,4 +1,4 @@
-"""What the configuration says of approvals: `[safety] approval_ttl`, and `approve` of each role."""
+"""The configuration of approvals: `[safety] approval_ttl`, and `approve` of each role."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ class ApprovalsConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The settings of approvals."""
 
     ttl: float
-    """Seconds for which a command can be approved and then sent."""
+    """Time in s for which an approval can be decided and used."""
     asked: bool
     """Whether any role has commands that require approval."""
 
 
 def from_gateway(config: GatewayConfig) -> ApprovalsConfig:
-    """Take the settings from where they are in the file."""
-    asked = any(role.approve for role in config.roles.values())
-    return ApprovalsConfig(ttl=config.safety.approval_ttl, asked=asked)
+    """Return the settings from their places in the file."""
+    required = any(role.approve for role in config.roles.values())
+    return ApprovalsConfig(ttl=config.safety.approval_ttl, asked=required)

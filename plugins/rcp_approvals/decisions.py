@@ -1,4 +1,4 @@
-"""Who decides on a question, and what is on record of it."""
+"""Decisions on approvals, and their audit records."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ __all__ = ["Decisions"]
 
 
 class Decisions:
-    """Shows questions to those whom they concern, and takes their decisions."""
+    """Shows approvals to those concerned, and accepts their decisions."""
 
     def __init__(self, questions: Questions, host: FeatureHost) -> None:
         self._questions = questions
         self._host = host
 
     def view(self, session: Session) -> list[dict[str, Any]]:
-        """List what a session may decide on, or has asked for; newest first."""
+        """List the approvals that a session may decide on or has requested, newest first."""
         every = reversed(self._questions.known.values())
         return [to_plain(q.state) for q in every if self._sees(session, q) and q.status]
 
     def request(
-        self, session: Session, asked: ApprovalRequest, *, dry_run: bool
+        self, session: Session, decision: ApprovalRequest, *, dry_run: bool
     ) -> ApprovalState | None:
-        """Decide as somebody else than who asked.
+        """Decide as a principal other than the requester.
 
-        :raises UnknownPath: there is no such question for this principal.
-        :raises Forbidden: it may not decide, or there is nothing to decide any more.
+        :raises UnknownPath: this principal has no such approval.
+        :raises Forbidden: it may not decide, or the approval is no longer pending.
         """
-        found = self._find(session, asked.id)
+        found = self._find(session, decision.id)
         if session.principal.identity == found.asker:
             raise Forbidden(
                 "you cannot approve your own command",
@@ -50,13 +50,13 @@ class Decisions:
         _check_open(found)
         if dry_run:
             return None
-        self._decide(session, found, asked.decision, asked.reason, at="gateway")
+        self._decide(session, found, decision.decision, decision.reason, at="gateway")
         return msgspec.structs.replace(found.state)
 
     def answer(self, session: Session, id_: str, decision: Decision, reason: str | None) -> None:
-        """Decide as the person whom the client of a session has asked.
+        """Decide as the person at the session's client.
 
-        :raises RcpError: as `ApprovalService.answer` does.
+        :raises RcpError: as `ApprovalService.answer`.
         """
         session.charge()
         found = self._find(session, id_)
@@ -79,19 +79,25 @@ class Decisions:
             raise UnknownPath(f"there is no approval '{id_[:64]}'", remedy=f"Read {PATH}.")
         return found
 
-    def _may_decide(self, session: Session, asked: Question) -> bool:
+    def _may_decide(self, session: Session, question: Question) -> bool:
         rights = session.rights
-        return all(map(rights.may_approve, asked.tenants)) and self._host.sees_all(
-            rights, asked.seen
+        return all(map(rights.may_approve, question.tenants)) and self._host.sees_all(
+            rights, question.seen
         )
 
-    def _sees(self, session: Session, asked: Question) -> bool:
-        return session.principal.identity == asked.asker or self._may_decide(session, asked)
+    def _sees(self, session: Session, question: Question) -> bool:
+        return session.principal.identity == question.asker or self._may_decide(session, question)
 
     def _decide(
-        self, session: Session, asked: Question, decision: Decision, reason: str | None, *, at: str
+        self,
+        session: Session,
+        question: Question,
+        decision: Decision,
+        reason: str | None,
+        *,
+        at: str,
     ) -> None:
-        state = asked.state
+        state = question.state
         state.status = "approved" if decision == "approve" else "rejected"
         state.by, state.reason = session.principal.name, reason
         plan = bool(state.steps)
@@ -100,14 +106,14 @@ class Decisions:
             "approval",
             principal=session.principal,
             session=session,
-            tenant=min(asked.tenants) or None,
+            tenant=min(question.tenants) or None,
             path=state.path,
-            touches=asked.seen if plan else None,
+            touches=question.seen if plan else None,
             outcome=state.status,
             approval=state.approval,
             asker=state.principal,
             request=state.request,
-            # The values of a plan are told with the requests of its steps.
+            # The values of a plan are reported with the requests of its steps.
             value=hashed(msgspec.json.encode(shown)) if plan else shown,
             steps=list(state.steps) or None,
             reason=reason,
@@ -116,10 +122,10 @@ class Decisions:
         self._questions.changed()
 
 
-def _check_open(asked: Question) -> None:
-    if asked.status != "pending":
+def _check_open(question: Question) -> None:
+    if question.status != "pending":
         raise Forbidden(
-            f"the approval is already {asked.status}",
+            f"the approval is already {question.status}",
             path=PATH,
             remedy="Send the command again to request a new approval.",
         )

@@ -1,4 +1,4 @@
-"""The guard: a command that a role has to ask for passes when a person has approved it, once."""
+"""The guard of approvals: a command that requires approval passes once after it is approved."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["ApprovalGuard"]
 
 
 class ApprovalGuard:
-    """Holds commands up for which a person's approval is missing."""
+    """Holds back commands that require a person's approval."""
 
     slot = Slot.APPROVAL
 
@@ -29,24 +29,24 @@ class ApprovalGuard:
 
     @property
     def active(self) -> bool:
-        """Whether some role has to ask."""
+        """Whether any role requires approvals."""
         return self._questions.config.asked
 
     @staticmethod
     def wanted(session: Session, entry: Entry, value: Any) -> bool:
-        """Tell whether a command wants approval; bringing an actuator to rest never does."""
+        """Return whether a command requires approval; bringing an actuator to rest never does."""
         if not session.rights.asks(entry.path):
             return False
         return entry.kind is not Kind.ACTUATOR or value is None or value != safe_value(entry)
 
     def dry_run(self, call: Call) -> Mapping[str, Any]:
-        """Tell a dry run whether approval would be required."""
+        """Return whether approval would be required, for a dry run."""
         return {"approval": self.wanted(call.session, call.entry, call.value) or None}
 
     def admit(self, call: Call) -> None:
-        """Refuse a command that a person has to approve and has not; use its approval up.
+        """Refuse a command without its required approval; otherwise use the approval up.
 
-        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand` does.
+        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand`.
         """
         session, request, entry = call.session, call.request, call.entry
         if request.dry_run or not self.wanted(session, entry, call.value):
@@ -58,14 +58,14 @@ class ApprovalGuard:
         self._questions.demand(session, request, entry, call.value, about)
 
     def confirm(self, call: Call) -> None:
-        """Let it pass: its approval was used up when it came in."""
+        """Do nothing: the approval was used up on admission."""
 
     def open(self, paths: tuple[str, ...]) -> str:
-        """Return what lets the steps of an approved plan pass, until `close`."""
+        """Return a token that admits the steps of an approved plan, until `close`."""
         token = "plan-" + secrets.token_hex(16)
         self._tokens[token] = frozenset(paths)
         return token
 
     def close(self, token: str | None) -> None:
-        """Have nothing pass by a token any more."""
+        """Revoke a token."""
         self._tokens.pop(token or "", None)

@@ -1,15 +1,15 @@
-"""One question: what somebody wants to do, and what a person has decided about it."""
+"""One approval: the requested command, and the decision."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Forbidden
 from rcp_kernel.features.approval import Decision
@@ -19,12 +19,12 @@ from rcp_kernel.values import Encoding, dump, to_plain
 __all__ = ["PATH", "ApprovalRequest", "ApprovalState", "Question", "digest_of", "rejected", "shown"]
 
 PATH = "/system/approvals"
-_SHOWN = 65_536  # bytes of a value; of a longer one its length is shown
+_SHOWN = 65_536  # bytes of a value that are shown; of a longer value only its length is
 _Status = Literal["pending", "approved", "rejected", "used", "expired"]
 
 
 class ApprovalRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Decide on what somebody asked for."""
+    """A decision on an approval."""
 
     id: Annotated[str, Meta(max_length=64)]
     decision: Decision
@@ -32,21 +32,21 @@ class ApprovalRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ApprovalState(msgspec.Struct, omit_defaults=True, kw_only=True):
-    """Something that wants a person's approval, and what became of it."""
+    """An approval as clients see it."""
 
     approval: str
     """Its id."""
     request: Literal["write", "execute"]
     path: str
     principal: str
-    """Who asks."""
+    """The requester."""
     status: _Status = msgspec.field(default_factory=lambda: "pending")  # always written
     asked: Time
     expires: Time
     value: Any = None
-    """What would be sent."""
+    """The value of the command."""
     steps: tuple[str, ...] = ()
-    """Of a plan: the steps that want it."""
+    """For a plan: the steps that require approval."""
     by: str | None = None
     """Who decided."""
     reason: str | None = None
@@ -54,47 +54,49 @@ class ApprovalState(msgspec.Struct, omit_defaults=True, kw_only=True):
 
 @dataclass(slots=True)
 class Question:
-    """A question as the gateway keeps it."""
+    """An approval as the gateway stores it."""
 
     state: ApprovalState
     asker: tuple[str, str]
-    """The identity of who asked."""
+    """Identity of the requester."""
     seen: tuple[str, ...]
-    """Paths that whoever decides has to see."""
+    """Paths that must be visible to whoever decides."""
     tenants: frozenset[str]
     expires: int
     digest: bytes
-    """Of exactly this command of this principal."""
+    """Digest of this command by this principal."""
+    now: Callable[[], int]
+    """The gateway's wall time."""
 
     @property
     def status(self) -> _Status:
-        """What has become of it by now."""
-        if self.state.status in ("pending", "approved") and self.expires <= now():
+        """The current status."""
+        if self.state.status in ("pending", "approved") and self.expires <= self.now():
             self.state.status = "expired"
         return self.state.status
 
     @property
     def holds(self) -> bool:
-        """Whether the same command need not be asked about again."""
-        return self.status in ("pending", "approved", "rejected") and self.expires > now()
+        """Whether the same command can still use this approval."""
+        return self.status in ("pending", "approved", "rejected") and self.expires > self.now()
 
 
 def digest_of(principal: Principal, type_: str, path: str, value: Any) -> bytes:
-    """Tell one command of one principal from every other."""
-    who, proof = principal.identity
-    data = msgspec.msgpack.encode([who, proof, type_, path, to_plain(value)], order="sorted")
+    """Return a digest that identifies one command of one principal."""
+    name, proof = principal.identity
+    data = msgspec.msgpack.encode([name, proof, type_, path, to_plain(value)], order="sorted")
     return hashlib.sha256(data).digest()
 
 
 def shown(value: Any) -> Any:
-    """Return a value as a question shows it."""
+    """Return a value as an approval shows it."""
     plain = to_plain(value)
     size = len(dump(plain, Encoding.JSON))
     return plain if size <= _SHOWN else {"omitted": size}
 
 
 def rejected(state: ApprovalState) -> Forbidden:
-    """Return the refusal of what a person has rejected."""
+    """Return the error for a rejected command."""
     why = f": {state.reason}" if state.reason else ""
     return Forbidden(
         f"{state.by} rejected `{state.request} {state.path}`{why}",

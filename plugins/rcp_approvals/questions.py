@@ -1,6 +1,6 @@
-"""Every question that is open, and those decided lately.
+"""Pending and recently decided approvals.
 
-Kept in memory: a restart forgets what was asked and approved, and it is asked anew.
+Kept in memory: after a restart, approvals must be requested again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 from rcp_approvals.config import ApprovalsConfig
 from rcp_approvals.question import PATH, ApprovalState, Question, digest_of, rejected, shown
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull
 from rcp_kernel.features import FeatureHost
@@ -23,39 +23,40 @@ from rcp_kernel.wire import Request
 
 __all__ = ["Questions"]
 
-_EACH = 64  # that one principal may have asked for
+_EACH = 64  # approvals requested by one principal
 _ALL = 4096
 
 
 class Questions:
-    """Asks, remembers, and lets each approved command pass once."""
+    """Creates and stores approvals, and lets each approved command pass once."""
 
     def __init__(self, config: ApprovalsConfig, host: FeatureHost) -> None:
         self.config = config
         self._host = host
+        self._now = host.clock.now
         self.known: dict[str, Question] = {}
         """By id, oldest first."""
 
     def changed(self) -> None:
-        """Have everybody who looks at the list see it anew."""
+        """Notify subscribers that the list has changed."""
         self._host.changed(PATH)
 
     def demand(
         self, session: Session, request: Request, entry: Entry, value: Any, about: About
     ) -> None:
-        """Use an approval of a command up, or ask for one.
+        """Use an approval, or request one.
 
-        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand` does.
+        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand`.
         """
         digest = digest_of(session.principal, request.type, entry.path, value)
         if request.approval is not None:
             self._use(session, request, request.approval, digest, entry.path)
             return
-        asked = self._same(session, digest) or self._ask(
+        question = self._same(session, digest) or self._ask(
             session, request, entry, value, about, digest
         )
-        state = asked.state
-        if asked.status == "rejected":
+        state = question.state
+        if question.status == "rejected":
             raise rejected(state)
         raise ApprovalRequired(
             f"`{state.request} {state.path}` requires approval",
@@ -70,8 +71,8 @@ class Questions:
         )
 
     def _same(self, session: Session, digest: bytes) -> Question | None:
-        mine = (q for q in self.known.values() if q.asker == session.principal.identity)
-        return next((q for q in mine if q.digest == digest and q.holds), None)
+        own = (q for q in self.known.values() if q.asker == session.principal.identity)
+        return next((q for q in own if q.digest == digest and q.holds), None)
 
     def _ask(
         self,
@@ -83,7 +84,7 @@ class Questions:
         digest: bytes,
     ) -> Question:
         self._make_room(session.principal)
-        moment = now()
+        moment = self._now()
         expires = moment + int(self.config.ttl * 1e9)
         state = ApprovalState(
             approval=ID + secrets.token_hex(8),
@@ -96,62 +97,68 @@ class Questions:
             steps=about.steps,
         )
         tenants = frozenset(tenant_of(path) or "" for path in about.paths)
-        asked = Question(state, session.principal.identity, about.seen, tenants, expires, digest)
-        self.known[state.approval] = asked
+        question = Question(
+            state, session.principal.identity, about.seen, tenants, expires, digest, self._now
+        )
+        self.known[state.approval] = question
         self._host.loop.call_later(self.config.ttl + 0.01, self.changed)
         self.changed()
-        return asked
+        return question
 
     def _make_room(self, principal: Principal) -> None:
-        """Make room for one more question: what is over goes first.
+        """Remove old approvals to make room for a new one.
 
-        :raises QueueFull: too many wait for an answer.
+        :raises QueueFull: too many are pending.
         """
-        moment = now()
-        mine = [q for q in self.known.values() if q.asker == principal.identity]
-        if sum(q.status == "pending" for q in mine) >= _EACH:
+        moment = self._now()
+        own = [q for q in self.known.values() if q.asker == principal.identity]
+        if sum(q.status == "pending" for q in own) >= _EACH:
             raise QueueFull(
                 f"{principal.name} already has {_EACH} commands waiting for approval",
                 remedy="Wait until they are decided or expire.",
             )
         if len(self.known) >= _ALL:
             self._drop()
-        for over in [q for q in mine if q.expires <= moment][:-_EACH]:
+        for over in [q for q in own if q.expires <= moment][:-_EACH]:
             del self.known[over.state.approval]
 
     def _drop(self) -> None:
-        """Let the oldest question go: one that is over, or of the tenants that ask most."""
-        moment = now()
-        counts = Counter(asked.tenants for asked in self.known.values())
+        """Remove the oldest approval: a finished one, or one of the tenants with the most."""
+        moment = self._now()
+        counts = Counter(question.tenants for question in self.known.values())
         most = max(counts, key=lambda tenants: counts[tenants])
         every = self.known.items()
         over = next((id_ for id_, q in every if q.expires <= moment), None)
         del self.known[over or next(id_ for id_, q in every if q.tenants == most)]
 
     def _use(self, session: Session, request: Request, id_: str, digest: bytes, path: str) -> None:
-        asked = self.known.get(id_)
-        if asked is None or asked.asker != session.principal.identity or asked.digest != digest:
+        question = self.known.get(id_)
+        if (
+            question is None
+            or question.asker != session.principal.identity
+            or question.digest != digest
+        ):
             raise Forbidden(
                 "the approval is for a different command, value or principal",
                 path=path,
                 remedy="Send the command without `approval` to request a new one.",
             )
-        if asked.status == "rejected":
-            raise rejected(asked.state)
-        if asked.status == "pending":
+        if question.status == "rejected":
+            raise rejected(question.state)
+        if question.status == "pending":
             raise ApprovalRequired(
-                f"`{asked.state.request} {path}` is not approved yet",
+                f"`{question.state.request} {path}` is not approved yet",
                 path=path,
                 remedy=f"Wait until {PATH} shows it as approved, then send the same command again.",
-                details={"approval": id_, "expires": asked.state.expires},
+                details={"approval": id_, "expires": question.state.expires},
             )
-        if asked.status != "approved":
+        if question.status != "approved":
             raise Forbidden(
-                f"the approval is {asked.status}; an approval is valid for one command, until "
+                f"the approval is {question.status}; an approval is valid for one command, until "
                 "it expires",
                 path=path,
                 remedy="Send the command without `approval` to request a new one.",
             )
         self._host.check_place(session, request)  # or it would be used up for nothing
-        asked.state.status = "used"
+        question.state.status = "used"
         self.changed()

@@ -1,4 +1,4 @@
-"""What plans and adapters use of approvals, in one object."""
+"""The approval functions used by plans and adapters, as one object."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Approvals"]
 
 
 class Approvals:
-    """The `ApprovalService` of this feature: each method is that of the part which does it."""
+    """The `ApprovalService` of this feature; delegates to its parts."""
 
     def __init__(self, questions: Questions, guard: ApprovalGuard, decisions: Decisions) -> None:
         self.wanted = guard.wanted

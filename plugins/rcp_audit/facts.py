@@ -12,7 +12,7 @@ from rcp_kernel.contract.events import Event
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.features.approval import ID
 from rcp_kernel.sessions.command import Command, Record
-from rcp_kernel.values import parse
+from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import NO_BODY, Request
 
 __all__ = ["ACTS", "accepted", "ended", "requested"]
@@ -52,7 +52,7 @@ def accepted(command: Command) -> Event:
         path=command.path,
         touches=None if outline is None else command.touches,
         outcome="accepted",
-        facts={"command": command.id, **_bounded(outline)},
+        facts={"command": command.id, **({} if outline is None else _bounded(outline))},
     )
 
 
@@ -77,14 +77,14 @@ def ended(command: Command, last: Record) -> Event:
             "id": command.request_id,
             "origin": None if error is None else error.get("origin"),
             "value": None if own or last.body is NO_BODY else bounded(last.body),
-            **_bounded(outline),
+            **({} if outline is None else _bounded(outline)),
             "x": bounded(command.custom) if command.custom else None,
         },
     )
 
 
-def _bounded(outline: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {} if outline is None else {name: bounded(fact) for name, fact in outline.items()}
+def _bounded(outline: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: bounded(fact) for name, fact in outline.items()}
 
 
 def _value(request: Request, *, hide: bool) -> Any:
@@ -97,7 +97,8 @@ def _value(request: Request, *, hide: bool) -> Any:
     if not body:
         return None
     try:
-        told = bounded(parse(body, request.encoding))
+        json = request.encoding is Encoding.JSON
+        told = bounded(msgspec.json.decode(body) if json else parse(body, request.encoding))
     except Exception:  # a body that is no text of its encoding is told by its hash
         return hashed(body)
     return told if isinstance(told, msgspec.Raw) else hashed(body)

@@ -53,6 +53,16 @@ _DENIALS = frozenset(
 """Codes that go on record whatever the request was; a write or an execute does with any code."""
 
 
+class _Sealed(msgspec.Struct, frozen=True, gc=False):
+    """A record as it is sealed, decoded only if somebody asks: a `Native` value."""
+
+    data: bytes
+
+    def decode(self) -> dict[str, Any]:
+        """Return the record."""
+        return msgspec.json.decode(self.data)
+
+
 class AuditLog:
     """Writes one record for each event, and for each start and end of a command."""
 
@@ -105,7 +115,10 @@ class AuditLog:
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)
         who = who_did(event, owners_of(event, touches))
-        if not self._passes(what, event, who):
+        # A flood of refusals has one record for all.
+        if (what == "denial" or self._ledger.waiting > _MOST) and not self._passes(
+            what, event, who
+        ):
             return False
         request = (
             {} if event.request is None else requested(event.request, event.what, hide=event.hide)
@@ -121,11 +134,9 @@ class AuditLog:
         return True
 
     def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
-        """Tell whether an event has a record of its own: a flood of refusals has one for all."""
+        """Tell whether a refusal, or what is one too many, has a record of its own."""
         ledger, refusal = self._ledger, what == "denial"
         waiting = ledger.waiting
-        if not refusal and waiting <= _MOST:
-            return True
         principal = event.principal
         key = f"{event.facts.get('transport')}" if principal is None else f"={principal.name}"
         broken = refusal and ledger.trouble is not None
@@ -134,7 +145,7 @@ class AuditLog:
 
     def _write(self, what: str, facts: dict[str, Any]) -> None:
         for key, value in facts.items():
-            if isinstance(value, str):
+            if isinstance(value, str) and len(value) > _TEXT:
                 facts[key] = value[:_TEXT]
         try:
             data = self._ledger.add(what, facts)
@@ -143,7 +154,7 @@ class AuditLog:
         self._ledger.settled(partial(self._publish, data))
 
     def _publish(self, data: bytes) -> None:
-        self._host.publish(PATH, msgspec.json.decode(data))
+        self._host.publish(PATH, _Sealed(data))
 
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the record for `/system/status`; its head is not for everybody."""

@@ -3,49 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
-from rcp_kernel.contract.events import Acting, Event
+from rcp_kernel.contract.events import Event
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.model import tenant_of
 from rcp_kernel.store.touches import EVERYTHING
 
 __all__ = ["owners_of", "who_did"]
 
+_KNOWN = 1024  # principals that are worked out once
+
 
 def owners_of(event: Event, touches: Iterable[str] | None) -> tuple[str, ...]:
     """Return the tenants of an event: with `touches`, those of all that it is about."""
-    acting = _tenant(event.principal, event.tenant, event.path, event.session)
+    path, session = event.path, event.session
+    acting = event.tenant or (tenant_of(path) if path is not None and path[:1] == "/" else None)
+    if event.principal is not None:
+        acting = _tenant(event.principal, acting, None if session is None else session.tenant)
     if touches is None:
         return () if acting is None else (acting,)
     tenants = {acting, *(tenant_of(path) for path in touches if path != EVERYTHING)}
     return tuple(sorted(filter(None, tenants)))
 
 
-def _tenant(
-    principal: Principal | None, tenant: str | None, path: str | None, session: Acting | None
-) -> str | None:
+@lru_cache(_KNOWN)
+def _tenant(principal: Principal, acting: str | None, own: str | None) -> str | None:
     """Return whose record it is: never that of a tenant in which the principal does not act."""
-    acting = tenant or (tenant_of(path) if path is not None and path[:1] == "/" else None)
-    if principal is None or "*" in principal.tenants:
+    tenants = principal.tenants
+    if "*" in tenants or acting in tenants:
         return acting
-    if acting in principal.tenants:
-        return acting
-    own = session.tenant if session is not None else None
-    return own or (principal.tenants[0] if len(principal.tenants) == 1 else None)
+    return own or (tenants[0] if len(tenants) == 1 else None)
+
+
+@lru_cache(_KNOWN)
+def _person(principal: Principal, owners: tuple[str, ...]) -> dict[str, Any]:
+    roles = [r for t, held in principal.grants if t in ("*", *owners) for r in held]
+    return {"principal": principal.name, "roles": roles, "proof": principal.proof}
 
 
 def who_did(event: Event, owners: tuple[str, ...]) -> dict[str, Any]:
     """Return who did it, in which tenants and session."""
     principal, session = event.principal, event.session
-    facts: dict[str, Any] = {}
-    if principal is not None:
-        roles = [r for t, held in principal.grants if t in ("*", *owners) for r in held]
-        facts |= {"principal": principal.name, "roles": roles, "proof": principal.proof}
+    facts = {} if principal is None else {**_person(principal, owners)}
     if len(owners) == 1:
         facts["tenant"] = owners[0]
     elif owners:
         facts["tenants"] = list(owners)
     if session is not None:
-        facts |= {"session": session.id[:8], "transport": session.transport}
+        facts["session"], facts["transport"] = session.id[:8], session.transport
     return facts

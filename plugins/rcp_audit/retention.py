@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from rcp_audit.config import AuditConfig
-from rcp_kernel.clock import now, parse_time
+from rcp_kernel.clock import parse_time
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.store.chain import Head
 from rcp_kernel.store.file import ROWS
@@ -58,7 +58,7 @@ class Retention:
         days = self.config.keep_days
         if days is None:
             return 0
-        limit = now() - int(days * _DAY)
+        limit = self._host.clock.now() - int(days * _DAY)
         if _time(base, first) > limit - int(days * _DAY * _SLACK):
             return 0
         low, high = first, min(first + _AT_ONCE, last)

@@ -20,10 +20,10 @@ def main() -> None:
     parser.add_argument("--fd", type=int, required=True, help="socket to the gateway")
     parser.add_argument("--after", type=float, default=0.5, help="seconds without a heartbeat")
     parser.add_argument("--bound", type=float, default=10.0, help="seconds that stops are sent")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with contextlib.suppress(OSError):
         os.nice(_PRIORITY)
-    guard = Guard(socket.socket(fileno=asked.fd), after=asked.after, bound=asked.bound)
+    guard = Guard(socket.socket(fileno=arguments.fd), after=arguments.after, bound=arguments.bound)
     # A service manager signals all processes of a service: only the gateway's own end counts.
     for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGTSTP"):
         if hasattr(signal, name):

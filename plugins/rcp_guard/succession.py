@@ -27,15 +27,15 @@ class Heirs:
         self._sockets: dict[str, socket.socket] = {}
         for name, plan in plans.items():
             with contextlib.suppress(OSError, AttributeError):
-                heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-                heard.setblocking(False)
-                heard.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-                heard.bind(_address(plan))
-                self._sockets[name] = heard
+                listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+                listener.setblocking(False)
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+                listener.bind(_address(plan))
+                self._sockets[name] = listener
 
     def taken(self) -> list[str]:
         """Return the plans that another guard of the same user has taken over."""
-        found = [name for name, heard in self._sockets.items() if _claimed(heard)]
+        found = [name for name, listener in self._sockets.items() if _claimed(listener)]
         for name in found:
             self._sockets.pop(name).close()
         return found
@@ -45,17 +45,17 @@ def claim(plan: dict[str, Any]) -> None:
     """Tell an old guard, if there is one, that this guard has taken over a plan."""
     with (
         contextlib.suppress(OSError, AttributeError),
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as told,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier,
     ):
-        told.setblocking(False)
-        told.sendto(b"mine", _address(plan))
+        notifier.setblocking(False)
+        notifier.sendto(b"mine", _address(plan))
 
 
-def _claimed(heard: socket.socket) -> bool:
+def _claimed(listener: socket.socket) -> bool:
     claimed = False
     with contextlib.suppress(OSError):
         while True:
-            _, ancillary, _, _ = heard.recvmsg(16, socket.CMSG_SPACE(_CREDENTIALS.size))
+            _, ancillary, _, _ = listener.recvmsg(16, socket.CMSG_SPACE(_CREDENTIALS.size))
             for _, kind, data in ancillary:
                 if kind == socket.SCM_CREDENTIALS and len(data) == _CREDENTIALS.size:
                     _, user, _ = _CREDENTIALS.unpack(data)
@@ -64,5 +64,5 @@ def _claimed(heard: socket.socket) -> bool:
 
 
 def _address(plan: dict[str, Any]) -> bytes:
-    told = json.dumps([plan.get("sender"), plan.get("data")], sort_keys=True)
-    return b"\0rcp_guard/" + hashlib.sha256(told.encode()).hexdigest().encode()
+    identity = json.dumps([plan.get("sender"), plan.get("data")], sort_keys=True)
+    return b"\0rcp_guard/" + hashlib.sha256(identity.encode()).hexdigest().encode()

@@ -1,4 +1,4 @@
-"""JSON Web Tokens: clients authenticate with tokens that issuers of the configuration signed."""
+"""JSON Web Tokens: clients authenticate with tokens signed by configured issuers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from rcp_jwt.authenticator import JwtAuthenticator
 from rcp_jwt.config import JwtConfig, JwtTables, check_tables
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
 from rcp_kernel.hookspecs import hookimpl
@@ -23,17 +24,17 @@ def _table(gateway: GatewayConfig) -> dict[str, object]:
 
 def _check(tables: JwtTables, gateway: GatewayConfig) -> None:
     check_tables(tables, gateway)
-    JwtAuthenticator(tables)  # reads the keys
+    JwtAuthenticator(tables, SYSTEM_CLOCK)  # parses the keys
 
 
-def _make(tables: JwtTables, _host: FeatureHost) -> Feature:
-    made = JwtAuthenticator(tables)
+def _make(tables: JwtTables, host: FeatureHost) -> Feature:
+    made = JwtAuthenticator(tables, host.clock)
     return Feature(authenticator=made, reconfigure=made.reconfigure, running=made.running)
 
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer JSON Web Tokens."""
+    """Register the feature `jwt`."""
     return [
         FeatureKind(
             "jwt",

@@ -1,4 +1,4 @@
-"""What the gateway asks about JSON Web Tokens, answered by the issuers of the present tables."""
+"""The authenticator for JSON Web Tokens, using the issuers of the current configuration."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rcp_jwt.config import JwtTables
 from rcp_jwt.issuers import Issuer, Issuers
 from rcp_jwt.webtokens import is_jwt
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 
 __all__ = ["JwtAuthenticator"]
@@ -21,15 +22,16 @@ class JwtAuthenticator(Authenticator):
     name = "jwt"
     signed = True
 
-    def __init__(self, tables: JwtTables) -> None:
-        """Compile the tables.
+    def __init__(self, tables: JwtTables, clock: Clock) -> None:
+        """Create the issuers.
 
-        :raises ConfigError: a static key is none, or two tables are of one issuer.
+        :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
         super().__init__()
         self._running = False
+        self._clock = clock
         self._tables = tables
-        self._issuers = Issuers(tables.jwt, tables.tenants)
+        self._issuers = Issuers(tables.jwt, tables.tenants, clock)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
@@ -43,48 +45,48 @@ class JwtAuthenticator(Authenticator):
             self._issuers.stop()
 
     def reconfigure(self, tables: JwtTables) -> None:
-        """Take over other tables; what was verified is weighed by them when it comes again.
+        """Apply new tables; verified tokens are checked against them when used again.
 
-        :raises ConfigError: as the constructor does.
+        :raises ConfigError: as for the constructor.
         """
-        fresh = Issuers(tables.jwt, tables.tenants, self._issuers)
+        fresh = Issuers(tables.jwt, tables.tenants, self._clock, self._issuers)
         self._issuers.stop()
         self._tables, self._issuers = tables, fresh
         if self._running:
             fresh.start(self._changed)
 
     def _changed(self) -> None:
-        for told in self.on_change:
-            told()
+        for callback in self.on_change:
+            callback()
 
     def recognises(self, token: str) -> bool:
-        """Tell whether a token has the form of a JWT, and there are issuers."""
+        """Return whether a token has the form of a JWT and issuers are configured."""
         return bool(self._issuers.issuers) and is_jwt(token)
 
     def verify(self, token: str, digest: str, *, fetched: bool = False) -> Principal | None:
-        """Return whom a token proves; None: the keys of its issuer have to be fetched."""
+        """Return the token's principal; None if the keys of its issuer must be fetched first."""
         if fetched:
             return self._issuers.insist(token, digest)
         found = self._issuers.find(token, digest)
         return found if isinstance(found, Principal) else None
 
     async def fetch(self, token: str, digest: str) -> None:
-        """Have the keys of a token's issuer fetched, if they are needed."""
+        """Fetch the keys of a token's issuer, if required."""
         found = self._issuers.find(token, digest)
         if isinstance(found, Issuer):
             await found.ask()
 
     def proves(self, digest: str) -> Principal | None:
-        """Return whom a token proved when it was verified, if its key is still valid."""
+        """Return the principal of a verified token, if its key is still valid."""
         return self._issuers.kept(digest)
 
     def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a token is worth under the present tables and keys."""
+        """Return a principal with its rights under the current tables and keys."""
         return self._issuers.renewed(principal)
 
     @property
     def serves(self) -> bool:
-        """Whether a token of some issuer may do anything."""
+        """Whether the tokens of any issuer grant anything."""
         given = [one for table in self._tables.jwt for one in (table, *table.by_claim.values())]
         held = {role for one in given for _, roles in one.grants for role in roles}
         return not held.isdisjoint(self._tables.effective_roles)
@@ -96,5 +98,5 @@ class JwtAuthenticator(Authenticator):
 
     @property
     def facts(self) -> Sequence[dict[str, Any]]:
-        """How each issuer is."""
+        """The status of each issuer."""
         return [issuer.facts for issuer in self._issuers.issuers.values()]

@@ -1,4 +1,4 @@
-"""`[[jwt]]`: issuers of JSON Web Tokens, their keys, and which roles their claims give."""
+"""`[[jwt]]`: issuers of JSON Web Tokens, their keys, and the roles granted by claims."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from rcp_kernel.errors import ConfigError
 __all__ = ["Algorithm", "JwtConfig", "JwtTables", "check_tables", "is_private_url"]
 
 Algorithm = Literal["RS256", "ES256", "EdDSA"]
-_FETCH = 15.0  # s that a fetch may be late, with the wait before it
+_FETCH = 15.0  # s that a fetch may be late, including the delay before it
 
 
 class JwtConfig(Granting, frozen=True, kw_only=True):
-    """An issuer of JSON Web Tokens, where its keys are, and what its claims give; times in seconds."""
+    """An issuer of JSON Web Tokens: its keys, and the roles of its claims; times in s."""
 
     issuer: Annotated[str, Meta(min_length=1)]
     """Exact value of `iss`."""
     audience: Annotated[str, Meta(min_length=1)] | tuple[str, ...]
-    """One of them must be in `aud`."""
+    """`aud` must contain one of them."""
     algorithms: Annotated[tuple[Algorithm, ...], Meta(min_length=1)] = ("RS256", "ES256", "EdDSA")
     keys: str | tuple[str, ...] = ()
-    """Public keys: PEM, JWK or JWKS, each as a text or as the path of a file."""
+    """Public keys: PEM, JWK or JWKS, each as text or as a file path."""
     jwks_url: str | None = None
     discovery: bool = False
     """Find the issuer's keys by OpenID Connect Discovery."""
     refresh: Annotated[float, Meta(ge=1)] = 300.0
-    """Between fetches; a key that the issuer withdrew stays valid until the next one."""
+    """Time between fetches; a key withdrawn by the issuer stays valid until the next one."""
     lifetime: Annotated[float, Meta(ge=1)] = 86_400.0
     """How long fetched keys, and tokens signed with them, stay valid without a new fetch."""
     leeway: Annotated[float, Meta(ge=0, le=600)] = 30.0
-    """Tolerated difference between the clocks."""
+    """Tolerated clock difference."""
     max_age: Annotated[float, Meta(gt=0)] | None = None
     """Maximum time since `iat`, whatever `exp` is."""
     name_claim: str = "sub"
-    """Claim with the principal's name; dots reach into objects, as in the two below."""
+    """Claim with the principal's name; dots select nested fields, here and in the two below."""
     prefix: str = ""
     """Prefix of the name, to keep the users of two issuers apart."""
     role_claim: str | None = None
@@ -51,23 +51,23 @@ class JwtConfig(Granting, frozen=True, kw_only=True):
     by_claim: dict[str, Granting] = msgspec.field(default_factory=dict[str, Granting])
     """Roles for each value of `role_claim`, in addition to those of the table."""
     tenant_claim: str | None = None
-    """Claim with a tenant or list of tenants: the roles apply only there."""
+    """Claim with a tenant or list of tenants to which the roles are restricted."""
 
 
 class JwtTables(msgspec.Struct, frozen=True, kw_only=True):
-    """Every `[[jwt]]`, and what they refer to."""
+    """All `[[jwt]]` tables, and what they refer to."""
 
     jwt: tuple[JwtConfig, ...] = ()
     tenants: tuple[str, ...] = ()
-    """Every tenant of the gateway."""
+    """All tenants of the gateway."""
     effective_roles: frozenset[str] = frozenset()
-    """The roles that allow anything."""
+    """The roles that grant anything."""
 
 
 def is_private_url(url: str) -> bool:
-    """Tell whether what is fetched from a URL cannot be read or changed on the way.
+    """Return whether a URL is protected against eavesdropping and tampering.
 
-    That is `https`, or `http` to this machine itself; without a user or password in it.
+    It must be `https`, or `http` on loopback, without a user name or password.
     """
     try:
         parts = urlsplit(url)
@@ -87,9 +87,9 @@ def _is_here(host: str) -> bool:
 
 
 def check_tables(tables: JwtTables, gateway: GatewayConfig) -> None:
-    """Check what the types of the tables cannot say.
+    """Check what the types of the tables cannot.
 
-    :raises ConfigError: a table does not say what it needs to, or refers to what is not there.
+    :raises ConfigError: a table is incomplete, or refers to something unknown.
     """
     roles = {**BUILTIN_ROLES, **gateway.roles}
     for table in tables.jwt:

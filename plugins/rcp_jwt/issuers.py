@@ -1,8 +1,9 @@
-"""JSON Web Tokens: who issued them, by which key, and whom they prove (RFC 7519, RFC 8725).
+"""Verification of JSON Web Tokens by issuer and key (RFC 7519, RFC 8725).
 
-An issuer's keys are fetched in the background; a token whose key is not known yet waits for the
-next fetch. What was verified is kept by its hash, so a signature is checked once; it proves no more
-than the key that signed it does at present.
+An issuer's keys are fetched in the background; a token with an unknown key waits for the next
+fetch.
+Verified tokens are cached by hash, so that each signature is checked once; a cached token is valid
+only as long as the key that signed it.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ from rcp_jwt.jwks import (
 )
 from rcp_jwt.webtokens import Claims, Read, principal_of, read_token, verify
 from rcp_kernel._plain import is_map
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
 
 __all__ = ["Issuer", "Issuers"]
 
 log = structlog.get_logger("rcp.jwt")
-_GAP = 3.0  # s between fetches that tokens with unknown keys ask for
-_RETRY = (1.0, 30.0)  # s after a first failure, and at most
-_WAIT = 9.0  # s that a login may wait: a gap, and a fetch
-_KNOWN = 20_000  # verified tokens
+_GAP = 3.0  # s between two fetches caused by tokens with unknown keys
+_RETRY = (1.0, 30.0)  # s after a first failure, and the maximum
+_WAIT = 9.0  # s that a login may wait: one gap and one fetch
+_KNOWN = 20_000  # cached verified tokens
 _DISCOVERY = "/.well-known/openid-configuration"
 
 
@@ -45,9 +46,9 @@ class Issuer:
     """One `[[jwt]]` table and its keys."""
 
     def __init__(self, config: JwtConfig, before: Issuer | None = None) -> None:
-        """Take the table; `before` hands its keys over if they are had from the same place.
+        """Create the issuer; it takes over the keys of `before` if their source is the same.
 
-        :raises ConfigError: a static key is none.
+        :raises ConfigError: a static key is invalid.
         """
         self.config = config
         where = f"[[jwt]] '{config.issuer}'"
@@ -56,7 +57,7 @@ class Issuer:
         """For the health report."""
         self.fetched: float | None = None
         self.stale = False
-        """Whether its keys were not had again for their `lifetime`: they prove nothing any more."""
+        """Whether its keys could not be refreshed for their `lifetime`, so that none is valid."""
         self._lapse: asyncio.TimerHandle | None = None
         self._changed: Callable[[], None] = _nobody
         self._failures = 0
@@ -73,7 +74,7 @@ class Issuer:
         return not self.config.keys
 
     def start(self, changed: Callable[[], None]) -> None:
-        """Fetch the keys now and then; `changed` is called when one proves nothing any more."""
+        """Fetch the keys periodically; `changed` is called when a key becomes invalid."""
         if self.fetches:
             self._changed = changed
             self._watch()
@@ -81,7 +82,7 @@ class Issuer:
             self._task = asyncio.create_task(self._run(), name=self.facts["name"])
 
     def stop(self) -> None:
-        """Fetch no more."""
+        """Stop fetching."""
         if self._lapse is not None:
             self._lapse.cancel()
             self._lapse = None
@@ -91,7 +92,7 @@ class Issuer:
         self._conclude()
 
     def candidates(self, read: Read) -> list[PublicKey]:
-        """Return the keys that a token may be signed with."""
+        """Return the keys that may have signed a token."""
         found = [key for key in self.keys if key.algorithm == read.algorithm]
         if read.key is None:
             return found
@@ -100,15 +101,15 @@ class Issuer:
 
     @property
     def reachable(self) -> bool:
-        """Whether what was fetched last still counts."""
+        """Whether the last fetched keys are still valid."""
         return not self.fetches or (self.fetched is not None and not self.stale)
 
     def holds(self, thumbprint: str) -> bool:
-        """Tell whether a key is one of the issuer's, as far as that is known at present."""
+        """Return whether a key is currently one of the issuer's."""
         return self.reachable and any(key.thumbprint == thumbprint for key in self.keys)
 
     def _watch(self) -> None:
-        """Have the keys lapse at the end of their `lifetime`, unless they are had again before."""
+        """Expire the keys at the end of their `lifetime`, unless they are refreshed before."""
         if self._lapse is not None:
             self._lapse.cancel()
         if self.fetched is None:
@@ -123,7 +124,7 @@ class Issuer:
         self._changed()
 
     async def ask(self) -> None:
-        """Have the keys fetched again soon, and wait for that within a bound."""
+        """Request a fetch of the keys, and wait for it within a limit."""
         waited = self._round
         if waited is not None:
             self._wanted.set()
@@ -153,7 +154,7 @@ class Issuer:
         return min(_RETRY[0] * 2 ** (self._failures - 1), _RETRY[1], self.config.refresh)
 
     async def _fetch(self) -> tuple[PublicKey, ...] | str:
-        """Return the keys, or why there are none."""
+        """Return the keys, or why they could not be fetched."""
         try:
             url = self.config.jwks_url or await self._discover()
             try:
@@ -199,7 +200,7 @@ class Issuer:
 
 
 def _nobody() -> None:
-    """Stand in for who is told, before there is anybody."""
+    """Do nothing: the default of `changed`."""
 
 
 def _source(config: JwtConfig) -> tuple[object, ...]:
@@ -207,7 +208,7 @@ def _source(config: JwtConfig) -> tuple[object, ...]:
 
 
 def _shown(url: str) -> str:
-    """Return a URL without what may be secret in it."""
+    """Return a URL without parts that may be secret."""
     return url.partition("?")[0].partition("#")[0][:200]
 
 
@@ -218,18 +219,22 @@ class _Verified(msgspec.Struct, frozen=True):
     read: Read
     principal: Principal
     tables: object
-    """The tables that it was last weighed by."""
+    """The tables under which it was last evaluated."""
 
 
 class Issuers:
-    """Every issuer, and the tokens that were verified."""
+    """All issuers, and the cache of verified tokens."""
 
     def __init__(
-        self, configs: Iterable[JwtConfig], tenants: Sequence[str], before: Issuers | None = None
+        self,
+        configs: Iterable[JwtConfig],
+        tenants: Sequence[str],
+        clock: Clock,
+        before: Issuers | None = None,
     ) -> None:
-        """Compile the tables; `before` hands over what it knows.
+        """Create the issuers; the keys and cache of `before` are taken over.
 
-        :raises ConfigError: a static key is none, or two tables are of one issuer.
+        :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
         old = {} if before is None else before.issuers
         self.issuers: dict[str, Issuer] = {}
@@ -238,21 +243,22 @@ class Issuers:
                 raise ConfigError(f"two [[jwt]] tables have the issuer '{config.issuer}'")
             self.issuers[config.issuer] = Issuer(config, old.get(config.issuer))
         self._tenants = tenants
+        self._now = clock.now
         self._tables = object()
         self.verified: dict[str, _Verified] = {} if before is None else before.verified
 
     def start(self, changed: Callable[[], None]) -> None:
-        """Begin to fetch keys; `changed` is called after one has gone, or has lapsed."""
+        """Start fetching; `changed` is called after a key was removed or has expired."""
         for issuer in self.issuers.values():
             issuer.start(changed)
 
     def stop(self) -> None:
-        """Fetch no more."""
+        """Stop fetching."""
         for issuer in self.issuers.values():
             issuer.stop()
 
     def kept(self, digest: str) -> Principal | None:
-        """Return whom a token proved when it was verified, if its key still proves anything."""
+        """Return the principal of a verified token, if its key is still valid."""
         found = self.verified.get(digest)
         if found is None:
             return None
@@ -265,26 +271,26 @@ class Issuers:
         return found.principal
 
     def _weighed(self, digest: str, config: JwtConfig) -> Principal | None:
-        """Weigh a verified token by tables that have changed since: its signature still holds."""
+        """Evaluate a verified token under changed tables: its signature remains valid."""
         found = self.verified.pop(digest)
         taken = (config.audience,) if isinstance(config.audience, str) else config.audience
         named: Any = found.claims["aud"]
         meant = any(one in taken for one in ([named] if isinstance(named, str) else named))
         if not meant or found.read.algorithm not in config.algorithms:
             return None
-        with suppress(RcpError):  # it is told when the token comes again
+        with suppress(RcpError):  # reported when the token is used again
             return self._keep(config, digest, found.claims, found.key, found.read)
         return None
 
     def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a token is worth under the present tables, or None if nothing any more."""
+        """Return a principal with its current rights; None if it has none left."""
         return self.kept(principal.credential or "")
 
     def find(self, token: str, digest: str) -> Principal | Issuer:
-        """Return whom a token proves, or the issuer whose keys have to be fetched first.
+        """Return the token's principal, or the issuer whose keys must be fetched first.
 
-        :raises Unauthenticated: it is not good.
-        :raises Forbidden: it is, and gives no role here.
+        :raises Unauthenticated: the token is invalid.
+        :raises Forbidden: it is valid but grants no role here.
         """
         kept = self.kept(digest)
         if kept is not None:
@@ -304,9 +310,9 @@ class Issuers:
         return self._keep(issuer.config, digest, claims, key.thumbprint, read)
 
     def insist(self, token: str, digest: str) -> Principal:
-        """Do as `find` does after the keys were fetched.
+        """Verify a token as `find` after its issuer's keys were fetched.
 
-        :raises AdapterUnavailable: they could not be.
+        :raises AdapterUnavailable: they could not be fetched.
         """
         found = self.find(token, digest)
         if isinstance(found, Principal):
@@ -322,14 +328,14 @@ class Issuers:
     def _keep(
         self, config: JwtConfig, digest: str, claims: Claims, key: str, read: Read
     ) -> Principal:
-        principal = principal_of(config, claims, digest, self._tenants)
+        principal = principal_of(config, claims, digest, self._tenants, self._now())
         if len(self.verified) >= _KNOWN:
             self._make_room()
         self.verified[digest] = _Verified(claims, key, read, principal, self._tables)
         return principal
 
     def _make_room(self) -> None:
-        moment = now()
+        moment = self._now()
         for digest in [d for d, v in self.verified.items() if (v.principal.expires or 0) < moment]:
             del self.verified[digest]
         if len(self.verified) >= _KNOWN:

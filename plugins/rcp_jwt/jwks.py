@@ -1,7 +1,7 @@
-"""Public keys of token issuers: read from texts and files, fetched from their servers.
+"""Public keys of token issuers: parsed from text and files, or fetched from servers.
 
-Nothing is trusted further than it has to be: sizes and times are bounded, redirects are not
-followed, and a key counts for the one algorithm that it is of.
+Servers are trusted as little as possible: sizes and times are bounded, redirects are not followed,
+and each key is used with only one algorithm.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ _RSA_BITS = 2048  # RFC 8725, 3.5
 
 
 class Unreachable(Exception):
-    """What was to be fetched is not to be had, or is not what it should be."""
+    """The document could not be fetched, or is invalid."""
 
 
 class PublicKey(msgspec.Struct, frozen=True):
-    """A key that verifies."""
+    """A key for signature verification."""
 
     id: str | None
     algorithm: str
-    """The only one that it is used with."""
+    """The only algorithm it is used with."""
     key: Any
-    """Of `cryptography`."""
+    """A key object of `cryptography`."""
     thumbprint: str
     """SHA-256 of its DER form."""
 
 
 def read_set(document: Any) -> tuple[PublicKey, ...]:
-    """Read a JWKS or a single JWK; keys that are of no use here are left out.
+    """Parse a JWKS or a single JWK; unsuitable keys are skipped.
 
-    :raises ValueError: there is none that is of use.
+    :raises ValueError: there is no suitable key.
     """
     if not is_map(document):
         raise ValueError("it is not a JSON object")
@@ -107,9 +107,9 @@ def _made(key: PublicKeyTypes, kid: str | None) -> PublicKey | None:
 
 
 def read_static(given: str | Iterable[str], where: str) -> tuple[PublicKey, ...]:
-    """Read keys that a configuration gives: PEM, JWK or JWKS, as texts or paths of files.
+    """Parse the keys of a configuration: PEM, JWK or JWKS, as text or file paths.
 
-    :raises ConfigError: one of them is none; its text is not shown.
+    :raises ConfigError: one of them is invalid; its text is not shown.
     """
     found: list[PublicKey] = []
     for number, text in enumerate((given,) if isinstance(given, str) else given, 1):
@@ -154,9 +154,9 @@ def _read_text(text: str) -> tuple[PublicKey, ...]:
 
 
 def read_document(data: bytes) -> Any:
-    """Read JSON.
+    """Parse JSON.
 
-    :raises ValueError: it is none.
+    :raises ValueError: it is invalid.
     """
     try:
         return msgspec.json.decode(data)
@@ -165,9 +165,9 @@ def read_document(data: bytes) -> Any:
 
 
 async def fetch(url: str) -> bytes:
-    """Get a document, from a thread of its own.
+    """Fetch a document in a worker thread.
 
-    :raises Unreachable: it did not come, in time or size, or with another status than 200.
+    :raises Unreachable: it failed, took too long, was too large, or had a status other than 200.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[bytes] = loop.create_future()
@@ -189,7 +189,7 @@ async def fetch(url: str) -> bytes:
             reason = str(error)
         except (OSError, http.client.HTTPException, ValueError) as error:
             reason = type(error).__name__
-        with suppress(RuntimeError):  # the loop is gone, and so is whoever asked
+        with suppress(RuntimeError):  # the event loop has ended, and with it the caller
             loop.call_soon_threadsafe(settle, data, reason)
 
     threading.Thread(target=work, name="rcp-fetch", daemon=True).start()
@@ -203,7 +203,7 @@ async def fetch(url: str) -> bytes:
 
 
 class _Call:
-    """One GET, that another thread can stop."""
+    """One GET request that another thread can abort."""
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)

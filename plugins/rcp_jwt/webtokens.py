@@ -1,4 +1,4 @@
-"""One JSON Web Token: what it says of itself, whether it holds, and which principal it makes."""
+"""One JSON Web Token: parsing, verification and the resulting principal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import msgspec
 from rcp_jwt.config import JwtConfig
 from rcp_jwt.jwks import PublicKey
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import Grants, Principal, check_time
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
 
@@ -23,13 +22,13 @@ Claims = dict[str, Any]
 _LONGEST = 16_384  # characters
 _NAME = 128  # characters
 _FORM = re.compile(r"[A-Za-z0-9_-]+\.[A-Za-z0-9_-]+\.[A-Za-z0-9_-]+\Z")  # RFC 7515, 2: no padding
-_TRIED = 8  # keys, for a token that names none
+_TRIED = 8  # keys tried for a token that names none
 _S = 1_000_000_000  # ns
 _LAST = 253_402_300_799  # s: the end of the year 9999
 
 
 class Read(msgspec.Struct, frozen=True):
-    """What a token says before anything of it is proved."""
+    """The unverified contents of a token."""
 
     issuer: str
     algorithm: str
@@ -37,14 +36,14 @@ class Read(msgspec.Struct, frozen=True):
 
 
 def is_jwt(token: str) -> bool:
-    """Tell whether a token has the form of a JWT."""
+    """Return whether a token has the form of a JWT."""
     return token.startswith("eyJ") and token.count(".") == 2
 
 
 def read_token(token: str) -> Read:
-    """Read head and issuer of a token.
+    """Parse the header and issuer of a token.
 
-    :raises Unauthenticated: it is malformed, or wants what is not understood here.
+    :raises Unauthenticated: it is malformed, or uses unsupported extensions.
     """
     import jwt
 
@@ -56,18 +55,18 @@ def read_token(token: str) -> Read:
         head: Any = jwt.get_unverified_header(token)
         claims: Any = jwt.decode(token, options={"verify_signature": False})
         _check_names(token)
-    except Exception:  # the library reads a stranger's bytes: whatever it says, they are not good
+    except Exception:  # untrusted input: any error of the library means malformed
         raise _malformed() from None
     issuer, algorithm, key = claims.get("iss"), head.get("alg"), head.get("kid")
     if not isinstance(issuer, str) or not isinstance(algorithm, str):
         raise _malformed()
-    if "crit" in head:  # RFC 7515, 4.1.11: what is not understood must be refused
+    if "crit" in head:  # RFC 7515, 4.1.11: unknown extensions must be refused
         raise Unauthenticated("the token has critical extensions (`crit`), which are not supported")
     return Read(issuer, algorithm, key if isinstance(key, str) else None)
 
 
 def _check_names(token: str) -> None:
-    """Refuse names that are there twice: others may have taken the first (RFC 7515, 4; 7519, 4)."""
+    """Refuse duplicate names, which parsers treat differently (RFC 7515, 4; RFC 7519, 4)."""
     for part in token.split(".")[:2]:
         text = base64.urlsafe_b64decode(part + "=" * (-len(part) % 4))
         json.loads(text, object_pairs_hook=_unique)
@@ -85,10 +84,10 @@ def _malformed() -> Unauthenticated:
 
 
 def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims, PublicKey]:
-    """Check signature and claims; return the claims and the key that signed.
+    """Verify signature and claims; return the claims and the key that signed.
 
-    :raises TokenExpired: it was good once.
-    :raises Unauthenticated: it is not good.
+    :raises TokenExpired: the token has expired.
+    :raises Unauthenticated: the token is invalid.
     """
     import jwt
 
@@ -124,13 +123,13 @@ def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims
 
 
 def principal_of(
-    config: JwtConfig, claims: Claims, digest: str, tenants: Sequence[str]
+    config: JwtConfig, claims: Claims, digest: str, tenants: Sequence[str], moment: int
 ) -> Principal:
-    """Make the principal of a verified token.
+    """Return the principal of a verified token.
 
     :raises TokenExpired: it is older than `max_age`.
-    :raises Unauthenticated: a claim that is needed is not there.
-    :raises Forbidden: its claims give no role.
+    :raises Unauthenticated: a required claim is missing.
+    :raises Forbidden: its claims grant no role.
     """
     name = _claim(claims, config.name_claim)
     if not isinstance(name, str) or not 0 < len(name) <= _NAME or not name.isprintable():
@@ -149,11 +148,11 @@ def principal_of(
         )
     expires = int((end + config.leeway) * _S)
     made = Principal(config.prefix + name, grants, f"jwt {config.issuer}", digest, expires)
-    return check_time(made, now())
+    return check_time(made, moment)
 
 
 def _claim(claims: Claims, name: str) -> Any:
-    """Return a claim by its name or, with dots, by the way to it."""
+    """Return a claim by name; dots select nested fields."""
     if name in claims:
         return claims[name]
     found: Any = claims
@@ -175,7 +174,7 @@ def _grants(config: JwtConfig, claims: Claims, tenants: Sequence[str]) -> Grants
         given += [config.by_claim[value].grants for value in held if value in config.by_claim]
     only: list[str] | None = None
     if config.tenant_claim is not None:
-        # A claim names tenants, it does not open all of them: `*` is none.
+        # `*` in a claim is no tenant name, so it cannot grant access to all tenants.
         only = [t for t in _texts(_claim(claims, config.tenant_claim)) if t in tenants]
     found: dict[str, dict[str, None]] = {}
     for tenant, roles in (pair for grants in given for pair in grants):

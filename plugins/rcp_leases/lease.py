@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso
 from rcp_kernel.errors import LeaseHeld
 from rcp_kernel.features import Scope
 
@@ -29,10 +29,9 @@ class Lease:
     expires: int
     reason: str | None = None
 
-    @property
-    def left(self) -> float:
-        """Seconds until it lapses."""
-        return max(0.0, (self.expires - now()) / 1e9)
+    def left(self, moment: int) -> float:
+        """Return the seconds until it lapses."""
+        return max(0.0, (self.expires - moment) / 1e9)
 
     def facts(self) -> dict[str, Any]:
         """Say whose it is, for whoever is refused because of it."""
@@ -50,12 +49,12 @@ class Lease:
         return {"scope": self.scope.text, **{name: getattr(self, name) for name in fields}}
 
 
-def refusal(lease: Lease, path: str, *, of: str | None = None) -> LeaseHeld:
+def refusal(lease: Lease, path: str, moment: int, *, of: str | None = None) -> LeaseHeld:
     """Say that somebody else holds a lease, `of` what the refused may see of its scope."""
     scope = of or lease.scope.text
     return LeaseHeld(
         f"{lease.holder} holds the lease on {scope} until {iso(lease.expires)}",
         path=path,
-        retry_after=round(lease.left, 3),
+        retry_after=round(lease.left(moment), 3),
         details=lease.facts() | {"scope": scope},
     )

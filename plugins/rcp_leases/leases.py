@@ -15,7 +15,7 @@ from typing import Any
 
 import structlog
 
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.features import FeatureHost, Scope
@@ -42,6 +42,7 @@ class Leases:
     ) -> None:
         """Hold no lease yet; `changed` is called after every change."""
         self._host = host
+        self._now = host.clock.now
         self._changed = changed
         self._store = host.store(_TABLE)
         self.held: dict[str, Lease] = {}
@@ -90,7 +91,7 @@ class Leases:
                 )
                 continue
             self.held[id_] = lease
-            if lease.left:
+            if lease.left(self._now()):
                 self._set_timer(lease)
             else:
                 self._lapse(lease)
@@ -115,7 +116,7 @@ class Leases:
                 details["reason"] = loss.reason
                 raise LeaseLost(loss.told, path=path, details=details)
         if lease is not None:
-            raise refusal(lease, path)
+            raise refusal(lease, path, self._now())
         if self._requires(path):
             raise LeaseRequired(f"{path} accepts commands only under a lease", path=path)
 
@@ -126,7 +127,7 @@ class Leases:
         except KeyError:
             found = [one for one in self.held.values() if one.scope.covers(path)]
             lease = self._over[path] = max(found, key=lambda one: one.expires, default=None)
-        if lease is None or lease.expires > now():
+        if lease is None or lease.expires > self._now():
             return lease
         if self._host.closing:
             return None
@@ -167,7 +168,7 @@ class Leases:
                 holder=by,
                 session=None if session.stateless else session.id[:8],
                 priority=priority,
-                since=now(),
+                since=self._now(),
                 expires=0,
                 reason=reason,
             )
@@ -191,7 +192,8 @@ class Leases:
         priority = session.rights.priority(scope.tenant)
         for rival in self.rivals(session, scope):
             if not take or priority <= rival.priority:
-                raise refusal(rival, scope.text, of=self._told(session, rival, scope))
+                of = self._told(session, rival, scope)
+                raise refusal(rival, scope.text, self._now(), of=of)
 
     def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
         """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
@@ -200,7 +202,7 @@ class Leases:
 
     def rivals(self, session: Session, scope: Scope) -> list[Lease]:
         """List the leases of others that share something with a scope."""
-        for lease in [one for one in self.held.values() if one.expires <= now()]:
+        for lease in [one for one in self.held.values() if one.expires <= self._now()]:
             self._lapse(lease)
         others = (lease for lease in self.held.values() if lease.key != session.holder)
         return [lease for lease in others if lease.scope.overlaps(scope)]
@@ -234,7 +236,7 @@ class Leases:
         self._extend(session, lease, ttl)
 
     def _extend(self, session: Session, lease: Lease, ttl: float) -> None:
-        lease.expires = now() + int(ttl * 1e9)
+        lease.expires = self._now() + int(ttl * 1e9)
         if session.principal.expires is not None:
             lease.expires = min(lease.expires, session.principal.expires)
         self._set_timer(lease)
@@ -301,7 +303,7 @@ class Leases:
 
         It may have another one over a part of them.
         """
-        covers, moment = lost.scope.covers, now()
+        covers, moment = lost.scope.covers, self._now()
         others = [
             other.scope.covers
             for other in self.held.values()
@@ -347,7 +349,8 @@ class Leases:
     def _set_timer(self, lease: Lease) -> None:
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
-        self._timers[lease.id] = self._host.loop.call_later(lease.left, self._lapse, lease)
+        left = lease.left(self._now())
+        self._timers[lease.id] = self._host.loop.call_later(left, self._lapse, lease)
 
     def _keep(self, lease: Lease) -> None:
         self._store.put(lease.id, lease.kept())

@@ -32,10 +32,10 @@ def plain_of(body: Any) -> Any:
 
 def answered(facts: dict[str, Any], *blocks: Block) -> types.CallToolResult:
     """Return facts as a result, also as text unless content blocks are given."""
-    said: list[Any] = list(blocks)
-    if not said:
-        said.append(types.TextContent(type="text", text=msgspec.json.encode(facts).decode()))
-    return types.CallToolResult(content=said, structured_content=facts)
+    content: list[Any] = list(blocks)
+    if not content:
+        content.append(types.TextContent(type="text", text=msgspec.json.encode(facts).decode()))
+    return types.CallToolResult(content=content, structured_content=facts)
 
 
 def refused(error: RcpError) -> types.CallToolResult:
@@ -47,17 +47,17 @@ def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolRe
     """Return the contract's `error` object as a result."""
     code, message, remedy = error["code"], error["message"], error.get("remedy")
     untrusted = code in _ROBOTS
-    said = f"{status}: {code}: "
-    said += marked(message, error.get("path")) if untrusted else message
+    text = f"{status}: {code}: "
+    text += marked(message, error.get("path")) if untrusted else message
     if remedy:
-        said += f"\nWhat to do: {remedy}"
-    told = {key: item for key, item in error.items() if key != "trace_id"}
+        text += f"\nWhat to do: {remedy}"
+    details = {key: item for key, item in error.items() if key != "trace_id"}
     known = {key: item for key, item in facts.items() if item is not None}
-    structured: dict[str, Any] = {"status": status, **known, "error": told}
+    structured: dict[str, Any] = {"status": status, **known, "error": details}
     if untrusted:
         structured["untrusted"] = True
     block = types.TextContent(
-        type="text", text=said, _meta={UNTRUSTED: True} if untrusted else None
+        type="text", text=text, _meta={UNTRUSTED: True} if untrusted else None
     )
     return types.CallToolResult(content=[block], structured_content=structured, is_error=True)
 
@@ -99,11 +99,11 @@ def _stopped(reply: Reply) -> types.CallToolResult:
     facts: dict[str, Any] = {"status": reply.status, "path": reply.path, **report.facts}
     if any("detail" in one for one in report.not_confirmed):
         facts["untrusted"] = True
-    said = [reply.message or f"{reply.path}: {reply.status}."]
+    lines = [reply.message or f"{reply.path}: {reply.status}."]
     if error is not None:
         facts["error"] = {key: error[key] for key in ("code", "message", "remedy") if key in error}
-        said = [f"{reply.status}: {error['code']}."]
-    words = "\n".join([*said, report.words()]).strip()
+        lines = [f"{reply.status}: {error['code']}."]
+    words = "\n".join([*lines, report.words()]).strip()
     block = types.TextContent(type="text", text=words)
     return types.CallToolResult(
         content=[block], structured_content=facts, is_error=error is not None

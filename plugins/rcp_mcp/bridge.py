@@ -36,21 +36,21 @@ async def bridge(url: str, headers: dict[str, str], cacert: str | None = None) -
         httpx2.AsyncClient(
             headers=headers, timeout=_PATIENCE, transport=_Reached(url, trust)
         ) as http,
-        stdio_server() as (said, say),
-        say,  # closed before stdio, whose writer waits for it
-        streamable_http_client(url, http_client=http) as (heard, send),
+        stdio_server() as (incoming, outgoing),
+        outgoing,  # closed before stdio, whose writer waits for it
+        streamable_http_client(url, http_client=http) as (responses, send),
         anyio.create_task_group() as both,
     ):
         versions = _Versions()
 
         async def back() -> None:
-            async for message in heard:
+            async for message in responses:
                 if isinstance(message, SessionMessage):
                     versions.note(message)
-                    await say.send(message)
+                    await outgoing.send(message)
 
         both.start_soon(back)
-        async for message in said:
+        async for message in incoming:
             if isinstance(message, SessionMessage):
                 message.metadata = ClientMessageMetadata(headers=versions.headers(message))
                 await send.send(message)
@@ -125,11 +125,13 @@ class _Reached(httpx2.AsyncHTTPTransport):
         try:
             return await super().handle_async_request(request)
         except httpx2.TransportError as error:
-            said = f"the gateway at {self._url} cannot be reached: {error or type(error).__name__}"
-            told = {"jsonrpc": "2.0", "id": None, "error": {"code": -32000, "message": said}}
+            message = (
+                f"the gateway at {self._url} cannot be reached: {error or type(error).__name__}"
+            )
+            reply = {"jsonrpc": "2.0", "id": None, "error": {"code": -32000, "message": message}}
             headers = {"content-type": "application/json"}
             return httpx2.Response(
-                503, headers=headers, content=json.dumps(told).encode(), request=request
+                503, headers=headers, content=json.dumps(reply).encode(), request=request
             )
 
     async def _reopened(self, lost: str) -> bool:

@@ -52,31 +52,31 @@ class CommandTools:
         self.tasks = Tasks(config, client_api)
         self._approving = ApprovalTools(client_api)
 
-    async def write(self, ctx: Context, session: Session, asked: Write) -> Outcome:
+    async def write(self, ctx: Context, session: Session, arguments: Write) -> Outcome:
         """Set a value."""
         request = Request(
             type="write",
-            path=asked.path,
-            body=_raw(asked.value),
-            valid_for=asked.valid_for,
-            dry_run=asked.dry_run,
-            idempotency_key=asked.idempotency_key,
-            approval=asked.approval,
+            path=arguments.path,
+            body=_raw(arguments.value),
+            valid_for=arguments.valid_for,
+            dry_run=arguments.dry_run,
+            idempotency_key=arguments.idempotency_key,
+            approval=arguments.approval,
         )
         return await self.run(ctx, session, request, None)
 
-    async def execute(self, ctx: Context, session: Session, asked: Execute) -> Outcome:
+    async def execute(self, ctx: Context, session: Session, arguments: Execute) -> Outcome:
         """Run an action or service by its path."""
         request = Request(
             type="execute",
-            path=asked.path,
-            body=NO_BODY if asked.input is None else _raw(asked.input),
-            deadline=asked.deadline,
-            dry_run=asked.dry_run,
-            idempotency_key=asked.idempotency_key,
-            approval=asked.approval,
+            path=arguments.path,
+            body=NO_BODY if arguments.input is None else _raw(arguments.input),
+            deadline=arguments.deadline,
+            dry_run=arguments.dry_run,
+            idempotency_key=arguments.idempotency_key,
+            approval=arguments.approval,
         )
-        return await self.run(ctx, session, request, asked.wait)
+        return await self.run(ctx, session, request, arguments.wait)
 
     async def call(
         self, ctx: Context, session: Session, typed: Typed, arguments: dict[str, Any]
@@ -145,14 +145,14 @@ class CommandTools:
         # Cancelling a hold would leave the robot moving.
         return not is_hold(whole) and not matches(self.config.keeps_going, whole)
 
-    async def cancel(self, ctx: Context, session: Session, asked: Cancel) -> Outcome:
+    async def cancel(self, ctx: Context, session: Session, arguments: Cancel) -> Outcome:
         """Cancel a command, or what runs on a path."""
-        if (asked.command is None) == (asked.path is None):
+        if (arguments.command is None) == (arguments.path is None):
             raise BadRequest(
                 "`cancel` needs either `command` or `path`",
                 remedy="Send the command id from the call's result, or the path of the action.",
             )
-        request = Request(type="cancel", command=asked.command, path=asked.path)
+        request = Request(type="cancel", command=arguments.command, path=arguments.path)
         reply = await self.client_api.request(session, request)
         if reply.error is not None:
             return failed(reply.error, reply.status)

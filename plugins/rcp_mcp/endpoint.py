@@ -68,9 +68,9 @@ class Endpoint:
             session = await session_of(self._client_api, scope)
             self._check_length(session, scope)
         except Exception as error:
-            told = to_internal_error(error, path=scope["path"])
-            self._client_api.refused("request", told.code)
-            await _refuse(self._config, scope, send, told)
+            internal = to_internal_error(error, path=scope["path"])
+            self._client_api.refused("request", internal.code)
+            await _refuse(self._config, scope, send, internal)
             return
         scope[SESSION] = session
         # RFC 9110 5.5: the SDK compares header values including their white space.
@@ -86,9 +86,9 @@ class Endpoint:
         :raises RateLimited: a quota does not allow a long request now.
         """
         limit = self._client_api.longest(session.principal)
-        told = header(scope, b"content-length")
-        if told is not None and told.isdigit():
-            size = int(told)
+        declared = header(scope, b"content-length")
+        if declared is not None and declared.isdigit():
+            size = int(declared)
         else:  # the length is not known in advance
             size = limit if header(scope, b"transfer-encoding") is not None else 0
         if size > limit:
@@ -174,15 +174,19 @@ class Metadata:
 def _user(session: Session) -> AuthenticatedUser:
     """Give the SDK the owner of the session, so that nobody else can use it."""
     principal = session.principal
-    who = f"{principal.proof}:{principal.name}:{session.tenant}"
-    return AuthenticatedUser(AccessToken(token="", client_id=who, scopes=[], subject=who))
+    user = f"{principal.proof}:{principal.name}:{session.tenant}"
+    return AuthenticatedUser(AccessToken(token="", client_id=user, scopes=[], subject=user))
 
 
 async def _refuse(config: McpConfig, scope: Scope, send: Send, error: RcpError) -> None:
-    told = error_body(error)
-    said = f"{error.message}. {error.remedy}" if error.remedy else error.message
+    details = error_body(error)
+    message = f"{error.message}. {error.remedy}" if error.remedy else error.message
     code = _UNAUTHORIZED if error.http == 401 else _REFUSED
-    body = {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": said, "data": told}}
+    body = {
+        "jsonrpc": "2.0",
+        "id": None,
+        "error": {"code": code, "message": message, "data": details},
+    }
     headers = retry_after(error.retry_after)
     if error.http == 401:
         where = _base(config, scope) + WELL_KNOWN + config.path

@@ -45,8 +45,8 @@ def _go_to(given: dict[str, str]) -> str:
 
 
 def _diagnose(given: dict[str, str]) -> str:
-    said = given.get("symptom")
-    about = f"Symptom: {said}. " if said else ""
+    symptom = given.get("symptom")
+    about = f"Symptom: {symptom}. " if symptom else ""
     return (
         f"Find out what is wrong. {about}Call `status` for backends that are degraded or down and "
         "for warnings; `discover` for resources that are stale or have no value; `read` fault "

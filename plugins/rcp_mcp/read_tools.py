@@ -40,24 +40,24 @@ class ReadTools:
         self._client_api = client_api
         self._catalogue = catalogue
 
-    async def discover(self, ctx: Context, session: Session, asked: Discover) -> Outcome:
+    async def discover(self, ctx: Context, session: Session, arguments: Discover) -> Outcome:
         """List matching resources, as many as fit, with a cursor for the rest."""
         self._client_api.charge(session)
         query = Query(
-            kind=None if asked.kind is None else Kind(asked.kind),
-            op=asked.op,
-            q=asked.q,
-            limit=asked.limit,
-            cursor=asked.cursor,
-            schemas=asked.schemas,
+            kind=None if arguments.kind is None else Kind(arguments.kind),
+            op=arguments.op,
+            q=arguments.q,
+            limit=arguments.limit,
+            cursor=arguments.cursor,
+            schemas=arguments.schemas,
         )
-        page = await self._page(session, asked.path, query)
+        page = await self._page(session, arguments.path, query)
         typed = self._catalogue.tools(session)
         found = [_line(one, session.tenant, typed) for one in page["resources"]]
         kept = self._fitting(found)
         if kept < len(found):  # the cursor after the items that are included
             query = msgspec.structs.replace(query, limit=kept)
-            page = await self._page(session, asked.path, query)
+            page = await self._page(session, arguments.path, query)
         facts: dict[str, Any] = {"resources": found[:kept]}
         if (cursor := page.get("cursor")) is not None:
             facts["cursor"] = cursor
@@ -78,17 +78,17 @@ class ReadTools:
                 return max(count, 1)
         return len(found)
 
-    async def read(self, ctx: Context, session: Session, asked: Read) -> Outcome:
+    async def read(self, ctx: Context, session: Session, arguments: Read) -> Outcome:
         """Read one value, or those of a pattern."""
-        options = {"fields": asked.fields, "fresh": asked.fresh, "cursor": asked.cursor}
+        options = {"fields": arguments.fields, "fresh": arguments.fresh, "cursor": arguments.cursor}
         body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
         reply = await self._client_api.request(
-            session, Request(type="read", path=asked.path, body=body)
+            session, Request(type="read", path=arguments.path, body=body)
         )
         if reply.error is not None:
             return failed(reply.error, reply.status)
         found = body_of(reply)
-        if "*" in asked.path:
+        if "*" in arguments.path:
             samples = [_renamed(one) for one in found]
         else:
             samples = [
@@ -100,17 +100,17 @@ class ReadTools:
                     "state": reply.state,
                 }
             ]
-        many = "*" in asked.path
+        many = "*" in arguments.path
         if size(samples) < _HEAVY:
             return sampled("values", samples, self._config, pages=many, more=reply.truncated)
         return await asyncio.to_thread(
             sampled, "values", samples, self._config, pages=many, more=reply.truncated
         )
 
-    async def status(self, ctx: Context, session: Session, asked: Status) -> Outcome:
+    async def status(self, ctx: Context, session: Session, arguments: Status) -> Outcome:
         """Return the status of the gateway, or of one command."""
-        if asked.command is not None:
-            command = self._client_api.command(session, asked.command).plain()
+        if arguments.command is not None:
+            command = self._client_api.command(session, arguments.command).plain()
             command["history"] = command["history"][-_STEPS:]
             plain = msgspec.json.decode(msgspec.json.encode(command))
             return _bounded({"command": plain}, self._config.budget)
@@ -154,7 +154,7 @@ def sampled(
     next page if there is `more`.
     """
     share = max(config.budget // max(len(samples), 1), 40)
-    told: list[dict[str, Any]] = []
+    items: list[dict[str, Any]] = []
     blocks: list[Block] = []
     shown_as: list[Block] = []
     left = config.budget * PER_TOKEN
@@ -167,24 +167,24 @@ def sampled(
                 one["untrusted"] = True
             shown_as += shown.blocks[1:]
         left -= size(one)
-        if left < 0 and told:
+        if left < 0 and items:
             facts["note"] = (
-                f"{len(samples) - len(told)} more are omitted: use fewer paths, or `fields`."
+                f"{len(samples) - len(items)} more are omitted: use fewer paths, or `fields`."
             )
             more = True
             break
-        told.append(one)
+        items.append(one)
         blocks.append(text(one, one["path"], untrusted=bool(one.get("untrusted"))))
     if more:
         facts["truncated"] = True
     if more and pages:
-        facts["cursor"] = cursor_of(told[-1]["path"])
+        facts["cursor"] = cursor_of(items[-1]["path"])
         facts["note"] = (
             "There are more results: use fewer paths, or `fields`, or continue with `cursor`."
         )
     head = facts.get("note")
-    said = [types.TextContent(type="text", text=head)] if head else []
-    result = answered({key: told, **facts}, *blocks, *shown_as, *said)
+    content = [types.TextContent(type="text", text=head)] if head else []
+    result = answered({key: items, **facts}, *blocks, *shown_as, *content)
     if not samples:
         return answered({key: [], "note": "No matching resource that you may read."})
     return result

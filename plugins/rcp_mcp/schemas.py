@@ -66,11 +66,11 @@ def result(
         "error": ERROR,
     }
     if long:
-        told, more = _part(feedback) if feedback is not None else (_ANY_VALUE, {})
+        shape, more = _part(feedback) if feedback is not None else (_ANY_VALUE, {})
         if any(more[name] != defs.get(name, more[name]) for name in more):
-            told, more = _ANY_VALUE, {}
+            shape, more = _ANY_VALUE, {}
         defs = {**more, **defs}
-        properties["feedback"] = told
+        properties["feedback"] = shape
         properties["progress"] = {"type": "number", "minimum": 0, "maximum": 1}
     out: dict[str, Any] = {"type": "object", "properties": properties, "required": ["status"]}
     if defs:
@@ -89,11 +89,11 @@ def worded(node: Any) -> Any:
     unit = out.get("unit")
     if isinstance(unit, str) and unit != "1":
         text = out.get("description")
-        said = f"Unit: {unit}."
+        unit_text = f"Unit: {unit}."
         if not isinstance(text, str):
-            out["description"] = said
-        elif said not in text:
-            out["description"] = f"{text} {said}"
+            out["description"] = unit_text
+        elif unit_text not in text:
+            out["description"] = f"{text} {unit_text}"
     return out
 
 

@@ -87,8 +87,8 @@ class Report(NamedTuple):
         others: list[dict[str, Any]] = []
         if is_list(robots):
             others = [{"robot": str(name), "state": "requested"} for name in robots]
-        for name, told in robots.items() if is_map(robots) else ():
-            known: dict[str, Any] = told if is_map(told) else {"state": told}
+        for name, entry in robots.items() if is_map(robots) else ():
+            known: dict[str, Any] = entry if is_map(entry) else {"state": entry}
             phase, alarm = known.get("state"), known.get("alarm") is True
             if phase == "confirmed":
                 rest.append(str(name))
@@ -108,12 +108,12 @@ class Report(NamedTuple):
 
     def words(self) -> str:
         """Return it as text for a model; reasons given by a backend are marked."""
-        said: list[str] = []
+        lines: list[str] = []
         if self.at_rest:
-            said.append(f"Confirmed at rest: {_named(self.at_rest)}.")
+            lines.append(f"Confirmed at rest: {_named(self.at_rest)}.")
         if self.not_confirmed:
             names = _named([one["robot"] for one in self.not_confirmed])
-            said.append(
+            lines.append(
                 f"NOT confirmed at rest: {names}. The gateway keeps sending the stop; tell a "
                 "person to use "
                 "the robot's own emergency stop."
@@ -121,8 +121,8 @@ class Report(NamedTuple):
             known = [one for one in self.not_confirmed if "detail" in one]
             reasons = [f"{one['robot']} ({one['state']}): {one['detail']}" for one in known]
             if reasons:
-                said.append(marked("\n".join(reasons[:_SHOWN]), ESTOP))
-        return "\n".join(said)
+                lines.append(marked("\n".join(reasons[:_SHOWN]), ESTOP))
+        return "\n".join(lines)
 
 
 def _named(names: list[str]) -> str:

@@ -68,9 +68,9 @@ class Tasks:
             return {**facts, "status": "cancelled"}
         error = command.reply().error
         if error is not None and error["code"] == _CUT_OFF:
-            said = {key: item for key, item in error.items() if key != "trace_id"}
-            told = {"code": types.INTERNAL_ERROR, "message": error["message"], "data": said}
-            return {**facts, "status": "failed", "error": told}
+            data = {key: item for key, item in error.items() if key != "trace_id"}
+            details = {"code": types.INTERNAL_ERROR, "message": error["message"], "data": data}
+            return {**facts, "status": "failed", "error": details}
         result = replied(command.reply(), self._config)
         plain = result.model_dump(by_alias=True, mode="json", exclude_none=True)
         return {**facts, "status": "completed", "result": plain}

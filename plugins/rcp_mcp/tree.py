@@ -144,8 +144,8 @@ class Tree(Offer):
         try:
             self._client_api.charge(session)
         except RcpError as error:
-            told = {key: item for key, item in error_body(error).items() if key != "trace_id"}
+            details = {key: item for key, item in error_body(error).items() if key != "trace_id"}
             raise MCPError(
-                types.INVALID_REQUEST, f"{error.message}. {error.remedy}", told
+                types.INVALID_REQUEST, f"{error.message}. {error.remedy}", details
             ) from None
         return session

@@ -75,28 +75,28 @@ def typed_tool(
 
 
 def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
-    said = [" ".join(str(facts["description"]).split())[:_DESCRIPTION]]
+    sentences = [" ".join(str(facts["description"]).split())[:_DESCRIPTION]]
     if facts["path"] == ESTOP:
-        said.append(stop_words())
+        sentences.append(stop_words())
     elif is_hold(facts["path"]):
-        said.append(
+        sentences.append(
             "No latch: the next command moves the robot again. In an emergency use `system-estop`."
         )
     if facts["kind"] == "action":
-        said.append(
+        sentences.append(
             f"Long-running: after {config.wait:g} s (or `wait`) it returns `in_progress` "
             "with a command id for `status` and `cancel`."
         )
-        said.append(
+        sentences.append(
             "Cancelling the call stops the robot."
             if stops
             else "Cancelling the call does not cancel the command; use `cancel` for that."
         )
     if envelopes := facts.get("envelopes"):
         names = ", ".join(str(one.get("name")) for one in envelopes)
-        said.append(f"Motion limits that apply: {names}.")
-    said.append(f"Path {facts['path']}.")
-    return " ".join(said)
+        sentences.append(f"Motion limits that apply: {names}.")
+    sentences.append(f"Path {facts['path']}.")
+    return " ".join(sentences)
 
 
 def _hints(facts: dict[str, Any]) -> types.ToolAnnotations:

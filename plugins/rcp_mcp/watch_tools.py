@@ -26,37 +26,37 @@ class WatchTools:
         self._config = config
         self._client_api = client_api
 
-    async def watch(self, ctx: Context, session: Session, asked: Watch) -> Outcome:
+    async def watch(self, ctx: Context, session: Session, arguments: Watch) -> Outcome:
         """Collect updates until the number of samples or the time is reached."""
         feed = ResourceFeed(self._client_api, session)
         try:
-            options: dict[str, Any] = {"on": "change" if asked.on_change else "sample"}
-            if asked.rate is not None:
-                options["rate"] = asked.rate
-            reply = await feed.subscribe(asked.paths, **options)
+            options: dict[str, Any] = {"on": "change" if arguments.on_change else "sample"}
+            if arguments.rate is not None:
+                options["rate"] = arguments.rate
+            reply = await feed.subscribe(arguments.paths, **options)
             if reply.error is not None:
                 return failed(reply.error, reply.status)
             found: list[dict[str, Any]] = []
-            ended = await self._collect(ctx, feed, asked, found)
+            ended = await self._collect(ctx, feed, arguments, found)
         finally:
             feed.close()
         return sampled("updates", found, self._config, ended=ended)
 
     async def _collect(
-        self, ctx: Context, feed: ResourceFeed, asked: Watch, found: list[dict[str, Any]]
+        self, ctx: Context, feed: ResourceFeed, arguments: Watch, found: list[dict[str, Any]]
     ) -> str:
         try:
-            async with asyncio.timeout(asked.seconds):
-                while len(found) < asked.samples:
+            async with asyncio.timeout(arguments.seconds):
+                while len(found) < arguments.samples:
                     updates = await feed.next()
                     if not updates:
                         return "the subscription ended"
                     found += [_sample(path, data) for path, data in updates]
-                    del found[asked.samples :]
-                    await ctx.session.report_progress(len(found), asked.samples)
+                    del found[arguments.samples :]
+                    await ctx.session.report_progress(len(found), arguments.samples)
         except TimeoutError:
-            return f"{asked.seconds:g} s are over"
-        return f"{asked.samples} samples"
+            return f"{arguments.seconds:g} s are over"
+        return f"{arguments.samples} samples"
 
 
 def _sample(path: str, data: bytes) -> dict[str, Any]:

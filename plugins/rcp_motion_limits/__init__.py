@@ -1,4 +1,4 @@
-"""Motion limits: commands stay inside bounds, rates, fences, modes and conditions by role."""
+"""Motion limits by role: bounds, rates of change, fences, modes and conditions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _make(config: MotionLimitsConfig, host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer motion limits."""
+    """Register the feature `motion_limits`."""
     return [
         FeatureKind(
             "motion_limits",

@@ -1,18 +1,17 @@
-"""What values a path may have in force: the one last written, and those whose fate is not known.
+"""The values that may be in force on a path: the last confirmed one, and unconfirmed ones.
 
-A write under way may reach the robot at any moment, and one that was never answered may have. A
-rate of change has to hold whichever of them it was.
+A write in progress may reach the robot at any moment, and an unanswered write may have reached it.
+Rate limits must hold for each of these values.
 """
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-__all__ = ["CommandedValues", "Force", "clock"]
+__all__ = ["CommandedValues", "Force"]
 
-_MOST = 16  # values of unknown fate; older ones are forgotten
-clock = time.monotonic
+_MOST = 16  # unconfirmed values; older ones are dropped
 
 
 class Force(NamedTuple):
@@ -20,38 +19,40 @@ class Force(NamedTuple):
 
     value: Any
     since: float
-    """When it was sent, by `clock`."""
+    """Time of sending, by `Clock.monotonic`."""
 
 
 class CommandedValues:
     """The values that one path may have in force, oldest first."""
 
-    __slots__ = ("held",)
+    __slots__ = ("_now", "held")
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float]) -> None:
+        """Hold nothing; `now` is `Clock.monotonic`."""
+        self._now = now
         self.held: tuple[Force, ...] = ()
 
     def attempt(self, value: Any, since: float | None = None) -> None:
-        """Note that a value is on its way to the robot, by default since now."""
-        if not self.held or self.held[-1].value is not value:  # a stop is sent again and again
-            self.held = (*self.held, Force(value, clock() if since is None else since))[-_MOST:]
+        """Record that a value is being sent, by default now."""
+        if not self.held or self.held[-1].value is not value:  # a stop is sent repeatedly
+            self.held = (*self.held, Force(value, self._now() if since is None else since))[-_MOST:]
 
     def settle(self, value: Any, actual: Any) -> None:
-        """Note that the robot took a value, as `actual`: what was sent before it is past."""
+        """Record that the robot accepted a value as `actual`; earlier values are dropped."""
         at = self._find(value)
-        since = clock() if at is None else self.held[at].since
+        since = self._now() if at is None else self.held[at].since
         later = self.held if at is None else self.held[at + 1 :]
         self.held = (Force(actual, since), *later)[-_MOST:]
 
     def withdraw(self, value: Any) -> None:
-        """Note that the robot did not take a value and goes on as before."""
+        """Record that the robot rejected a value and continues as before."""
         at = self._find(value)
         if at is not None:
             self.held = self.held[:at] + self.held[at + 1 :]
 
     def rest(self, safe: Any) -> None:
-        """Note that the robot was brought to rest; without a safe value nothing is known."""
-        self.held = () if safe is None else (Force(safe, clock()),)
+        """Record that the robot was brought to rest; without a safe value, nothing is known."""
+        self.held = () if safe is None else (Force(safe, self._now()),)
 
     def _find(self, value: Any) -> int | None:
         return next((i for i, force in enumerate(self.held) if force.value is value), None)

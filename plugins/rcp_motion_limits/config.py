@@ -1,4 +1,4 @@
-"""`[[envelopes]]`: inside which limits whose commands must stay."""
+"""`[[envelopes]]`: limits of commands, by path and role."""
 
 from __future__ import annotations
 
@@ -34,35 +34,35 @@ _Corners = Annotated[tuple[Corner, ...], Meta(max_length=256)]
 
 
 class Bound(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What one field may hold."""
+    """The allowed values of one field."""
 
     min: float | None = None
     """Minimum, in the field's unit."""
     max: float | None = None
-    """The most."""
+    """Maximum, in the field's unit."""
     allow: tuple[bool | int | float | str, ...] = ()
     """The only allowed values, instead of `min` and `max`."""
     optional: bool = False
-    """Whether the field may be empty, so that the robot chooses."""
+    """Whether the field may be omitted, so that the robot chooses."""
 
 
 class Fence(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Areas in a plane; their edges belong to them."""
+    """Areas in a plane; their boundaries belong to them."""
 
     inside: dict[str, _Corners] = {}
     """Areas by name: the point must be in one of them."""
     outside: dict[str, _Corners] = {}
     """Areas by name: the point must be in none of them."""
     point: tuple[str, str] = ("position.x", "position.y")
-    """The two fields with the position."""
+    """The two fields that contain the position."""
     of: str | None = None
-    """The sensor with the robot's position (`sensor/pose`); default: the command's own fields."""
+    """The sensor with the robot's position (`sensor/pose`); by default the command's own fields."""
     max_age: Annotated[float, Meta(gt=0)] = 1.0
-    """Seconds after which the sensor's value counts as unknown."""
+    """Age in s beyond which the sensor's value counts as unknown."""
 
 
 class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits of commands, for some paths and roles."""
+    """Limits of commands for some paths and roles."""
 
     name: Annotated[str, Meta(min_length=1, max_length=100)]
     """Shown to clients."""
@@ -71,12 +71,12 @@ class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     roles: tuple[str, ...] = ()
     """Applies to principals with one of these roles in the tenant. Empty: to everyone."""
     bounds: dict[str, Bound] = {}
-    """By field."""
+    """Bounds by field."""
     rate: dict[str, Annotated[float, Meta(gt=0)]] = {}
     """Maximum change per second, by field."""
     fence: Fence | None = None
     when: str | None = None
-    """A condition on the robot's state."""
+    """A condition on the robot's state, in CEL."""
     modes: tuple[str, ...] = ()
     """Allowed values of `sensor/mode`."""
     reason: Annotated[str, Meta(max_length=500)] | None = None
@@ -84,15 +84,15 @@ class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class MotionLimitsConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Every `[[envelopes]]`."""
+    """All `[[envelopes]]` tables."""
 
     envelopes: tuple[EnvelopeConfig, ...] = ()
 
 
 def patterns(paths: Iterable[str]) -> list[Pattern]:
-    """Return the patterns of an envelope; one without a tenant counts in all.
+    """Parse the patterns of a table; one without a tenant applies in all tenants.
 
-    :raises InvalidPath: one is none, or stands for nothing that takes commands.
+    :raises InvalidPath: a pattern is invalid, or matches no branch that accepts commands.
     """
     return [_pattern(text) for text in paths]
 
@@ -114,9 +114,9 @@ def _pattern(text: str) -> Pattern:
 def check_envelopes(
     tables: Sequence[EnvelopeConfig], roles: Mapping[str, Role], tenants: Sequence[str]
 ) -> None:
-    """Find what decoding leaves open.
+    """Check what decoding cannot.
 
-    :raises ConfigError: naming the envelope and the key.
+    :raises ConfigError: names the table and the key.
     """
     names = [table.name for table in tables]
     for table in tables:

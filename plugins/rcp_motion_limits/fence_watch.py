@@ -1,7 +1,7 @@
-"""Watches where robots are while they are driven, and brings one to rest that leaves its fence.
+"""Monitors the position of driven robots, and stops a robot that leaves its fence.
 
-It keeps every sensor published that an envelope asks for, so that its present value is known when a
-command comes.
+Keeps every sensor that a fence uses published, so that its current value is known when a command
+arrives.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ log = structlog.get_logger("rcp.envelopes")
 
 
 class FenceWatch:
-    """Watches the sensors that say where what is driven is."""
+    """Monitors the position sensors of driven robots."""
 
     def __init__(self, limits: MotionLimits, host: FeatureHost) -> None:
         self._limits = limits
@@ -48,14 +48,14 @@ class FenceWatch:
                 self._ends.pop(sensor)()
 
     def _offer(self, sample: Sample) -> None:
-        """Look whether what depends on a sensor may go on."""
+        """Check whether the commands that depend on a sensor may continue."""
         for path in tuple(self._fenced.get(sample.entry.path, ())):
             bound = self._limits.of(path)
             if bound is not None:
                 self._look(bound, sample)
 
     def _look(self, bound: BoundPath, sample: Sample) -> None:
-        """Stop what drives a robot that is where its driver may not have it."""
+        """Stop an actuator whose robot is outside the fence of its driver."""
         entry = bound.entry
         driver = self._limits.drivers.get(entry.path)
         if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
@@ -94,7 +94,7 @@ class FenceWatch:
 
 
 def _trouble(bound: BoundPath, driver: Session, sample: Sample) -> tuple[str, str, str] | None:
-    """Return the sensor, the envelope that the robot has left, and how; or None."""
+    """Return the sensor, the violated limit and a description; None if there is none."""
     for envelope in bound.held(driver.principal.grants):
         place = envelope.place
         if place is None or place.sensor != sample.entry.path:

@@ -1,4 +1,4 @@
-"""The guard: refuses what an envelope does not let through, and notes what robots were told."""
+"""The guard of motion limits: refuses commands outside limits, and tracks commanded values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["MotionLimitGuard"]
 
 
 class MotionLimitGuard:
-    """Holds commands to their envelopes."""
+    """Holds commands to their limits."""
 
     slot = Slot.MOTION_LIMIT
 
@@ -25,44 +25,44 @@ class MotionLimitGuard:
 
     @property
     def active(self) -> bool:
-        """Whether there is any envelope."""
+        """Whether any limit is configured."""
         return self._limits.active
 
     def admit(self, call: Call) -> None:
-        """Refuse a value outside an envelope.
+        """Refuse a value outside the limits.
 
-        :raises OutOfRange, ModeForbids, PreconditionFailed: as `MotionLimit.check` does.
+        :raises OutOfRange, ModeForbids, PreconditionFailed: as `MotionLimit.check`.
         """
         bound = self._limits.of(call.entry.path)
         if bound is not None:
             bound.check(call.session, call.value)
 
     def confirm(self, call: Call) -> None:
-        """Refuse it by what holds when it acts."""
+        """Check again just before the command is executed."""
         self.admit(call)
 
     def foresee(self, session: Session, entry: Entry, value: Any) -> None:
-        """Refuse a value that could not be sent later either.
+        """Refuse a value that could not be sent at any later time either.
 
-        :raises OutOfRange: as `MotionLimit.check_value` does.
+        :raises OutOfRange: as `MotionLimit.check_value`.
         """
         bound = self._limits.of(entry.path)
         if bound is not None:
             bound.check_value(session, value)
 
     def dry_run(self, call: Call) -> Mapping[str, Any]:
-        """Tell a dry run which envelopes it stayed in."""
+        """Return the limits that applied, for a dry run."""
         return {"envelopes": self._limits.applied(call.session, call.entry) or None}
 
     def status(self, rights: Rights | None) -> StatusPart:
-        """Tell which paths accept nothing because an envelope does not fit them."""
+        """Report the paths that accept no commands because a limit does not fit them."""
         faults = self._limits.faults(rights)
         return StatusPart({"envelopes": faults}, degraded=bool(faults))
 
-    # -- what becomes of commands --------------------------------------------------------------
+    # -- command events --------------------------------------------------------------------------
 
     def sent(self, call: Call) -> None:
-        """Note that a value goes to the robot right now."""
+        """Record that a value is being sent to the robot."""
         bound, value = self._limits.of(call.entry.path), call.value
         if bound is None:
             return
@@ -75,25 +75,25 @@ class MotionLimitGuard:
             self._limits.drivers[call.entry.path] = call.session
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
-        """Note that the robot took what was sent, as `actual`."""
+        """Record that the robot accepted a value, as `actual`."""
         bound = self._limits.of(entry.path)
         if bound is not None:
             bound.force.settle(value, actual)
 
     def refused(self, entry: Entry, value: Any) -> None:
-        """Note that the robot did not take what was sent and goes on as before."""
+        """Record that the robot rejected a value and continues as before."""
         bound = self._limits.of(entry.path)
         if bound is not None:
             bound.force.withdraw(value)
 
     def stopping(self, entry: Entry, safe: Any) -> None:
-        """Note that a safe value is on its way."""
+        """Record that a safe value is being sent."""
         bound = self._limits.of(entry.path)
         if bound is not None:
             bound.force.attempt(safe)
 
     def rested(self, entry: Entry, safe: Any) -> None:
-        """Note that a safe value is in force, or the robot is brought to rest as a whole."""
+        """Record that the safe value is in force, or that the whole robot is at rest."""
         bound = self._limits.of(entry.path)
         if bound is not None:
             bound.force.rest(safe)

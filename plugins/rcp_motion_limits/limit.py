@@ -1,4 +1,4 @@
-"""One envelope at one path: what a command's value must fulfil, and what is said if it does not."""
+"""One motion limit on one path: its checks and error messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from rcp_kernel.features import Robots
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
-from rcp_motion_limits import commanded_values
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import Bound, EnvelopeConfig
 from rcp_motion_limits.place import Place
@@ -25,7 +24,7 @@ from rcp_motion_limits.place import Place
 __all__ = ["MotionLimit", "within"]
 
 _MODE: Ref = ("sensor", "mode")
-_LONGEST = 1.0  # s that a change may take for granted where the path has no `valid_for`
+_LONGEST = 1.0  # s assumed between commands at most, if the path has no `valid_for`
 
 
 class MotionLimit:
@@ -34,6 +33,7 @@ class MotionLimit:
     def __init__(self, table: EnvelopeConfig, entry: Entry, robots: Robots) -> None:
         self.table = table
         self.entry = entry
+        self._now = entry.clock.monotonic
         self.bounds = [(Field(name), bound) for name, bound in table.bounds.items()]
         self.rates = [(Field(name), most) for name, most in table.rate.items()]
         self.place = None if table.fence is None else Place(table.fence, entry, robots.entries)
@@ -44,7 +44,7 @@ class MotionLimit:
         self._longest = entry.resource.valid_for or _LONGEST
         self.units: dict[str, str | None] = {}
         self.fault = self._find_fault()
-        """Why nothing can be checked here, so that nothing is let through."""
+        """Why the limit does not fit the path, so that every command is refused."""
 
     def _find_fault(self) -> str | None:
         wanted = [(field, bool(bound.allow)) for field, bound in self.bounds]
@@ -63,9 +63,9 @@ class MotionLimit:
         return None
 
     def check_value(self, session: Session, value: Any) -> None:
-        """Refuse a value that never may, whatever state the robot will be in.
+        """Refuse a value that is not allowed in any state of the robot.
 
-        :raises OutOfRange: a field, or where it leads to, lies outside its limits.
+        :raises OutOfRange: a field or the commanded position is outside its limits.
         """
         for field, bound in self.bounds:
             for name, found in field.every(value):
@@ -74,11 +74,11 @@ class MotionLimit:
             self._check_place(session, self.place, value)
 
     def check(self, session: Session, value: Any, force: CommandedValues) -> None:
-        """Refuse a value that may not reach the robot now.
+        """Refuse a value that is not allowed now.
 
-        :raises OutOfRange: a field, its change or a place lies outside its limits.
-        :raises ModeForbids: the robot's mode is not one of those.
-        :raises PreconditionFailed: something does not hold, or cannot be known.
+        :raises OutOfRange: a field, its rate of change or a position is outside its limits.
+        :raises ModeForbids: the robot is in another mode.
+        :raises PreconditionFailed: the condition is false or unknown.
         """
         if self.fault is not None:
             raise PreconditionFailed(
@@ -99,7 +99,7 @@ class MotionLimit:
             self._check_place(session, self.place, value)
         for field, most in self.rates:
             for was in force.held:
-                step = most * min(max(0.0, commanded_values.clock() - was.since), self._longest)
+                step = most * min(max(0.0, self._now() - was.since), self._longest)
                 self._check_change(field, field.every(value), field.every(was.value), most, step)
 
     # -- the limits ----------------------------------------------------------------------------
@@ -207,9 +207,9 @@ class MotionLimit:
             )
         values = self._conditions.values(when.refs, self.entry)
         known = {".".join(ref): values.get(ref) for ref in when.refs}
-        said = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
+        listed = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
         raise PreconditionFailed(
-            f"the condition {when.text} does not hold: {said}{self.why}",
+            f"the condition {when.text} does not hold: {listed}{self.why}",
             path=self.entry.path,
             details={"condition": when.text, "values": known, **self.facts()},
         )
@@ -218,15 +218,15 @@ class MotionLimit:
         found = self._conditions.resource(ref, self.entry)
         return found is not None and bool(rights.mask(found[0].path) & Operation.READ)
 
-    # -- what is said --------------------------------------------------------------------------
+    # -- descriptions ----------------------------------------------------------------------------
 
     def facts(self) -> dict[str, Any]:
-        """Name the envelope."""
+        """Return the name of the limit for error details."""
         facts = {"envelope": self.table.name, "reason": self.table.reason}
         return {key: fact for key, fact in facts.items() if fact is not None}
 
     def told(self, rights: Rights) -> dict[str, Any]:
-        """Write the envelope for the catalogue; a condition only for who may read what it names."""
+        """Describe the limit; its condition only to those who may read the values."""
         plain = msgspec.to_builtins(self.table)
         keys = ("bounds", "rate", "fence", "modes")
         facts = {key: plain[key] for key in keys if plain[key]}
@@ -241,7 +241,7 @@ class MotionLimit:
 
     @property
     def why(self) -> str:
-        """The reason in brackets, for the end of a sentence."""
+        """The reason in brackets, to end a sentence."""
         return f" ({self.table.reason})" if self.table.reason else ""
 
     def _refuse(self, name: str, text: str, found: Any, unit: str | None, **more: Any) -> NoReturn:
@@ -259,7 +259,7 @@ class MotionLimit:
 
 
 def within(found: Any, bound: Bound) -> bool:
-    """Tell whether a field may hold something; what is no finite number is within no range."""
+    """Return whether a field may have a value; a non-finite number is in no range."""
     if found is None:
         return bound.optional
     if bound.allow:

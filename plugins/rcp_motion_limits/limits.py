@@ -1,7 +1,7 @@
-"""The envelopes of the configuration, worked out for the paths that they match.
+"""The configured motion limits, resolved for the paths that they match.
 
-For each path once when the configuration or the path changes: in steps in the background, or at the
-moment the path is asked about, so that a limit is never late.
+Each path is resolved once after a change of the configuration or the path: in steps in the
+background, or immediately when the path is used, so that a limit is never applied late.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
 from rcp_kernel.safety.safety import safe_value
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
-from rcp_motion_limits import commanded_values
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import EnvelopeConfig, MotionLimitsConfig, patterns
 from rcp_motion_limits.limit import MotionLimit
@@ -29,13 +28,13 @@ from rcp_motion_limits.narrowed import narrowed
 __all__ = ["BoundPath", "MotionLimits"]
 
 log = structlog.get_logger("rcp.envelopes")
-_MAX_HELD = 1000  # sets of grants that a path remembers
-_STEP = 8  # paths that are worked out in one step
+_MAX_HELD = 1000  # cached sets of grants per path
+_STEP = 8  # paths resolved per step
 _COMMANDED = Operation.WRITE | Operation.EXECUTE
 
 
 class BoundPath:
-    """Every envelope of one path."""
+    """All motion limits of one path."""
 
     __slots__ = ("_held", "_told", "entry", "envelopes", "force", "period", "safe")
 
@@ -44,7 +43,7 @@ class BoundPath:
     ) -> None:
         self.entry = entry
         self.period = period
-        """In which `force` is known: see `MotionLimits`."""
+        """The period of `MotionLimits` in which `force` was recorded."""
         self.envelopes = envelopes
         self.force = force
         self.safe = safe_value(entry)
@@ -53,12 +52,12 @@ class BoundPath:
 
     @property
     def sensors(self) -> set[str]:
-        """The sensors that say where the robot is, if it has to stay somewhere."""
+        """The sensors that fences of this path use."""
         places = (envelope.place for envelope in self.envelopes)
         return {p.sensor for p in places if p is not None and p.sensor is not None}
 
     def held(self, grants: Grants) -> tuple[MotionLimit, ...]:
-        """Return those to which a principal is held: any that names one of its roles here."""
+        """Return the limits that apply to a principal: those of any of its roles here."""
         found = self._held.get(grants)
         if found is None:
             roles = {
@@ -75,7 +74,7 @@ class BoundPath:
         return found
 
     def schema(self, grants: Grants) -> dict[str, Any] | None:
-        """Return the schema of what a principal may send, or None if no bound narrows it."""
+        """Return the schema of the values a principal may send; None if no bound narrows it."""
         if len(self._told) >= _MAX_HELD:
             self._told.clear()
         if grants not in self._told:
@@ -86,12 +85,12 @@ class BoundPath:
         return self._told[grants]
 
     def check(self, session: Session, value: Any) -> None:
-        """Refuse a value that may not reach the robot now."""
+        """Refuse a value that is not allowed now."""
         for envelope in self.held(session.principal.grants):
             envelope.check(session, value, self.force)
 
     def check_value(self, session: Session, value: Any) -> None:
-        """Refuse a value that may not reach the robot in any state of it, unless it stops it."""
+        """Refuse a value, except a stop, that is not allowed in any state of the robot."""
         if self.safe is not None and value == self.safe:
             return
         for envelope in self.held(session.principal.grants):
@@ -99,62 +98,63 @@ class BoundPath:
 
 
 class MotionLimits:
-    """Every envelope of the gateway."""
+    """All motion limits of the gateway."""
 
     def __init__(self, host: FeatureHost) -> None:
         self._host = host
+        self._now = host.clock.monotonic
         self._robots = host.robots
         self._tables: list[tuple[EnvelopeConfig, list[Pattern]]] = []
         self._bound: dict[str, BoundPath] = {}
-        """By path; what `_pending` names may be outdated."""
+        """By path; those in `_pending` may be outdated."""
         self._pending: dict[str, float] = {}
-        """Paths to work out, each with the time since which its envelopes count."""
+        """Paths to resolve, each with the time since which its limits apply."""
         self._working = False
         self._period = 0
-        """Rises when there are no envelopes: what is sent meanwhile is not heard of."""
+        """Incremented when there are no limits, because commands are not tracked then."""
         self._faults: dict[str, list[str]] = {}
         self.drivers: dict[str, Session] = {}
-        """Whose value is in force, by the path of the actuator."""
+        """The driver whose value is in force, by the path of the actuator."""
         self.on_bound: list[Callable[[str, BoundPath | None, BoundPath | None], None]] = []
-        """Called with a path and its envelopes, before and now."""
+        """Called with a path and its limits, before and after a change."""
         host.robots.follow(self._added, self._removed)
 
     @property
     def active(self) -> bool:
-        """Whether there is any envelope."""
+        """Whether any limit is configured."""
         return bool(self._tables)
 
     def configure(self, config: MotionLimitsConfig) -> None:
-        """Take over the envelopes of a configuration; they count from now on."""
+        """Apply the limits of a configuration from now on."""
         tables = config.envelopes
         self._tables = [(table, patterns(table.paths)) for table in tables]
-        asked = [condition(table.when) for table in tables if table.when is not None]
+        conditions = [condition(table.when) for table in tables if table.when is not None]
         modes = [condition("mode")] if any(table.modes for table in tables) else []
-        self._robots.conditions.use([*asked, *modes])
+        self._robots.conditions.use([*conditions, *modes])
         if not tables:
             self._period += 1
         paths = self._robots.entries if tables else self._bound
-        self._pending = dict.fromkeys(paths, commanded_values.clock())
+        self._pending = dict.fromkeys(paths, self._now())
         moving = {*self.drivers, *(command.path for command in self._host.control.running())}
-        for path in moving & self._pending.keys():  # a fence may stop these with the next sample
+        for path in moving & self._pending.keys():  # a fence may stop these at the next sample
             self._work_out(path)
         self._work()
 
     def of(self, path: str) -> BoundPath | None:
-        """Return the envelopes of a path, if it has any."""
+        """Return the limits of a path, if it has any."""
         if path in self._pending:
             self._work_out(path)
         return self._bound.get(path)
 
     def applied(self, session: Session, entry: Entry) -> list[dict[str, Any]]:
-        """List the envelopes that a command of the session has to stay in."""
+        """List the limits that apply to a command of the session."""
         bound = self.of(entry.path)
         if bound is None:
             return []
         return [envelope.facts() for envelope in bound.held(session.principal.grants)]
 
     def told(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
-        """Describe the envelopes to which a principal's commands are held, for the catalogue."""
+        """Describe the limits that apply to a principal's commands, for the catalogue."""
         bound = self.of(entry.path)
         held = () if bound is None else bound.held(rights.grants)
         if bound is None or not held:
@@ -165,9 +165,9 @@ class MotionLimits:
         return facts
 
     def faults(self, rights: Rights | None) -> dict[str, list[str]]:
-        """Return, by path that somebody may see, why an envelope does not fit it.
+        """Return why limits do not fit, by path visible to `rights`.
 
-        Such an envelope lets nothing through.
+        Commands to such a path are refused.
         """
         if rights is None or not self._faults:
             return dict(self._faults)
@@ -178,11 +178,11 @@ class MotionLimits:
             if (every or tenant_of(path) in rights.tenants) and rights.mask(path)
         }
 
-    # -- working out ---------------------------------------------------------------------------
+    # -- resolving -----------------------------------------------------------------------------
 
     def _added(self, entry: Entry) -> None:
         if self._tables or entry.path in self._bound:
-            self._pending[entry.path] = commanded_values.clock()
+            self._pending[entry.path] = self._now()
             self._work()
 
     def _removed(self, entry: Entry) -> None:
@@ -224,7 +224,7 @@ class MotionLimits:
                 if found != faults:
                     log.warning("envelope_does_not_fit", path=path, faults=found)
         self._replace(path, new)
-        del self._pending[path]  # last: what could not be worked out is tried again when asked
+        del self._pending[path]  # last: a path that could not be resolved is tried again when used
 
     def _matching(self, entry: Entry) -> list[EnvelopeConfig]:
         if not entry.operations & _COMMANDED or entry.tenant is None:
@@ -239,8 +239,8 @@ class MotionLimits:
         else:
             self.drivers.pop(path, None)
         if old is not None or new is not None:
-            for told in self.on_bound:
-                told(path, old, new)
+            for callback in self.on_bound:
+                callback(path, old, new)
 
 
 def _called(entry: Entry) -> bool:
@@ -248,8 +248,8 @@ def _called(entry: Entry) -> bool:
 
 
 def _first(entry: Entry, since: float) -> CommandedValues:
-    """Begin with what may be in force on a path of which nothing is known yet."""
-    force = CommandedValues()
+    """Return the values that may be in force on a path that was not tracked before."""
+    force = CommandedValues(entry.clock.monotonic)
     if (safe := safe_value(entry)) is not None:
         force.attempt(safe, since)
     if entry.latest is not None and entry.operations & Operation.WRITE:

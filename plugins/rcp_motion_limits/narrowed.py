@@ -1,4 +1,4 @@
-"""A JSON Schema narrowed by the bounds of envelopes: what a principal may send, for forms and models."""
+"""A JSON Schema narrowed by bounds: the values a principal may send, for forms and models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _KEPT = ("title", "description", "unit", "default")
 
 
 def narrowed(schema: Schema, bounds: Iterable[tuple[str, Bound]]) -> Schema:
-    """Return the schema of what fits it and some bounds by field; it has no `$id`."""
+    """Return a schema narrowed by bounds, given by field; the result has no `$id`."""
     root = {key: item for key, item in schema.items() if key != "$id"}
     for field, bound in bounds:
         steps = tuple(field.split(".")) if field else ()
@@ -26,7 +26,7 @@ def narrowed(schema: Schema, bounds: Iterable[tuple[str, Bound]]) -> Schema:
 
 
 def _narrow(node: Any, steps: tuple[str, ...], bound: Bound, defs: Schema) -> Schema | None:
-    """Narrow what stands at a field; None if nothing is left of this node."""
+    """Narrow the schema of a field; None if no value is left."""
     node = _resolved(node, defs)
     if "anyOf" in node:
         return _narrow_options(node, steps, bound, defs)
@@ -112,12 +112,12 @@ def _bounded(node: Schema, bound: Bound) -> Schema | None:
 
 
 def _holds(default: Any, steps: tuple[str, ...], bound: Bound) -> bool:
-    """Whether leaving a field out is good."""
+    """Return whether omitting a field satisfies the bound."""
     return all(within(found, bound) for _, found in Field(".".join(steps)).every(default))
 
 
 def _resolved(node: Any, defs: Schema) -> Schema:
-    """Return a node with what it refers to written out in it."""
+    """Return a node with its reference resolved."""
     out: Schema = dict(node) if is_map(node) else {}
     while (ref := out.pop("$ref", None)) is not None:
         out = {**defs.get(ref.rpartition("/")[2], {}), **out}

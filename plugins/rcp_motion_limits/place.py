@@ -1,4 +1,4 @@
-"""Where a command leads, or where the robot stands, against the areas of a fence."""
+"""Positions, commanded or measured, checked against the areas of a fence."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["Place"]
 
 
 class Place:
-    """A fence, and how to find the point that it is about."""
+    """A fence, and the location of the position that it checks."""
 
     def __init__(self, fence: Fence, entry: Entry, entries: Mapping[str, Entry]) -> None:
         self.point = (Field(fence.point[0]), Field(fence.point[1]))
         self.sensor = None
-        """The path that says where the robot is; None: the command says where it leads."""
+        """The path of the position sensor; None uses the position in the command."""
         if fence.of is not None:
             self.sensor = full_path(entry.tenant or "", entry.robot, fence.of)
         self._inside = {name: Polygon(corners) for name, corners in fence.inside.items()}
@@ -32,7 +32,7 @@ class Place:
         self._entries = entries
 
     def trouble(self, x: float, y: float) -> tuple[list[str], str] | None:
-        """Return the areas that a point offends, with a clause for a person; None if it is good."""
+        """Return the violated areas with a clause for messages; None if there are none."""
         if self._inside and not any(area.holds(x, y) for area in self._inside.values()):
             names = list(self._inside)
             return names, f"is outside of {' and '.join(names)}"
@@ -42,18 +42,18 @@ class Place:
         return None
 
     def commanded(self, value: Any) -> tuple[float, float] | None:
-        """Return where a value leads, or None if it does not say so."""
+        """Return the commanded position, or None if the value contains none."""
         return _point(self.point[0].one(value), self.point[1].one(value))
 
     def of_sample(self, sample: Sample) -> tuple[float, float] | None:
-        """Return where a sample says the robot is, or None if it does not."""
+        """Return the robot's position in a sample, or None if it contains none."""
         try:
             return self.commanded(sample.value)
-        except RcpError:  # noted as the backend's fault
+        except RcpError:  # reported as a fault of the backend
             return None
 
     def present(self) -> tuple[float, float] | None:
-        """Return where the robot is, or None while that cannot be known."""
+        """Return the robot's current position, or None if it is unknown."""
         entry = self._entries.get(self.sensor or "")
         if entry is None or entry.latest is None or entry.stale:
             return None

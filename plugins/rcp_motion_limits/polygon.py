@@ -1,4 +1,4 @@
-"""Areas in a plane, as fences need them: is a point in it, and is it an area at all."""
+"""Polygons in a plane, for fences: point-in-polygon test and validity check."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from itertools import combinations
 __all__ = ["Corner", "Polygon"]
 
 Corner = tuple[float, float]
-_EDGE = 1e-9  # of the largest coordinate: as near to an edge counts as on it
+_EDGE = 1e-9  # tolerance relative to the largest coordinate, within which a point is on an edge
 
 
 class Polygon:
-    """A simple polygon; its edges belong to it.
+    """A simple polygon, including its boundary.
 
-    :raises ValueError: fewer than three corners, one twice in a row, or edges that meet.
+    :raises ValueError: it has fewer than three corners, repeated corners, or intersecting edges.
     """
 
     __slots__ = ("_edges", "_near", "corners")
@@ -46,7 +46,7 @@ class Polygon:
                 raise ValueError(f"crosses or touches itself near {list(one[1])}")
 
     def holds(self, x: float, y: float) -> bool:
-        """Tell whether a point lies in the area or on its edge."""
+        """Return whether a point is inside or on the boundary."""
         inside = False
         for (xa, ya), (xb, yb) in self._edges:
             if _distance(x, y, xa, ya, xb, yb) <= self._near:
@@ -68,12 +68,12 @@ def _side(a: Corner, b: Corner, c: Corner) -> float:
 
 
 def _between(a: Corner, b: Corner, c: Corner) -> bool:
-    """Whether `c`, on the line through `a` and `b`, lies between them."""
+    """Return whether `c`, on the line through `a` and `b`, lies between them."""
     return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
 
 
 def _folds(a: Corner, b: Corner, c: Corner) -> bool:
-    """Whether two edges that share `b` lie on one another."""
+    """Return whether two edges that share `b` overlap."""
     if _side(a, b, c) != 0:
         return False
     return (a[0] - b[0]) * (c[0] - b[0]) + (a[1] - b[1]) * (c[1] - b[1]) > 0

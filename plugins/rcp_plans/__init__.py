@@ -1,4 +1,4 @@
-"""Plans: many operations as one command, checked whole before the first, run with the asker's rights."""
+"""Plans: several operations as one command, checked as a whole, run with the sender's rights."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _make(table: PlansTable, _host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer plans."""
+    """Register the feature `plans`."""
     return [
         FeatureKind("plans", PlansTable, _make, __doc__ or "", table=_table, check=_check),
     ]

@@ -1,4 +1,4 @@
-"""`/system/plans`: a plan becomes a command when it has passed its check."""
+"""`/system/plans`: a plan that passes its check becomes a command."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ __all__ = ["Plans"]
 
 
 class Plans:
-    """The action of the feature."""
+    """The `execute` action of `/system/plans`."""
 
     def __init__(self, config: PlansConfig) -> None:
         self._config = config
         self._allowance = Allowance()
 
     def reconfigure(self, table: PlansTable) -> None:
-        """Take over another table; plans that run go on."""
+        """Apply a new configuration; running plans continue."""
         self._config = table.plans
 
     def admit(self, session: Session, running: Sequence[Command]) -> None:
-        """Refuse one plan too many.
+        """Refuse a plan beyond the limit.
 
-        :raises QueueFull: as many of its tenant run as may.
+        :raises QueueFull: the tenant already runs as many plans as allowed.
         """
         limit = self._config.running
         if sum(1 for command in running if command.tenant == session.tenant) >= limit:
@@ -51,10 +51,10 @@ class Plans:
     def prepare(
         self, session: Session, request: Request, entry: Entry, host: ActionHost
     ) -> Generator[None, None, PlanRun]:
-        """Check a plan whole, in steps.
+        """Check a whole plan, in steps.
 
-        :raises PayloadTooLarge: it is longer than it may be.
-        :raises RcpError: something is wrong with it; see `PlanChecker.check`.
+        :raises PayloadTooLarge: the plan is too long.
+        :raises RcpError: the plan is invalid; see `PlanChecker.check`.
         """
         size, limit = len(bytes(request.body)), self._config.size
         if size > limit:
@@ -70,11 +70,11 @@ class Plans:
         return PlanRun(checked, approvals, host)
 
     def stops(self, request: Request, is_stop: Callable[[Request], bool]) -> bool:
-        """Tell whether a plan has nothing but steps that stop something."""
+        """Return whether every step of a plan stops something."""
         return only_stops(request, is_stop)
 
     def show(self, command: Command) -> PlanState:
-        """Return what the list has of a plan."""
+        """Return a plan as the list of plans shows it."""
         last = command.history[-1]
         given = command.input
         body = last.body

@@ -1,8 +1,7 @@
-"""The check of a whole plan before its first step: every fault is found, nothing is changed.
+"""The check of a whole plan before its first step: reports every fault and changes nothing.
 
-What hangs on the state of a robot (conditions of rules and envelopes, rates of change, whether an
-action is running) may be another when a step's turn comes: that is checked then, as for any
-request.
+Whatever depends on the state of a robot (conditions, rate limits, running actions) may have changed
+when a step begins; it is checked then, as for any request.
 """
 
 from __future__ import annotations
@@ -52,27 +51,27 @@ _OPERATIONS = {
     "execute": Operation.EXECUTE,
 }
 _NOT_HERE = ("/system/plans", "/system/approvals")
-_SEARCHES = 5  # misspelt names of one plan for which near ones are looked for
-_STEP = 32  # resources that are judged at once
+_SEARCHES = 5  # misspelt names per plan for which similar names are searched
+_STEP = 32  # resources checked per step
 _MARK = f'"{MARK}"'.encode()
 
 
 @dataclass(frozen=True, slots=True)
 class PlanChecker:
-    """Checks plans against all that their steps will have to pass."""
+    """Checks plans against everything that their steps will have to pass."""
 
     host: ActionHost
     control: ControlService
     approvals: ApprovalService
     config: PlansConfig
     allowance: Allowance
-    """Of principals that send conditions."""
+    """Time budgets of the principals that send conditions."""
 
     def check(self, session: Session, plan: Plan) -> Generator[None, None, Checked]:
-        """Return a plan that may begin, or refuse it with everything that is wrong, in steps.
+        """Return a valid plan, or refuse it with all its faults; runs in steps.
 
-        :raises RateLimited: whoever sent it has had too many conditions read.
-        :raises RcpError: with the code of the first fault, and all in `details.faults`.
+        :raises RateLimited: the sender has used up the time for compiling conditions.
+        :raises RcpError: with the code of the first fault, and all faults in `details.faults`.
         """
         return _Check(self, session).check(plan)
 
@@ -88,12 +87,12 @@ class _Check:
         self._faults: list[Fault] = []
         self._ids: dict[str, Node] = {}
         self._types: dict[str, ValueType] = {}
-        """Of the results of steps."""
+        """References to the results of steps."""
         self._count = 0
         self._reader = ConditionReader(against.allowance, session.principal.name)
         self._searches = 0
         self._gained: list[Scope] = []
-        """What earlier steps gain control of."""
+        """Scopes of which earlier steps gain control."""
         self._checked: Checked | None = None
 
     def check(self, plan: Plan) -> Generator[None, None, Checked]:
@@ -118,7 +117,7 @@ class _Check:
             )
         if plan.steps is not None:
             return list(plan.steps)
-        most = self._limits.steps + 1  # one too many is refused by its number
+        most = self._limits.steps + 1  # one more than allowed, which is refused by its number
         if plan.lines is not None:
             steps, self._faults = from_lines(plan.lines, most)
             return steps
@@ -168,9 +167,9 @@ class _Check:
         yield
 
     def _codes(self, retry: Retry | None) -> Work:
-        """Refuse to try again on what is no code: it never would be.
+        """Refuse unknown error codes in `retry`: they would never match.
 
-        :raises InvalidValue: one is none.
+        :raises InvalidValue: a code is unknown.
         """
         for code in retry.on if retry is not None else ():
             if code not in BY_CODE:
@@ -183,16 +182,16 @@ class _Check:
         yield
 
     def _may_search(self) -> bool:
-        """Tell whether near names may still be looked for: that is dear."""
+        """Return whether another search for similar names is allowed: it is expensive."""
         self._searches += 1
         return self._searches <= _SEARCHES
 
-    # -- what steps have to do with each other -------------------------------------------------
+    # -- relations between steps -----------------------------------------------------------------
 
     def _relate(
         self, nodes: list[Node], known: dict[str, Node]
     ) -> Generator[None, None, dict[str, Node]]:
-        """Check steps that follow each other; return those that have ended after them."""
+        """Check consecutive steps; return the steps that have ended after them."""
         for node in nodes:
             if node.step.after:
                 error = BadRequest("`after` is allowed only in the steps of a `parallel`")
@@ -277,7 +276,7 @@ class _Check:
         self._types[node.id] = entry.output_type if isinstance(step, Execute) else entry.value_type
         if isinstance(step, Read):
             if self._host.is_personal(entry.path):
-                self._checked.touches[EVERYTHING] = None  # it shows whoever sent the plan his own
+                self._checked.touches[EVERYTHING] = None  # it shows the sender only its own plans
             if not refers:
                 self._host.check_read(step.value)
             return
@@ -356,7 +355,7 @@ class _Check:
         self._host.foresee(self._session, entry, value, gained=gained, complete=not refers)
 
     def _condition(self, node: Node, text: str, name: str) -> Work:
-        """Compile a condition of a step, which may be about what its asker may read alone."""
+        """Compile a condition of a step, which may use only values that the sender may read."""
         found = self._reader.read(text, name)
         yield
         assert self._checked is not None

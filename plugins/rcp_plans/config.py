@@ -1,4 +1,4 @@
-"""`[plans]`: how large plans may be, and what the names of symbolic ones mean."""
+"""`[plans]`: limits of plans, and the actions and objects of symbolic plans."""
 
 from __future__ import annotations
 
@@ -18,43 +18,43 @@ ARGUMENT = re.compile(r"\{(\d+)((?:\.\w+)*)\}")
 
 
 class ActionTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What one action of symbolic plans means; `{0}`, `{1}`… stand for its arguments."""
+    """The meaning of one action of symbolic plans; `{0}`, `{1}`… stand for its arguments."""
 
     path: Annotated[str, Meta(pattern="^/", max_length=512)]
     do: Literal["execute", "write", "read"] = "execute"
     value: Any = None
-    """A text that is `{1}` as a whole becomes the argument: an object of the table, a number, a
-    text. `{1.x}` is a field of an object."""
+    """A string that consists of `{1}` becomes the argument: an object of the table, a number or a
+    string. `{1.x}` is a field of an object."""
     deadline: Annotated[float, Meta(gt=0, le=86_400)] | None = None
-    """Seconds for each such step."""
+    """Deadline of each such step, s."""
 
 
 class PlansConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Bounds of plans, and the table of symbolic ones."""
+    """Limits of plans, and the tables for symbolic plans."""
 
     steps: Annotated[int, Meta(ge=1, le=10_000)] = 200
-    """In one plan, those within others and in fallbacks included."""
+    """Maximum number of steps in a plan, including nested steps and fallbacks."""
     depth: Annotated[int, Meta(ge=1, le=16)] = 8
-    """Steps within steps."""
+    """Maximum nesting of steps."""
     size: Annotated[int, Meta(ge=1024)] = 262_144
-    """Bytes of a plan."""
+    """Maximum size of a plan, bytes."""
     running: Annotated[int, Meta(ge=1)] = 32
-    """Plans of one tenant at once."""
+    """Maximum number of running plans per tenant."""
     actions: dict[str, ActionTable] = {}
     objects: dict[str, Any] = {}
-    """Values by the names that symbolic plans use for them."""
+    """Values by the names that symbolic plans use."""
 
 
 class PlansTable(msgspec.Struct, frozen=True, kw_only=True):
-    """The table under its name, so that what is wrong with it is told with its place."""
+    """The table with its name, so that errors report their location."""
 
     plans: PlansConfig = PlansConfig()
 
 
 def check_plans(config: PlansConfig) -> None:
-    """Refuse actions that could never be carried out.
+    """Check that every action can be executed.
 
-    :raises ConfigError: with the table.
+    :raises ConfigError: an action is invalid; names its table.
     """
     for name, table in config.actions.items():
         where = f"[plans.actions.{name}]"

@@ -1,7 +1,7 @@
-"""Runs a checked plan: each step is an ordinary request of whoever sent the plan.
+"""Runs a checked plan: each step is an ordinary request of the plan's sender.
 
-So a step passes every check that it would pass by itself, with the rights of its moment, and
-what it sets going is a command like any other, with an entry of its own in record and history.
+A step therefore passes all the usual checks, with the rights at that time, and the commands it
+starts have their own entries in the history and the audit log.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from rcp_plans.requests import StepRequests
 
 __all__ = ["Engine"]
 
-_LOOK = 0.1  # s between looks at a condition
-_UNKNOWN = 2.0  # s that the value of a condition may take to be known
-_TOGETHER = 8  # steps of a `parallel` that begin in one turn of the loop
+_LOOK = 0.1  # s between two evaluations of a condition
+_UNKNOWN = 2.0  # s that the value of a condition may be unknown
+_TOGETHER = 8  # steps of a `parallel` that start in one turn of the event loop
 
 
 class Engine:
@@ -65,9 +65,9 @@ class Engine:
         self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
 
     async def run(self, token: str | None) -> None:
-        """Run the steps in order; `token` stands for an approval of all of them.
+        """Run the steps in order; `token` identifies the approval of the whole plan.
 
-        :raises RcpError: a step failed, and had no fallback that did not.
+        :raises RcpError: a step failed, and so did its fallback, if any.
         """
         self._sending.token = token
         if self._conditions:
@@ -94,7 +94,7 @@ class Engine:
             raise
         except RcpError as error:
             self._telling.change(node, "failed", error=error_body(error), message=error.message)
-            # An e-stop ends the plan, whatever it says.
+            # An e-stop always ends the plan.
             if not node.fallback or isinstance(error, EstopActive):
                 raise _of_step(node, error) from None
             await self._sequence(node.fallback)
@@ -104,7 +104,7 @@ class Engine:
                 self._telling.change(node, "completed")
 
     def _cancelled(self, node: Node) -> None:
-        """Tell of an operation that was cut off; of waits and groups, the plan's end tells."""
+        """Report an operation that was cut off; waits and groups are covered by the plan's end."""
         if isinstance(node.step, Operate):
             self._telling.change(node, "cancelled")
         else:
@@ -154,7 +154,7 @@ class Engine:
             async with paced_timeout(self._turns, self._owner, left):
                 await work
         except TimeoutError as error:
-            if isinstance(error, RcpError):  # a step's own
+            if isinstance(error, RcpError):  # raised by the step itself
                 raise
             raise _late(node) from None
 
@@ -163,7 +163,7 @@ class Engine:
             one.raw = None
             self._telling.quietly(one, "pending")
 
-    # -- what steps do -------------------------------------------------------------------------
+    # -- operations ------------------------------------------------------------------------------
 
     async def _operate(self, node: Node, step: Operate, left: float | None) -> None:
         state = node.state
@@ -204,7 +204,7 @@ class Engine:
         finally:
             for task in tasks.values():
                 task.cancel()
-            # What was told to stop is waited for: the next step must not begin before.
+            # Wait for the cancelled steps: the next step must not begin before they have ended.
             await asyncio.gather(*tasks.values(), return_exceptions=True)
 
     async def _branch(
@@ -220,7 +220,7 @@ class Engine:
                 )
                 raise _of_step(child, error)
             async with gate:
-                # Hundreds may begin together, in all plans.
+                # Hundreds may begin at once, over all plans.
                 await self._turns.wait(self._owner)
                 await self._step(child)
         except asyncio.CancelledError:
@@ -232,9 +232,9 @@ class Engine:
     async def _until(
         step: Parallel, children: list[Node], tasks: dict[str, asyncio.Task[None]]
     ) -> None:
-        """Wait until all steps have completed, or as many as are needed.
+        """Wait until all steps have completed, or as many as required.
 
-        :raises RcpError: of the first that failed.
+        :raises RcpError: the error of the first step that failed.
         """
         running = set(tasks.values())
         failed: BaseException | None = None
@@ -260,9 +260,9 @@ class Engine:
             await self._pause()
 
     async def _holds(self, node: Node, when: Condition) -> bool:
-        """Tell whether a condition holds now.
+        """Return whether a condition holds now.
 
-        :raises PreconditionFailed: it cannot be known.
+        :raises PreconditionFailed: it cannot be evaluated.
         """
         await self._pace.wait()
         until = self._loop.time() + _UNKNOWN
@@ -276,15 +276,15 @@ class Engine:
         return found
 
     async def _pause(self) -> None:
-        # Not an event: in some conditions nothing changes but the time.
+        # Not an event: some conditions depend on nothing but the time.
         await self._pace.wait(_LOOK)
 
     def _look(self, node: Node, condition: Condition) -> bool | None:
-        """Look at a condition once.
+        """Evaluate a condition once; None if a value is missing.
 
-        :raises PreconditionFailed: its values are too large to be looked at.
+        :raises PreconditionFailed: its values are too large to evaluate it.
         """
-        paths = looked_at(self._values, self._session, node, condition)  # rights may have gone
+        paths = looked_at(self._values, self._session, node, condition)  # rights may be revoked
         with self._pace.spending():
             found = self._values.holds(condition, node)
             if found is None:
@@ -294,7 +294,7 @@ class Engine:
         return found
 
     def _ask_for(self, paths: list[str]) -> None:
-        """Have values read that no robot has published yet: some never do by themselves."""
+        """Read values that no robot has published yet: some are not published without a request."""
         for path in paths:
             entry = self._host.registry.entries.get(path)
             if entry is not None and entry.latest is None and path not in self._asked:
@@ -318,7 +318,7 @@ def _late(node: Node) -> DeadlineExceeded:
 
 
 def _of_step(node: Node, error: RcpError) -> RcpError:
-    """Say in which step an error came about; the innermost stays."""
+    """Name the step in which an error occurred; the innermost one stays."""
     if "step" in (error.details or {}) and isinstance(node.step, Group):
         return error
     kind = BY_CODE.get(error.code, InternalError)

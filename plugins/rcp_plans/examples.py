@@ -1,4 +1,4 @@
-"""Plans that discovery shows, one in each notation."""
+"""Example plans for discovery, one in each notation."""
 
 from __future__ import annotations
 

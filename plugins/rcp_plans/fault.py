@@ -1,4 +1,4 @@
-"""What is wrong with a plan: everything at once, each with the step it is in."""
+"""Faults of a plan: all of them, each with its step."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from rcp_kernel.errors import RcpError
 
 __all__ = ["Fault", "refusal"]
 
-_TOLD = 100  # faults that an error lists
+_TOLD = 100  # faults listed in an error
 
 
 class Fault(NamedTuple):
     """One fault."""
 
     step: str
-    """Its id, or the line that it stands in."""
+    """Id of the step, or the line that contains it."""
     error: RcpError
 
     def plain(self) -> dict[str, Any]:
-        """Write the fault as plain data."""
+        """Return the fault as plain data."""
         error = self.error
         facts = {
             "step": self.step,
@@ -33,7 +33,7 @@ class Fault(NamedTuple):
 
 
 def refusal(faults: list[Fault]) -> RcpError:
-    """Make one error of all faults; its code is that of the first."""
+    """Return one error for all faults, with the code of the first."""
     first = faults[0]
     count = f"{len(faults)} faults; the first is" if len(faults) > 1 else "a fault"
     details: dict[str, Any] = {"faults": [fault.plain() for fault in faults[:_TOLD]]}

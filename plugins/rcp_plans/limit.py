@@ -1,4 +1,4 @@
-"""The deadlines of steps: many that pass at once end one after the other, not in one turn of the loop."""
+"""Deadlines of steps, spread over turns of the event loop when many expire at once."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["paced_timeout"]
 async def paced_timeout(
     turns: Turns, owner: Hashable, seconds: float | None
 ) -> AsyncGenerator[None]:
-    """Do as `asyncio.timeout`, when there is a turn for it.
+    """Act as `asyncio.timeout`, but expire only when the event loop has a turn to spare.
 
-    :raises TimeoutError: what is done while entered took longer.
+    :raises TimeoutError: the body took longer than `seconds`.
     """
     if seconds is None:
         yield

@@ -18,7 +18,7 @@ from rcp_plans.model import Execute, Read, Step, Write
 __all__ = ["LINES", "from_lines", "plain_steps", "word"]
 
 LINES: ServiceKey[Callable[[str], list[dict[str, Any]]]] = ServiceKey("plans.lines")
-"""Translates commands, one a line, into the steps of a plan as plain data."""
+"""Translates commands, one per line, into the steps of a plan as plain data."""
 
 _LINE = re.compile(r"(?P<do>\S+)\s+(?P<path>\S+)(?:\s+(?P<rest>.*\S))?\s*\Z", re.DOTALL)
 _PAIR = re.compile(r"([A-Za-z_][\w.]*)=(\"(?:[^\"\\]|\\.)*\"|\S+)(?:\s+|\Z)")
@@ -26,7 +26,7 @@ _SYNTAX = "Use `read|write|execute <path> [value]`; a value is JSON, or name=val
 
 
 def from_lines(text: str, most: int | None = None) -> tuple[list[Step], list[Fault]]:
-    """Translate commands, one a line, at most `most` of them; `#` begins a comment line."""
+    """Translate commands, one per line, at most `most` of them; `#` begins a comment line."""
     steps: list[Step] = []
     faults: list[Fault] = []
     for number, line in islice(_lines(text), most):
@@ -38,7 +38,7 @@ def from_lines(text: str, most: int | None = None) -> tuple[list[Step], list[Fau
 
 
 def plain_steps(text: str) -> list[dict[str, Any]]:
-    """Translate commands into steps as plain data; what is no command is left out."""
+    """Translate commands into steps as plain data; invalid lines are skipped."""
     return [msgspec.to_builtins(step) for step in from_lines(text)[0]]
 
 
@@ -69,7 +69,7 @@ def _command(line: str, id_: str) -> Step:
 
 
 def _value(text: str) -> Any:
-    """Read JSON, or pairs such as `x=1 label="a b"`; a dot in a name leads into an object."""
+    """Parse JSON, or pairs such as `x=1 label="a b"`; a dot in a name selects a nested field."""
     try:
         return msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError):
@@ -77,9 +77,9 @@ def _value(text: str) -> Any:
     out: dict[str, Any] = {}
     place = 0
     while pair := _PAIR.match(text, place):
-        *way, last = pair[1].split(".")
+        *parents, last = pair[1].split(".")
         inner = out
-        for step in way:
+        for step in parents:
             child = inner.setdefault(step, {})
             if not is_map(child):
                 raise InvalidValue(f"'{pair[1]}' is both a value and an object")
@@ -92,7 +92,7 @@ def _value(text: str) -> Any:
 
 
 def word(text: str) -> Any:
-    """Read a number, a truth value or a quoted text; anything else is the text itself."""
+    """Parse a number, a boolean or a quoted string; anything else is a string."""
     try:
         found = msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError):

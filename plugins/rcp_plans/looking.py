@@ -1,4 +1,4 @@
-"""Conditions of plans: over live values, and only those that whoever sent the plan may read."""
+"""The values used by conditions of plans: live values, and only those the sender may read."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["looked_at", "refuse_excess"]
 def looked_at(
     conditions: Conditions, session: Session, node: Node, condition: Condition
 ) -> list[str]:
-    """Return the paths that a condition of a step is about.
+    """Return the paths used by a condition of a step.
 
-    :raises UnknownPath: one is not there, or hidden.
-    :raises Forbidden: the session may not read one.
+    :raises UnknownPath: a path does not exist, or is hidden.
+    :raises Forbidden: the session may not read one of them.
     """
     return [_path(conditions, session, node, ref) for ref in condition.refs]
 
@@ -38,7 +38,7 @@ def _path(conditions: Conditions, session: Session, node: Node, ref: tuple[str, 
 
 
 def refuse_excess(conditions: Conditions, node: Node, condition: Condition) -> None:
-    """Refuse a condition whose values are too large for it now.
+    """Refuse a condition whose current values are too large.
 
     :raises PreconditionFailed: they are.
     """

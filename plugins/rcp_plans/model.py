@@ -1,4 +1,4 @@
-"""What a plan looks like on the wire, and what is told of each of its steps."""
+"""The wire format of plans, and the reported state of each step."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ _Id = Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_-]*$", max_length=64)]
 _Path = Annotated[str, Meta(max_length=512)]
 _Condition = Annotated[str, Meta(min_length=1, max_length=2000)]
 State = Literal["pending", "running", "completed", "recovered", "failed", "skipped", "cancelled"]
-"""`recovered`: it failed, and its fallback completed."""
+"""`recovered`: the step failed, and its fallback completed."""
 
 
 class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Try a failed step again."""
+    """How a failed step is repeated."""
 
     times: Annotated[int, Meta(ge=1, le=100, extra_json_schema={"unit": "1"})]
-    """Further tries at most."""
+    """Maximum number of repetitions."""
     delay: _Delay = 0.0
-    """Between two tries."""
+    """Delay between two attempts."""
     on: tuple[str, ...] = ()
-    """Only after these error codes; those that say `retryable` if none is named."""
+    """Repeat only after these error codes; by default after those marked `retryable`."""
 
 
 class _Step(
@@ -57,25 +57,25 @@ class _Step(
     omit_defaults=True,
     tag_field="do",
 ):
-    """What every step may have."""
+    """Fields common to all steps."""
 
     id: _Id | None = None
-    """For results and reports; its place in the plan (`2`, `2.1`) if not given."""
+    """Used in results and reports; by default the position in the plan (`2`, `2.1`)."""
     when: _Condition | None = None
-    """CEL over live values; the step is skipped unless it holds."""
+    """CEL expression over live values; the step is skipped if it is false."""
     robot: Annotated[str, Meta(max_length=64)] | None = None
-    """Whose values conditions mean; that of the path, or the tenant's own, if not given."""
+    """Robot whose values conditions use; by default that of the path, or the tenant's own."""
     deadline: _Seconds | None = None
-    """For the step with all its tries."""
+    """Maximum duration of the step, including all attempts."""
     retry: Retry | None = None
     fallback: tuple[Step, ...] = ()
-    """Steps that are run if this one fails; the plan goes on after them."""
+    """Steps that run if this one fails; the plan continues after them."""
     after: tuple[str, ...] = ()
-    """In a `parallel`: earlier steps of it that have to complete first."""
+    """In a `parallel`: earlier steps that must complete first."""
 
 
 class Read(_Step, frozen=True, tag="read"):
-    """Read a resource, or all of a pattern; `value` has the options of `read`."""
+    """Read a resource, or all resources of a pattern; `value` has the options of `read`."""
 
     do: ClassVar[Literal["read"]] = "read"
     path: _Path
@@ -100,21 +100,21 @@ class Execute(_Step, frozen=True, tag="execute"):
 
 
 class Sequence(_Step, frozen=True, tag="sequence"):
-    """Run steps one after the other."""
+    """Run steps in sequence."""
 
     do: ClassVar[Literal["sequence"]] = "sequence"
     steps: Annotated[tuple[Step, ...], Meta(min_length=1)]
 
 
 class Parallel(_Step, frozen=True, tag="parallel"):
-    """Run steps side by side."""
+    """Run steps concurrently."""
 
     do: ClassVar[Literal["parallel"]] = "parallel"
     steps: Annotated[tuple[Step, ...], Meta(min_length=1)]
     limit: Annotated[int, Meta(ge=1, extra_json_schema={"unit": "1"})] | None = None
-    """At once; without it all of them."""
+    """Maximum number of concurrent steps; unlimited by default."""
     need: Literal["all", "any"] = "all"
-    """`all`: the first failure cancels the others; `any`: the first that completes does."""
+    """`all`: the first failure cancels the others; `any`: the first completion does."""
 
 
 class Wait(_Step, frozen=True, tag="wait"):
@@ -136,38 +136,38 @@ class Plan(
     """A plan in one of its notations: `steps`, `symbolic` or `lines`."""
 
     name: Annotated[str, Meta(max_length=128)] | None = None
-    """For people."""
+    """A name for display."""
     steps: tuple[Step, ...] | None = None
-    """Run one after the other."""
+    """Steps, run in sequence."""
     symbolic: str | None = None
-    """What a PDDL planner prints: `(move_to alpha 1.0 2.0)`, one action a line."""
+    """Output of a PDDL planner: `(move_to alpha 1.0 2.0)`, one action per line."""
     lines: str | None = None
-    """The command syntax: `execute /action/move_to {"x": 1}`, one command a line."""
+    """Command lines: `execute /action/move_to {"x": 1}`, one per line."""
 
 
 class StepState(msgspec.Struct, omit_defaults=True, kw_only=True):
-    """What has become of a step."""
+    """The state of a step."""
 
     step: str
-    """Its id."""
+    """Id of the step."""
     do: Literal["read", "write", "execute", "sequence", "parallel", "wait"]
     state: State = msgspec.field(default_factory=lambda: "pending")  # always written
     path: str | None = None
     tries: Annotated[int, Meta(extra_json_schema={"unit": "1"})] = 0
     progress: Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})] | None = None
-    """The part done that the robot reports."""
+    """Progress as reported by the robot."""
     feedback: Any = None
-    """What the robot reported last, while it runs."""
+    """Last feedback from the robot, while the step runs."""
     result: Any = None
     omitted: Annotated[int, Meta(extra_json_schema={"unit": "By"})] | None = None
-    """Length of a result that is too long to be told here."""
+    """Size of a result that is too long to report."""
     truncated: bool = False
-    """Whether `result` is only the first page of what a pattern reads; `cursor` leads on."""
+    """Whether `result` is only the first page of a pattern; continue with `cursor`."""
     cursor: str | None = None
     error: dict[str, Any] | None = None
     message: str | None = None
     command: str | None = None
-    """Of an execute: the gateway's id of its command."""
+    """For an execute: the gateway's id of its command."""
     started: Time | None = None
     ended: Time | None = None
 
@@ -179,10 +179,10 @@ class PlanResult(msgspec.Struct, omit_defaults=True, kw_only=True):
 
 
 class PlanState(msgspec.Struct, omit_defaults=True, kw_only=True):
-    """A plan that runs or ran."""
+    """A running or finished plan."""
 
     command: str
-    """Its command's id: by it the plan is cancelled and followed."""
+    """Id of its command, by which the plan is followed and cancelled."""
     status: str
     principal: str
     created: Time

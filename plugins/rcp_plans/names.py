@@ -1,4 +1,4 @@
-"""What an action of a symbolic plan means that no table names: by robots, names and schemas."""
+"""Actions of symbolic plans that no table defines, resolved by robot names, names and schemas."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from rcp_plans.symbolic import Action
 __all__ = ["NameScope"]
 
 _CALLED = (Kind.ACTION, Kind.SERVICE)
-_STEP = 32  # resources that are judged at once
-_SEARCHES = 5  # misspelt names of one plan for which near ones are looked for
-_DEEP = 8  # objects within objects that arguments are spread over
+_STEP = 32  # resources checked per step
+_SEARCHES = 5  # misspelt names per plan for which similar names are searched
+_DEEP = 8  # nesting of objects over which arguments are distributed
 
 
 class NameScope:
-    """Finds actions by the names that planners use, among what a session may see."""
+    """Finds actions by the names that planners use, among those visible to a session."""
 
     def __init__(self, registry: Registry, session: Session) -> None:
         self._entries = registry.entries
         self._mask = session.rights.mask
         self._tenant = session.tenant
         self._called: dict[str, list[Entry]] = {}
-        """What can be called, by what a plan may call its robot."""
+        """Executable resources by the names under which a plan may refer to their robot."""
         self._robots: dict[str, None] = {}
         self._searches = 0
 
     def prepare(self) -> Work:
-        """Look for what can be called, in steps."""
+        """Collect the executable resources, in steps."""
         entries = iter(list(self._entries.values()))
         while some := list(islice(entries, _STEP)):
             for entry in some:
@@ -51,7 +51,7 @@ class NameScope:
             yield
 
     def __call__(self, action: Action, objects: dict[str, Any]) -> tuple[str, Any]:
-        """Return path and value of an action: its first argument is the robot.
+        """Return path and value of an action, whose first argument is the robot.
 
         :raises UnknownPath: there is no such robot or action.
         :raises InvalidValue: the arguments do not fit the schema.
@@ -80,7 +80,7 @@ class NameScope:
                 action.name,
                 dict.fromkeys(map(_last, of_robot)),
             )
-        # The own tenant goes first, then the robot that has a name of its own.
+        # The own tenant takes precedence, then the robot with its own name.
         return min(found, key=lambda e: (e.tenant != self._tenant, e.robot is None, e.path))
 
     def _unknown(self, text: str, name: str, known: Iterable[str]) -> UnknownPath:
@@ -96,7 +96,7 @@ class NameScope:
 
 
 def _names(entry: Entry) -> list[str]:
-    """Return what a plan may call the robot of an entry."""
+    """Return the names by which a plan may refer to the robot of an entry."""
     if entry.robot is not None:
         return [entry.robot]
     return [entry.owner.name, entry.tenant or ""]
@@ -111,7 +111,7 @@ def _last(entry: Entry) -> str:
 
 
 def _assign(schema: dict[str, Any], given: deque[str], objects: dict[str, Any]) -> Any:
-    """Make the value of a schema of arguments, in the order of its required fields."""
+    """Build a value of a schema from arguments, in the order of its required fields."""
     defs = schema.get("$defs", {})
     if not given:
         return None
@@ -152,7 +152,7 @@ def _single(node: dict[str, Any], text: str, objects: dict[str, Any]) -> Any:
 
 
 def _node(schema: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any]:
-    """Follow references, and leave out that something may be null."""
+    """Resolve references, and drop the null option."""
     options = [o for o in schema.get("anyOf", ()) if o.get("type") != "null"]
     if len(options) == 1:
         return _node(options[0], defs)

@@ -1,4 +1,4 @@
-"""The names that are most like a misspelt one."""
+"""Suggestions of known names similar to a misspelt one."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from itertools import islice
 
 __all__ = ["Nearest", "nearest"]
 
-_COMPARED = 2000  # names that a misspelt one is compared with
-_AT_ONCE = 400  # in one step
-_LONGEST = 512  # characters of one that are compared
+_COMPARED = 2000  # names compared with a misspelt one
+_AT_ONCE = 400  # names per step
+_LONGEST = 512  # characters of a name that are compared
 _TOLD = 3
 
 
 class Nearest:
-    """A search for names like a wrong one, in steps: comparing them is dear."""
+    """A search for similar names, in steps because comparisons are expensive."""
 
     def __init__(self, name: str, cutoff: float) -> None:
-        """`cutoff` says how like, up to 1."""
+        """Start a search; `cutoff` is the required similarity, up to 1."""
         self._matcher = SequenceMatcher()
         self._matcher.set_seq2(name[:_LONGEST])
         self._cutoff = cutoff
@@ -28,7 +28,7 @@ class Nearest:
 
     @property
     def full(self) -> bool:
-        """Whether it was compared with enough."""
+        """Whether the limit of comparisons is reached."""
         return self._compared >= _COMPARED
 
     def compare(self, name: str) -> None:
@@ -45,12 +45,12 @@ class Nearest:
 
     @property
     def found(self) -> list[str]:
-        """The most alike, the best first."""
+        """The most similar names, best first."""
         return [name for _, name in nlargest(_TOLD, self._found)]
 
 
 def nearest(name: str, known: Iterable[str], cutoff: float = 0.5) -> list[str]:
-    """Return the names that are most like a wrong one, among the first of the known ones."""
+    """Return the known names most similar to `name`; compares only the first of them."""
     near = Nearest(name, cutoff)
     for one in islice(known, _AT_ONCE):
         near.compare(one)

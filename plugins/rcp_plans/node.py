@@ -1,4 +1,4 @@
-"""A plan as it is run: its steps in a tree, each with its state."""
+"""A plan being run: its steps as a tree, each with its state."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rcp_plans.model import Group, Plan, Step, StepState
 __all__ = ["MARK", "Checked", "Filling", "Node", "every", "references"]
 
 MARK = "$result"
-_ROOM = 1_048_576  # bytes of the results in one value
-_STEP = 512  # values that are looked at in one step
+_ROOM = 1_048_576  # bytes of all results in one value
+_STEP = 512  # values visited per step
 
 
 class Node:
@@ -43,26 +43,26 @@ class Node:
         self.children: list[Node] = []
         self.fallback: list[Node] = []
         self.path: str | None = None
-        """The full one, of an operation."""
+        """The full path of an operation."""
         self.tenant: str | None = None
         self.robot: str | None = None
-        """Whose values its conditions mean."""
+        """The robot whose values its conditions use."""
         self.refers = False
-        """Whether its value has results of other steps in it."""
+        """Whether its value refers to results of other steps."""
         self.when: Condition | None = None
         self.until: Condition | None = None
         self.raw: Any = None
-        """The whole result, one that is too long for the state as it was read."""
+        """The whole result; if it is too long to report, as it was read."""
         self.state = StepState(step=id_, do=step.do)
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more happens to it."""
+        """Whether the state is final."""
         return self.state.state not in ("pending", "running")
 
     @property
     def leaf(self) -> bool:
-        """Whether it does something itself."""
+        """Whether it is an operation or a wait."""
         return not isinstance(self.step, Group)
 
 
@@ -73,12 +73,12 @@ class Checked:
         self.plan = plan
         self.nodes = nodes
         self.touches: dict[str, None] = {}
-        """Paths that it names, those of its conditions too, in order."""
+        """Paths named in the plan and its conditions, in order."""
         self.asks: list[str] = []
-        """Ids of steps that a person has to approve."""
+        """Ids of the steps that require approval."""
 
     def plain(self) -> list[dict[str, Any]]:
-        """List what would be sent."""
+        """List the requests that would be sent."""
         out: list[dict[str, Any]] = []
         for node in every(self.nodes):
             facts: dict[str, Any] = {"step": node.id, "do": node.step.do, "path": node.path}
@@ -89,7 +89,7 @@ class Checked:
 
 
 def every(nodes: Iterable[Node]) -> Iterator[Node]:
-    """Go through steps in the order of the plan: each before those within it and its fallback."""
+    """Iterate over steps in plan order: each before its nested steps and its fallback."""
     for node in nodes:
         yield node
         yield from every(node.children)
@@ -97,7 +97,7 @@ def every(nodes: Iterable[Node]) -> Iterator[Node]:
 
 
 def references(value: Any) -> Generator[None, None, list[str]]:
-    """Return the results of other steps that a value wants, in steps: `id/field/…`."""
+    """Return the references to results in a value, in steps: `id/field/…`."""
     found: list[str] = []
     waiting: list[Any] = [value]
     count = 0
@@ -118,17 +118,17 @@ def references(value: Any) -> Generator[None, None, list[str]]:
 
 
 class Filling:
-    """Puts the results of other steps into the value of one, as far as there is room for them."""
+    """Inserts results of other steps into a value, up to a size limit."""
 
     def __init__(self, known: dict[str, Node]) -> None:
         self._known = known
         self._room = _ROOM
 
     def fill(self, value: Any) -> Generator[None, None, Any]:
-        """Return a value with the results that it wants, in steps.
+        """Return a value with its references replaced by results, in steps.
 
-        :raises PreconditionFailed: a step has no result, or not this field, or the results together
-            are too long.
+        :raises PreconditionFailed: a step has no result, or not this field, or the results are too
+            long.
         """
         if is_map(value):
             wanted = value.get(MARK)

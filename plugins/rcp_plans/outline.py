@@ -1,4 +1,4 @@
-"""What the record of a plan holds: its steps and what became of them, without their values.
+"""The audit record of a plan: its steps and their outcome, without values.
 
 A step is a request of its own, so its values are in the records of its own path and tenant.
 """
@@ -26,8 +26,8 @@ def outline(report: Any) -> list[dict[str, Any]] | None:
 
 
 def _step(state: Any) -> dict[str, Any]:
-    """Take what is told of a step, without turning its values into plain data first."""
+    """Return the outline of a step, without converting its values to plain data first."""
     read: Callable[[str], Any] = state.get if is_map(state) else partial(getattr, state)
-    told = {key: value for key in _TOLD if (value := read(key)) is not None}
+    facts = {key: value for key in _TOLD if (value := read(key)) is not None}
     error = read("error")
-    return told if error is None else {**told, "code": error["code"]}
+    return facts if error is None else {**facts, "code": error["code"]}

@@ -1,7 +1,7 @@
-"""How often conditions of plans are looked at: dear ones less often, and never many in one turn.
+"""Rate of condition evaluation: expensive conditions less often, and never many in one turn.
 
-A plan may spend a hundredth of its time on conditions. Reading a condition for the first time costs
-up to a millisecond, so that is shared out by principal.
+A plan may spend a hundredth of its time on conditions. Compiling a condition costs up to a
+millisecond, so that time is budgeted per principal.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from rcp_kernel.errors import RateLimited
 
 __all__ = ["Allowance", "Pace"]
 
-_SHARE = 0.01  # of the time, for one plan
-_AHEAD = 0.1  # s that a plan may be ahead of its share: cheap conditions are not slowed down
-_READING = 0.1  # of the time, for reading the conditions that one principal sends
-_READ_AHEAD = 0.2  # s that a principal may be ahead of that
+_SHARE = 0.01  # fraction of the time, per plan
+_AHEAD = 0.1  # s that a plan may exceed its share: cheap conditions are not slowed down
+_READING = 0.1  # fraction of the time for compiling the conditions of one principal
+_READ_AHEAD = 0.2  # s that a principal may exceed that
 _KNOWN = 1000  # principals
 
 
 class Allowance:
-    """The time for reading conditions that each principal has: a share, and some of it ahead."""
+    """The time budget of each principal for compiling conditions, with a burst."""
 
     def __init__(self) -> None:
         self._free: dict[str, float] = {}
 
     def check(self, principal: str) -> None:
-        """Refuse one who has used it up; whoever has not may read all the conditions of a plan.
+        """Refuse a principal without budget; otherwise all conditions of a plan may be compiled.
 
-        :raises RateLimited: it is used up.
+        :raises RateLimited: the budget is used up.
         """
         ahead = self._free.get(principal, 0.0) - asyncio.get_running_loop().time() - _READ_AHEAD
         if ahead > 0:
@@ -44,7 +44,7 @@ class Allowance:
 
     @contextmanager
     def spending(self, principal: str) -> Generator[None]:
-        """Count the time while entered."""
+        """Charge the time spent while entered."""
         began = thread_time()
         try:
             yield
@@ -57,21 +57,21 @@ class Allowance:
 
 
 class Pace:
-    """One plan's share."""
+    """The time share of one plan."""
 
     def __init__(self, turns: Turns, owner: Hashable) -> None:
         self._turns = turns
         self._owner = owner
         self._free = 0.0
-        """Time at which what was spent so far has become its share."""
+        """Time at which the time spent so far equals its share."""
 
     async def wait(self, least: float = 0.0) -> None:
-        """Wait until the plan may look at a condition, and `least` seconds in any case."""
+        """Wait until the plan may evaluate a condition, at least `least` seconds."""
         if least:
             await asyncio.sleep(least)
         while True:
             await self._turns.wait(self._owner)
-            # Looked at anew after each sleep: another step of the plan may have been first.
+            # Check again after each sleep: another step of the plan may have been first.
             delay = self._free - asyncio.get_running_loop().time() - _AHEAD
             if delay <= 0:
                 return
@@ -79,11 +79,11 @@ class Pace:
 
     @contextmanager
     def spending(self) -> Generator[None]:
-        """Count the time while entered."""
+        """Charge the time spent while entered."""
         began = thread_time()
         try:
             yield
         finally:
-            took = thread_time() - began
-            self._turns.add(took)
-            self._free = max(self._free, asyncio.get_running_loop().time()) + took / _SHARE
+            spent = thread_time() - began
+            self._turns.add(spent)
+            self._free = max(self._free, asyncio.get_running_loop().time()) + spent / _SHARE

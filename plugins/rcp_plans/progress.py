@@ -1,4 +1,4 @@
-"""What is told of a running plan: each change of a step, how much is done, and all of it at once."""
+"""Progress reports of a running plan: step changes, overall progress, full state."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rcp_plans.node import Checked, Node, every
 __all__ = ["LONGEST", "ProgressReport"]
 
 LONGEST = 262_144
-"""Bytes of one result that is told."""
-_TOGETHER = 1_048_576  # of all results of a plan
-_FEEDBACK = 16_384  # of the result or feedback that one message carries
+"""Maximum size of a reported result, bytes."""
+_TOGETHER = 1_048_576  # bytes of all reported results of a plan
+_FEEDBACK = 16_384  # bytes of a result or feedback in one message
 
 
 class ProgressReport:
@@ -32,23 +32,23 @@ class ProgressReport:
         self._done = 0.0
         self._ended = 0
         self._partly: dict[str, float] = {}
-        """How much is done of steps that have not ended."""
+        """Progress of the unfinished steps."""
         self.progress: Progress | None = None
-        """Where feedback goes, once the plan runs."""
+        """Where feedback is sent while the plan runs."""
 
     def change(self, node: Node, state: State, **facts: Any) -> None:
-        """Take down a step's new state, and tell it."""
+        """Set and report a step's new state."""
         self.quietly(node, state)
         for name, fact in facts.items():
             setattr(node.state, name, fact)
         if node.state.progress and node.id in self._counts and not node.ended:
             self._partly[node.id] = node.state.progress
         if self.progress is not None:
-            told = self._short(node)
-            self.progress(told, fraction=self._fraction())
+            report = self._short(node)
+            self.progress(report, fraction=self._fraction())
 
     def quietly(self, node: Node, state: State) -> None:
-        """Take down a state of which its group tells."""
+        """Set a state that its group reports."""
         ended = node.ended
         node.state.state = state
         if node.id in self._counts:
@@ -62,7 +62,7 @@ class ProgressReport:
             node.state.ended = iso(now())
 
     def result(self, node: Node) -> None:
-        """Take down a result, or how long it is if that is too long to be told."""
+        """Store a result, or only its length if it is too long to report."""
         state = node.state
         size = 0 if node.raw is None else len(encode_body(node.raw, Encoding.JSON))
         self._room += self._sizes.pop(node.id, 0)
@@ -75,21 +75,21 @@ class ProgressReport:
         self._room -= size
 
     def _short(self, node: Node) -> StepState:
-        told = msgspec.structs.replace(node.state)
-        if self._sizes.get(node.id, 0) > _FEEDBACK and told.result is not None:
-            told.result, told.omitted = None, self._sizes[node.id]
-        if told.feedback is not None and len(dump(told.feedback, Encoding.JSON)) > _FEEDBACK:
-            told.feedback = None
-        return told
+        state = msgspec.structs.replace(node.state)
+        if self._sizes.get(node.id, 0) > _FEEDBACK and state.result is not None:
+            state.result, state.omitted = None, self._sizes[node.id]
+        if state.feedback is not None and len(dump(state.feedback, Encoding.JSON)) > _FEEDBACK:
+            state.feedback = None
+        return state
 
     def _fraction(self) -> float:
-        """Return the part that is done; what is begun again does not go back."""
+        """Return the completed fraction; repeating a step does not reduce it."""
         done = self._ended + sum(self._partly.values())
         self._done = max(self._done, done / len(self._counts))
         return self._done
 
     def outcome(self, *, over: bool = False) -> PlanResult:
-        """Return every step as it is; `over`: nothing of it goes on."""
+        """Return the state of every step; with `over`, unfinished steps are reported as ended."""
         steps = [msgspec.structs.replace(node.state) for node in self._nodes]
         for state in steps:
             if over and state.state == "running":
@@ -100,7 +100,7 @@ class ProgressReport:
 
 
 def _counted(node: Node) -> list[Node]:
-    """List the steps by which progress is measured: fallbacks are not expected to run."""
+    """List the steps that count for progress: fallbacks are not expected to run."""
     if node.leaf:
         return [node]
     return [leaf for child in node.children for leaf in _counted(child)]

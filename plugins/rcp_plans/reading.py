@@ -1,4 +1,4 @@
-"""Reading the conditions of one plan: how many, and for how much of their sender's time."""
+"""Compilation of a plan's conditions, limited in number and in the sender's time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rcp_plans.pace import Allowance
 
 __all__ = ["ConditionReader"]
 
-_TEXT = 8192  # characters of all different conditions of a plan: reading them takes time
+_TEXT = 8192  # characters of all different conditions of a plan, which take time to compile
 
 
 class ConditionReader:
@@ -21,17 +21,17 @@ class ConditionReader:
         self._length = 0
 
     def check(self) -> None:
-        """Refuse a plan with conditions of who has used up the time for reading them.
+        """Refuse a plan with conditions if its sender's time budget is used up.
 
-        :raises RateLimited: it is used up.
+        :raises RateLimited: the budget is used up.
         """
         self._allowance.check(self._principal)
 
     def read(self, text: str, name: str) -> Condition:
-        """Compile a condition, which a step has under `name`.
+        """Compile a condition, which is the field `name` of a step.
 
-        :raises OutOfRange: it is too costly, or all together are too long.
-        :raises InvalidValue: it is wrong.
+        :raises OutOfRange: it is too costly, or all conditions together are too long.
+        :raises InvalidValue: it is invalid.
         """
         if text not in self._texts:
             self._texts.add(text)

@@ -1,4 +1,4 @@
-"""One operation of a plan, sent as the request that whoever sent the plan could send."""
+"""Sends an operation of a plan as a request of the plan's sender."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rcp_plans.progress import LONGEST
 
 __all__ = ["StepRequests"]
 
-_PATIENCE = 60.0  # s that a limited rate of requests may hold a step up, where it has no deadline
+_PATIENCE = 60.0  # s that rate limits may delay a step without a deadline
 _END = 10.0  # s for a stopped command's final status; the gateway gives a robot less
 Told = Callable[[Any, float | None], None]
 
@@ -41,24 +41,24 @@ class StepRequests:
         self._known = known
         self._plan = command
         self.token: str | None = None
-        """Stands for a person's approval of the whole plan."""
+        """Identifies the approval of the whole plan."""
 
     async def send(
-        self, node: Node, step: Operate, left: float | None, told: Told
+        self, node: Node, step: Operate, left: float | None, on_progress: Told
     ) -> tuple[Any, str | None]:
-        """Send an operation, within `left` seconds; return its result and what was said of it.
+        """Send an operation within `left` seconds; return its result and message.
 
-        :raises RcpError: as the reply says.
+        :raises RcpError: the error in the reply.
         """
         loop = self._loop
         end = loop.time() + (_PATIENCE if left is None else left)
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
             request = await self._request(node, step, limit)
-            reply = await self._ask(node, request, told)
+            reply = await self._ask(node, request, on_progress)
             if reply.error is None:
                 node.state.truncated, node.state.cursor = reply.truncated, reply.cursor
-                if isinstance(step, Read):  # writes and commands go on record by themselves
+                if isinstance(step, Read):  # writes and commands are recorded anyway
                     return await self._looked(request, reply), reply.message
                 return _plain(reply.body), reply.message
             error = _error_of(reply.error)
@@ -68,7 +68,7 @@ class StepRequests:
             await asyncio.sleep(pause)
 
     async def _looked(self, request: Request, reply: Reply) -> Any:
-        """Put on record what was read; return it, as it is if it is too long to be told."""
+        """Record the reply of a read; return its value, unconverted if it is too long to report."""
         await self._host.record_read(self._session, request, reply)
         body = reply.body
         if isinstance(body, Body) and "*" not in (reply.path or request.path or ""):
@@ -89,7 +89,7 @@ class StepRequests:
             approval=self.token,
         )
 
-    async def _ask(self, node: Node, request: Request, told: Told) -> Reply:
+    async def _ask(self, node: Node, request: Request, on_progress: Told) -> Reply:
         final: asyncio.Future[Reply] = self._loop.create_future()
 
         def answer(reply: Reply) -> None:
@@ -101,7 +101,7 @@ class StepRequests:
             if reply.final:
                 final.set_result(reply)
             elif reply.status == "in_progress":
-                told(_plain(reply.body), reply.progress)
+                on_progress(_plain(reply.body), reply.progress)
 
         with self._turns.spending():
             self._host.send(self._session, request, answer)
@@ -112,7 +112,7 @@ class StepRequests:
             raise
 
     async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
-        """Have what a step set going stopped, and wait until it is at rest."""
+        """Stop the command of a step and wait until it has ended."""
         state, command = node.state, self._host.started_by(request)
         if command is None:
             if isinstance(node.step, (Write, Execute)):

@@ -22,7 +22,7 @@ __all__ = ["PlanRun"]
 
 
 class PlanRun:
-    """A plan that may begin."""
+    """A plan that may start."""
 
     def __init__(self, checked: Checked, approvals: ApprovalService, host: ActionHost) -> None:
         self._checked = checked
@@ -39,24 +39,24 @@ class PlanRun:
         return self._checked.plan
 
     def dry_run(self) -> dict[str, Any]:
-        """Tell a dry run what would be sent, and whether a person has to approve it."""
+        """Return what would be sent, and which steps require approval."""
         out: dict[str, Any] = {"steps": self._checked.plain()}
         return out | ({"approval": list(self._asks)} if self._asks else {})
 
     def begin(self, session: Session, request: Request, entry: Entry) -> None:
-        """Let the plan's steps pass if a person has approved it, or none has to.
+        """Check the approval of the plan, if it requires one.
 
-        :raises ApprovalRequired, Forbidden: nobody has.
+        :raises ApprovalRequired, Forbidden: it is not approved.
         """
         if not self._asks:
             return
         about = About(self._asked, (*self._asked, *self.touches), self._asks)
-        # With what it means now: names and relative paths may come to mean something else.
+        # With the current paths: names and relative paths may be resolved differently later.
         shown = {"plan": self._checked.plan, "steps": self._checked.plain()}
         self._approvals.demand(session, request, entry, shown, about)
 
     async def run(self, command: Command, session: Session, progress: Progress) -> PlanResult:
-        """Run the plan to its end, and return what became of each step."""
+        """Run the plan to its end, and return the outcome of each step."""
         self._telling.progress = progress
         token = self._approvals.open(self._asked) if self._asks else None
         engine = Engine(session, self._checked, command.id, self._telling, self._host)
@@ -68,10 +68,10 @@ class PlanRun:
         return self._telling.outcome(over=True)
 
     def report(self, *, over: bool) -> PlanResult:
-        """Return what has become of each step so far."""
+        """Return the state of each step."""
         return self._telling.outcome(over=over)
 
     def outline(self, report: Any) -> Mapping[str, Any]:
-        """Return the steps without their values: those are in the records of their own paths."""
+        """Return the steps without values, which are in the records of their own paths."""
         steps = outline(report)
         return {} if steps is None else {"steps": steps}

@@ -1,4 +1,4 @@
-"""Plans that only bring robots to rest: no account and no queue keeps anybody from one."""
+"""Plans that only bring robots to rest: no quota and no queue delays them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rcp_plans.model import PATH, Execute, Plan, Step
 
 __all__ = ["only_stops"]
 
-_LONGEST = 4096  # bytes that are looked at: a stop is short, and a flood of other plans is cheap
+_LONGEST = 4096  # bytes inspected: a stop is short, and a flood of other plans must be cheap
 _PLAN = value_type(Plan)
 
 
 def only_stops(request: Request, stops: Callable[[Request], bool]) -> bool:
-    """Tell whether a request is a plan of nothing but steps that stop something, as `stops` says."""
+    """Return whether a request is a plan in which `stops` holds for every step."""
     if request.type != "execute" or request.path != PATH or len(bytes(request.body)) > _LONGEST:
         return False
     try:

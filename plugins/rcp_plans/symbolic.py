@@ -1,4 +1,4 @@
-"""Plans as a PDDL planner prints them: `(move_to alpha 1.0 2.0)`, with times or without."""
+"""Symbolic plans in the output format of PDDL planners: `(move_to alpha 1.0 2.0)`, timed or not."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SYNTAX = "Write one action per line: `(name argument …)`; `; ` starts a comme
 
 
 class Action(NamedTuple):
-    """One action as it was printed."""
+    """One parsed action."""
 
     name: str
     arguments: list[str]
@@ -37,16 +37,17 @@ class Action(NamedTuple):
 
 
 Unlisted = Callable[[Action, dict[str, Any]], tuple[str, Any]]
-"""Return path and value of an action that the table does not name; objects by their names."""
+"""Returns path and value of an action that the table does not define; takes objects by name."""
 
 
 def from_symbolic(
     text: str, config: PlansConfig, unlisted: Unlisted, most: int
 ) -> Generator[None, None, tuple[list[Step], list[Fault]]]:
-    """Translate a plan, at most `most` actions: by the table, and by `unlisted` what is not in it.
+    """Translate at most `most` actions, by the table or else by `unlisted`.
 
-    Actions of a plan with times that overlap run side by side: each begins when all have completed
-    that end before it in the plan.
+    In a timed plan, actions that overlap run concurrently: each begins when all actions that end
+    before
+    it in the plan have completed.
     """
     actions: list[Action] = []
     unread: list[Fault] = []

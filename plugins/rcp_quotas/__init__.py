@@ -1,4 +1,4 @@
-"""Quotas: how much of the gateway each tenant, and each principal by itself, may have."""
+"""Quotas: how much of the gateway each tenant and each principal may use."""
 
 from __future__ import annotations
 
@@ -48,5 +48,5 @@ def _make(tables: QuotaTables, host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer quotas."""
+    """Register the feature `quotas`."""
     return [FeatureKind("quotas", QuotaTables, _make, __doc__ or "", table=from_gateway)]

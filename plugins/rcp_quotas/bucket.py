@@ -1,4 +1,4 @@
-"""What the requests, subscriptions and commands of one session pass."""
+"""Quota checks of the requests, subscriptions and commands of one session."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from rcp_quotas.usage import QuotaUsage
 
 __all__ = ["SWEEP", "TokenBucket"]
 
-SWEEP = 0.25  # s between looks at what waits
+SWEEP = 0.25  # s between two checks of unread data
 _PLANS = "/system/plans"
 _UNLIMITED = QuotaUsage("principal", "", NONE)
 
 
 class TokenBucket:
-    """The account of one session: under the quota of its principal, its tenant, or both."""
+    """The quotas of one session: its principal's, its tenant's, or both."""
 
     __slots__ = ("choked", "first", "second", "usages")
 
@@ -25,13 +25,13 @@ class TokenBucket:
         self.first = usages[0]
         self.second = usages[1] if len(usages) > 1 else _UNLIMITED
         self.choked: QuotaUsage | None = None
-        """Whose quota of waiting bytes this session's untaken replies exceed."""
+        """The owner whose quota of unread bytes this session's clients exceed."""
 
     def take(self, moment: float) -> bool:
-        """Pay for a request at `moment` (`perf_counter`), or pay nothing and return False."""
+        """Charge a request at `moment` (`Clock.monotonic`); False if it is refused."""
         first, second = self.first, self.second
         paid = first.paid
-        if paid < moment:  # noqa: PLR1730 - a call less for each request
+        if paid < moment:  # noqa: PLR1730 - saves a call per request
             paid = moment
         other = second.paid
         if other < moment:  # noqa: PLR1730
@@ -43,7 +43,7 @@ class TokenBucket:
         return True
 
     def allows(self, moment: float) -> bool:
-        """Tell whether `take` would pay for a request."""
+        """Return whether `take` would charge a request."""
         first, second = self.first, self.second
         return (
             first.paid <= moment + first.slack
@@ -52,7 +52,7 @@ class TokenBucket:
         )
 
     def refusal(self, moment: float) -> RcpError:
-        """Count and return why `take` took nothing."""
+        """Count and return the refusal of `take`."""
         if (choked := self.choked) is not None:
             error = choked.full("queue_bytes", choked.quota.queue_bytes or 0)
             error.remedy = "Read the messages that are waiting before you send more requests."
@@ -61,9 +61,9 @@ class TokenBucket:
         return max(self.first, self.second, key=_ahead).too_fast(moment)
 
     def check_subscription(self) -> None:
-        """Refuse one subscription too many.
+        """Check the quota of subscriptions.
 
-        :raises QueueFull: its tenant or principal has as many as it may.
+        :raises QueueFull: the tenant or principal has as many as allowed.
         """
         for usage in self.usages:
             limit = usage.quota.subscriptions
@@ -71,9 +71,9 @@ class TokenBucket:
                 raise usage.full("subscriptions", limit)
 
     def check_command(self, path: str) -> None:
-        """Refuse one command or plan too many; others of the gateway's own branch are past it.
+        """Check the quotas of commands and plans; other paths of `/system` are exempt.
 
-        :raises QueueFull: its tenant or principal has as many as it may.
+        :raises QueueFull: the tenant or principal has as many as allowed.
         """
         if path.startswith("/system/") and path != _PLANS:
             return
@@ -85,7 +85,7 @@ class TokenBucket:
                 raise usage.full(what, limit)
 
     def add_command(self, id_: str, path: str) -> Callable[[], None]:
-        """Count a command until what is returned is called."""
+        """Count a command until the returned function is called."""
         places = [usage.plans if path == _PLANS else usage.commands for usage in self.usages]
         for held in places:
             held.add(id_)

@@ -1,4 +1,4 @@
-"""What the configuration says of quotas: `[quotas]`, and `quota` of each tenant and role."""
+"""The configuration of quotas: `[quotas]`, and `quota` of each tenant and role."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ _Count = Annotated[int, Meta(ge=1)]
 
 
 class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A quota; what it does not set is bounded by `[limits]` alone."""
+    """A quota; values that are not set are limited by `[limits]` alone."""
 
     requests: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Per second, on average."""
+    """Average rate, per second."""
     burst: _Count | None = None
-    """Requests at once; default: those of one second."""
+    """Burst size in requests; by default those of one second."""
     sessions: _Count | None = None
-    """Connected at once."""
+    """Connected sessions."""
     subscriptions: _Count | None = None
     commands: _Count | None = None
-    """Running or queued."""
+    """Running or queued commands."""
     plans: _Count | None = None
-    """Running."""
+    """Running plans."""
     queue_bytes: Annotated[int, Meta(ge=1024)] | None = None
-    """Unread bytes of all its clients."""
+    """Unread bytes of all clients."""
 
     @property
     def at_once(self) -> int:
-        """Requests that may come at once, where their rate is limited."""
+        """Burst size in requests, if the rate is limited."""
         return self.burst or max(1, round(self.requests or 1))
 
     @property
     def pace(self) -> tuple[float, float]:
-        """Seconds that a request takes of its share, and how far ahead of it one may be."""
+        """Seconds that a request costs, and the seconds of burst allowed."""
         if self.requests is None:
             return 0.0, float("inf")
         interval = 1.0 / self.requests
@@ -51,33 +51,33 @@ NONE = Quota()
 
 
 class Quotas(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What holds for those whose roles say nothing."""
+    """Default quotas for principals whose roles set none."""
 
     principal: Quota = NONE
-    """Of each principal."""
+    """Quota of each principal."""
 
 
 class _Owner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A tenant or a role, as far as it is about quotas."""
+    """The quota of a tenant or role."""
 
     quota: Quota | None = None
 
 
 class QuotaTables(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All quotas of a gateway, named as they are in the file."""
+    """All quotas of a gateway, under their names in the file."""
 
     quotas: Quotas = Quotas()
     tenants: dict[str, _Owner] = {}
     roles: dict[str, _Owner] = {}
-    """Every role that there is."""
+    """All roles."""
 
     def of_tenant(self, tenant: str | None) -> Quota | None:
-        """Return what all principals of a tenant share."""
+        """Return the quota shared by all principals of a tenant."""
         owner = self.tenants.get(tenant or "")
         return None if owner is None else owner.quota
 
     def of_roles(self, names: Iterable[str]) -> Quota | None:
-        """Return what a principal with some roles has; None if that is no quota."""
+        """Return the quota of a principal with some roles; None if there is none."""
         default = self.quotas.principal
         held = [self.roles[name].quota or default for name in names if name in self.roles]
         quota = _most_generous(default, held or [default])
@@ -85,7 +85,7 @@ class QuotaTables(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def from_gateway(config: GatewayConfig) -> dict[str, Any]:
-    """Take the quotas from where they are in the file."""
+    """Return the quotas from their places in the file."""
     roles = {**BUILTIN_ROLES, **config.roles}
     return {
         "quotas": config.quotas,
@@ -95,9 +95,9 @@ def from_gateway(config: GatewayConfig) -> dict[str, Any]:
 
 
 def _most_generous(default: Quota, quotas: list[Quota]) -> Quota:
-    """Join what several roles give: of each thing the most.
+    """Combine the quotas of several roles: the largest of each value.
 
-    A role that does not name a thing gives of it what the default gives.
+    A value that a role does not set counts as the default.
     """
     out: dict[str, Any] = {}
     for what in ("sessions", "subscriptions", "commands", "plans", "queue_bytes", "requests"):

@@ -1,13 +1,12 @@
-"""Quotas: how much each tenant, and each principal by itself, may have of the gateway.
+"""Quota tracking: the use of the gateway by each tenant and each principal.
 
-What an owner of a quota holds is not counted up and down: its sessions are in a set, and what these
-hold is summed when somebody wants more of it, so that no way out of a session can be forgotten.
+There are no counters to keep balanced: an owner's sessions are in a set, and their use is summed on
+demand, so that no way to end a session can be missed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from time import perf_counter
 from typing import Any
 
 from rcp_kernel.features import FeatureHost
@@ -19,7 +18,7 @@ from rcp_quotas.usage import Owner, QuotaUsage
 
 __all__ = ["QuotaTracker"]
 
-_MANY = 10_000  # usages, before idle ones are let go
+_MANY = 10_000  # usages, before idle ones are removed
 
 
 class QuotaTracker:
@@ -27,16 +26,17 @@ class QuotaTracker:
 
     def __init__(self, tables: QuotaTables, host: FeatureHost) -> None:
         self.tables = tables
+        self._monotonic = host.clock.monotonic
         self._known: dict[tuple[Owner, Any], QuotaUsage] = {}
         self._buckets: dict[Session, TokenBucket] = {}
-        """Of the sessions that count."""
+        """The buckets of the counted sessions."""
         self._unread = UnreadLimit(host, self._known.values, self._buckets)
         self.close = self._unread.close
 
-    # -- who has which quota -------------------------------------------------------------------
+    # -- applicable quotas -----------------------------------------------------------------------
 
     def attach(self, session: Session) -> TokenBucket | None:
-        """Return what a session's requests pass; None if no quota concerns it."""
+        """Return the bucket for a session's requests; None if no quota applies."""
         usages = self._usages(session)
         known = self._buckets.get(session)
         if known is not None and known.usages == usages:
@@ -69,17 +69,18 @@ class QuotaTracker:
         return usage
 
     def _prune(self) -> None:
-        moment = perf_counter()
+        moment = self._monotonic()
         for key in [key for key, usage in self._known.items() if usage.idle(moment)]:
             del self._known[key]
 
-    # -- sessions and what they hold -----------------------------------------------------------
+    # -- sessions ------------------------------------------------------------------------------
 
     def enter(self, session: Session, drop: Callable[[Session], None]) -> TokenBucket | None:
         """Count a new session.
 
-        Where the quota is reached only with those that wait for their client's return, the one that
-        has waited longest goes: but one, as this client may be about to come back to it.
+        If the quota is reached only with sessions that await their client's return, the oldest of
+        these is
+        dropped; one is kept, as this client may be about to resume it.
 
         :raises QueueFull: as many as allowed are connected.
         """
@@ -88,7 +89,7 @@ class QuotaTracker:
         return self.move(session)
 
     def move(self, session: Session) -> TokenBucket | None:
-        """Count a session under the quotas that concern it now."""
+        """Move a session to the quotas that apply now."""
         bucket = self.attach(session)
         self.leave(session)
         if bucket is not None:
@@ -98,31 +99,31 @@ class QuotaTracker:
         return bucket
 
     def check_tenant(self, session: Session, tenant: str | None) -> None:
-        """Refuse that a session acts for a tenant that has as many sessions as it may.
+        """Check that a tenant may have another session before one switches to it.
 
-        :raises QueueFull: it has.
+        :raises QueueFull: the tenant has as many as allowed.
         """
         usage = self._of_tenant(tenant)
         if usage is not None:
             usage.check_connected()
 
     def leave(self, session: Session) -> None:
-        """Count a session no more."""
+        """Stop counting a session."""
         bucket = self._buckets.pop(session, None)
         if bucket is not None:
             for usage in bucket.usages:
                 usage.sessions.discard(session)
 
     def forget_commands(self) -> None:
-        """Count the running commands afresh."""
+        """Reset the count of running commands."""
         for usage in self._known.values():
             usage.commands.clear()
             usage.plans.clear()
 
-    # -- for people ----------------------------------------------------------------------------
+    # -- reports -------------------------------------------------------------------------------
 
     def plain(self, session: Session) -> dict[str, Any]:
-        """Describe the asker's own quota and use, and those of the tenants it acts in."""
+        """Describe the reader's own quota and use, and those of its tenants."""
         tenants = session.rights.tenants
         out: dict[str, Any] = {}
         own = self._known.get(("principal", session.principal.identity))
@@ -134,7 +135,7 @@ class QuotaTracker:
         return out | ({"tenants": shown} if shown else {})
 
     def refused(self) -> dict[tuple[str, str, str], int]:
-        """Count refusals by owner, tenant and thing; all principals count together."""
+        """Return the number of refusals by owner, tenant and resource; principals are summed."""
         sums: dict[tuple[str, str, str], int] = {}
         for usage in self._known.values():
             tenant = usage.name if usage.owner == "tenant" else ""
@@ -144,7 +145,7 @@ class QuotaTracker:
         return sums
 
     def of(self, owner: Owner) -> Iterable[QuotaUsage]:
-        """Go through the usage of tenants or principals."""
+        """Iterate over the usages of tenants or principals."""
         return [usage for usage in self._known.values() if usage.owner == owner]
 
 

@@ -1,4 +1,4 @@
-"""What waits for the clients of one tenant or principal, and how that is made less."""
+"""The quota of unread bytes of the clients of a tenant or principal, and its enforcement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["UnreadLimit"]
 
 
 class UnreadLimit:
-    """Looks at what waits again and again, while anybody's quota limits it."""
+    """Checks the unread bytes periodically while any quota limits them."""
 
     def __init__(
         self,
@@ -28,12 +28,12 @@ class UnreadLimit:
         self._timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
-        """Look from now on."""
+        """Start checking."""
         if self._timer is None:
             self._timer = self._host.loop.call_later(SWEEP, self._look)
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
 
@@ -46,7 +46,7 @@ class UnreadLimit:
                 self._weigh(usage, limit)
 
     def _weigh(self, usage: QuotaUsage, limit: int) -> None:
-        """Have the slowest clients give way until it is within the quota, or ask no more."""
+        """Shed data of the slowest clients to meet the quota, or else refuse requests."""
         unread = self._host.unread_bytes
         held = sorted(((unread(s), s) for s in usage.sessions), key=_by_size, reverse=True)
         total = sum(size for size, _ in held)

@@ -1,7 +1,7 @@
-"""What one tenant or principal may have of the gateway, and has.
+"""The quota of one tenant or principal, and its current use.
 
-Its requests are paced by the one number that a token bucket needs: the time up to which they are
-paid for.
+The rate of requests is limited by the single number that a token bucket needs: the time up to which
+requests are paid for.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Owner = Literal["tenant", "principal"]
 
 
 class QuotaUsage:
-    """What one tenant or principal may have, and has."""
+    """The quota and use of one tenant or principal."""
 
     __slots__ = (
         "commands",
@@ -38,30 +38,30 @@ class QuotaUsage:
         self.owner: Owner = owner
         self.name = name
         self.paid = 0.0
-        """Up to when the requests so far have used its share, `perf_counter` seconds."""
+        """Time up to which its requests are paid for, in s of `Clock.monotonic`."""
         self.sessions: set[Session] = set()
         self.commands: set[str] = set()
-        """Ids of those that have not ended."""
+        """Ids of the unfinished commands."""
         self.plans: set[str] = set()
-        """Ids of the commands of those that run."""
+        """Ids of the commands of running plans."""
         self.waiting = 0
-        """Bytes that waited for its clients at the last look."""
+        """Unread bytes of its clients at the last check."""
         self.refused: dict[str, int] = {}
-        """How often more was refused, by what."""
+        """Number of refusals by resource."""
         self.adopt(quota)
 
     def adopt(self, quota: Quota) -> None:
-        """Put another quota into force; what is held beyond it stays, and nothing is added."""
+        """Apply a new quota; existing use beyond it stays, but nothing is added."""
         self.quota = quota
         self.interval, self.slack = quota.pace
 
     @property
     def connected(self) -> int:
-        """Sessions whose client is there."""
+        """Sessions with a connected client."""
         return sum(1 for session in self.sessions if session.cut is None)
 
     def check_connected(self) -> None:
-        """Refuse another session.
+        """Check the quota of sessions.
 
         :raises QueueFull: as many as allowed are connected.
         """
@@ -71,19 +71,19 @@ class QuotaUsage:
 
     @property
     def subscriptions(self) -> int:
-        """Subscriptions of all its sessions."""
+        """Number of subscriptions of all its sessions."""
         return sum(len(session.subscriptions) for session in self.sessions)
 
     def idle(self, moment: float) -> bool:
-        """Tell whether nothing would be lost with it."""
+        """Return whether the usage can be removed without losing information."""
         return not (self.sessions or self.commands or self.plans) and self.paid < moment
 
     def count_refusal(self, what: str) -> None:
-        """Count that more of a thing was refused."""
+        """Count a refusal."""
         self.refused[what] = self.refused.get(what, 0) + 1
 
     def full(self, what: str, limit: int) -> QueueFull:
-        """Count a refusal and return it; it tells the limit, not who else has how much."""
+        """Count a refusal and return it; it names the limit, not the other users."""
         self.count_refusal(what)
         return QueueFull(
             f"this {self.owner} already has {limit} {what}, its quota",
@@ -92,7 +92,7 @@ class QuotaUsage:
         )
 
     def too_fast(self, moment: float) -> RcpError:
-        """Count a refused request and return the refusal, with the time until the next one."""
+        """Count a refused request; return the refusal with the time until the next one."""
         self.count_refusal("requests")
         quota = self.quota
         return RateLimited(
@@ -107,7 +107,7 @@ class QuotaUsage:
         )
 
     def plain(self) -> dict[str, Any]:
-        """Describe what is limited: how much is used, and the limit."""
+        """Describe each limited resource: use and limit."""
         quota = self.quota
         used = {
             "sessions": self.connected,

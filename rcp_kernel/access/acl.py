@@ -209,11 +209,11 @@ class Rights:
 
     def permits(self, entry: Entry, operation: Operation) -> bool:
         """Tell whether an operation is allowed now."""
-        mask, asked = self.mask(entry.path), int(operation)
-        if mask & asked:
+        mask, bits = self.mask(entry.path), int(operation)
+        if mask & bits:
             return True
         return (
-            bool(mask >> _CONDITIONAL_SHIFT & asked)
+            bool(mask >> _CONDITIONAL_SHIFT & bits)
             and self.blocking_condition(entry, operation) is None
         )
 

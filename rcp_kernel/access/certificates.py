@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import Certificate, Serial
 from rcp_kernel.errors import ConfigError, TokenExpired, Unauthenticated
@@ -98,12 +98,16 @@ class Certificates:
     """The certificates of a configuration."""
 
     def __init__(
-        self, configs: Iterable[CertificateConfig], before: Certificates | None = None
+        self,
+        configs: Iterable[CertificateConfig],
+        clock: Clock,
+        before: Certificates | None = None,
     ) -> None:
         """Compile the tables; `before` hands over what it knows.
 
         :raises ConfigError: a table says something that no certificate has.
         """
+        self._clock = clock
         self._rules = [_Rule(config) for config in configs]
         self.known: dict[str, Certificate] = {} if before is None else before.known
         self.revoked: frozenset[Serial] = frozenset() if before is None else before.revoked
@@ -115,7 +119,7 @@ class Certificates:
         :raises TokenExpired: its time is over, though its connection is still open.
         :raises Unauthenticated: it was revoked.
         """
-        if certificate.expires <= now():
+        if certificate.expires <= self._clock.now():
             raise TokenExpired(
                 "the client certificate has expired", remedy="Connect with a new certificate."
             )

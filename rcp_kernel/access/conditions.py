@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,6 +17,7 @@ import msgspec
 
 from rcp_conditions import CLOCK, Condition, Ref, size_of
 from rcp_kernel._plain import is_index, is_map, is_sequence
+from rcp_kernel.clock import Clock
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain
@@ -76,12 +77,10 @@ class Sources(Protocol):
 class Conditions:
     """Evaluates conditions from the registry's latest samples, and keeps those coming."""
 
-    def __init__(
-        self, hub: Sources, today: Callable[[], datetime] = lambda: datetime.now().astimezone()
-    ) -> None:
+    def __init__(self, hub: Sources, clock: Clock) -> None:
         self._hub = hub
         self._registry: Registry = hub.registry
-        self._today = today
+        self._now = clock.now
         self._used: dict[str, frozenset[str]] = {}
         self._names: Counter[str] = Counter()
         """Names of resources, each with how many parts need it."""
@@ -114,7 +113,7 @@ class Conditions:
         """Tell whether a condition holds for a robot; None: it cannot be known."""
         values = self.values(condition.refs, placed)
         if condition.times:
-            moment = self._today()
+            moment = datetime.fromtimestamp(self._now() / 1e9).astimezone()
             for ref in condition.times:
                 values[ref] = CLOCK[ref[1]](moment)
         return condition.evaluate(values)

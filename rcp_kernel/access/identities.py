@@ -19,7 +19,7 @@ from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
 from rcp_kernel.access.certificates import Certificates
 from rcp_kernel.access.tokens import Token, TokenWatch, changes
-from rcp_kernel.clock import now
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
 from rcp_kernel.config.role import BUILTIN_ROLES
@@ -59,7 +59,7 @@ def check_proofs(config: GatewayConfig, source: str) -> None:
     :raises ConfigError: there is one.
     """
     try:
-        Certificates(config.certificates)
+        Certificates(config.certificates, SYSTEM_CLOCK)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from None
 
@@ -73,7 +73,9 @@ class Identities:
         store: Store,
         events: EventBus,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
+        self._clock = clock
         self._settings = settings
         self._store = store
         self._events = events
@@ -83,7 +85,7 @@ class Identities:
         """Called when proofs may be worth something else than before."""
         config = settings.config
         self._tokens: list[Token] = []
-        self._certificates = Certificates(config.certificates)
+        self._certificates = Certificates(config.certificates, clock)
         self._keyring = _keyring(config, self._tokens)
         self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
@@ -112,10 +114,10 @@ class Identities:
             if path is not None:
                 loop = self._loop
 
-                def told(tokens: list[Token]) -> None:
+                def on_change(tokens: list[Token]) -> None:
                     loop.call_soon_threadsafe(self._take, tokens)
 
-                watch = TokenWatch(path, told)
+                watch = TokenWatch(path, on_change)
                 self._tokens = watch.tokens
                 self._keyring = _keyring(self._settings.config, self._tokens)
                 watch.start()
@@ -138,7 +140,7 @@ class Identities:
 
     def reconfigure(self, config: GatewayConfig) -> None:
         """Take over the proofs of another configuration; sessions are reviewed by the caller."""
-        self._certificates = Certificates(config.certificates, self._certificates)
+        self._certificates = Certificates(config.certificates, self._clock, self._certificates)
         self._keyring = _keyring(config, self._tokens)
         self._anonymous = _anonymous(config)
         self._attempts.allowance = config.limits.failed_logins
@@ -152,7 +154,7 @@ class Identities:
     @property
     def serves(self) -> bool:
         """Whether somebody proves something that no table of the kernel's configuration says."""
-        return any(t.state == "good" for t in self._tokens) or any(
+        return any(t.state(self._clock.now()) == "good" for t in self._tokens) or any(
             one.serves for one in self._authenticators.values()
         )
 
@@ -203,7 +205,7 @@ class Identities:
 
     def renewed(self, principal: Principal) -> Principal | None:
         """Return what a principal's proof is worth now, or None if nothing any more."""
-        if principal.expires is not None and principal.expires <= now():
+        if principal.expires is not None and principal.expires <= self._clock.now():
             return None
         if principal.anonymous:
             with suppress(Unauthenticated):
@@ -253,7 +255,7 @@ class Identities:
             principal = self._proved(digest) or self._verified(token, digest, peer, fetched=fetched)
             if principal is None:
                 return None
-            _agree(certified, check_time(principal, now()))
+            _agree(certified, check_time(principal, self._clock.now()))
         except TokenExpired:  # it was good: nobody guesses such a thing
             raise
         except Unauthenticated:

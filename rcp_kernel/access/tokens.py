@@ -50,12 +50,11 @@ class Token(msgspec.Struct, frozen=True):
     expires: int | None
     revoked: int | None
 
-    @property
-    def state(self) -> str:
-        """`good`, `expired` or `revoked`."""
+    def state(self, moment: int) -> str:
+        """Return `good`, `expired` or `revoked`."""
         if self.revoked is not None:
             return "revoked"
-        return "expired" if self.expires is not None and self.expires <= now() else "good"
+        return "expired" if self.expires is not None and self.expires <= moment else "good"
 
     def principal(self, grants: Grants) -> Principal:
         """Return whom it proves, with what is left of its grants."""
@@ -140,13 +139,13 @@ class TokenFile:
 class TokenWatch:
     """Tells of the keys that are there: once when made, then whenever they change."""
 
-    def __init__(self, path: Path, told: Callable[[list[Token]], None]) -> None:
-        """Read the table, then watch it on a thread, which calls `told`.
+    def __init__(self, path: Path, on_change: Callable[[list[Token]], None]) -> None:
+        """Read the table, then watch it on a thread, which calls `on_change`.
 
         :raises ConfigError: the store cannot be opened.
         """
         self._path = path
-        self._told = told
+        self._on_change = on_change
         self._closing = threading.Event()
         with closing(TokenFile(path)) as table:
             self._version = table.version()
@@ -172,7 +171,7 @@ class TokenWatch:
                 table = table or TokenFile(self._path, there=True)
                 version = table.version()
                 if version != self._version:
-                    self._told(table.every())
+                    self._on_change(table.every())
                     self._version = version
                 broken = False
             except (ConfigError, sqlite3.Error, msgspec.DecodeError) as error:

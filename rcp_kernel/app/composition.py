@@ -28,6 +28,7 @@ from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi, ClientApiParts
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
@@ -48,6 +49,7 @@ from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.long_bodies import LongBodies
+from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
@@ -88,6 +90,7 @@ class _Base:
     settings: Settings
     shutdown: Shutdown
     loop: asyncio.AbstractEventLoop
+    clock: Clock
     turns: Turns
     registry: Registry
     scopes: ScopeRights
@@ -175,10 +178,11 @@ def compose(
     *,
     store: Store,
     recent: Recent,
+    clock: Clock,
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway that serves nobody yet and has no backends."""
-    base = _base(config, loop)
+    base = _base(config, loop, clock)
     records = _records(base, store)
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
@@ -217,16 +221,17 @@ def compose(
     )
 
 
-def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
-    registry, turns = Registry(), Turns(loop)
+def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) -> _Base:
+    registry, turns = Registry(clock), Turns(loop)
     sights = Sights(registry, turns)
     hub = Hub(registry, loop, config.limits.pattern_value)
-    conditions = Conditions(hub)
+    conditions = Conditions(hub, clock)
     settings, counts = Settings(config), RequestCounts()
     return _Base(
         settings=settings,
         shutdown=Shutdown(),
         loop=loop,
+        clock=clock,
         turns=turns,
         registry=registry,
         scopes=ScopeRights(registry),
@@ -278,6 +283,7 @@ def _features(
         shutdown=base.shutdown,
         turns=base.turns,
         loop=base.loop,
+        clock=base.clock,
     )
     made = make(active, host)
     records.events.on_event += made.event_listeners
@@ -316,11 +322,11 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.events, loop)
+    identities = Identities(settings, records.store, records.events, loop, base.clock)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     accounting = SessionAccounting(known, records.journal.running)
-    resume = SessionResume(records.store, settings, base.shutdown, loop)
+    resume = SessionResume(records.store, settings, base.shutdown, loop, base.clock)
     sessions = Sessions(
         known,
         settings=settings,
@@ -334,6 +340,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         links=base.links,
         outbound=outbound,
         loop=loop,
+        clock=base.clock,
     )
     # What they see is found out in steps from now on, so that a stop need not wait for it.
     for heard in (sessions.on_begin, sessions.on_renewal):
@@ -359,7 +366,7 @@ def _requests(
         motion.arming.check_thaw,
         features.guards,
     )
-    keys = Keys(records.store, base.loop)
+    keys = Keys(records.store, base.loop, base.clock)
     keys.load(records.journal.find)
     return _Requests(
         RequestRouter(
@@ -398,6 +405,7 @@ def _system(
         halted=features.halted,
         record=records.safety_events.estop,
         loop=base.loop,
+        clock=base.clock,
     )
     guard = GuardLink(
         motion.arming,
@@ -591,6 +599,8 @@ def _client_api(
 ) -> ClientApi:
     discovery = Discovery(base.registry, base.sights, features.describe)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
+    ping = PingHandler(base.counts)
+    requests.router.add("ping", ping.ping)
     handshake = Handshake(
         clients.sessions,
         settings=base.settings,
@@ -606,7 +616,7 @@ def _client_api(
     connections = ConnectionParts(
         handle=requests.router.handle,
         prepare=requests.long_bodies.prepare,
-        read_at_once=handlers.read.read_at_once,
+        at_once={"read": handlers.read.read_at_once, "ping": ping.ping_at_once},
         handshake=handshake,
         sessions=clients.sessions,
         identities=clients.identities,

@@ -9,6 +9,7 @@ from typing import Any
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
@@ -48,10 +49,14 @@ class GatewayFeatureHost:
         shutdown: Shutdown,
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         self._health = health
         self.robots = robots(health.name)
-        self._changes = changes
+        self.changed = changes.tell
+        """Has the view's subscribers get it again."""
+        self.publish = changes.tell
+        """Publishes a sample of the feature's own."""
         self._store = store
         self._events = events
         self.ledger = ledger
@@ -63,6 +68,7 @@ class GatewayFeatureHost:
         self.control = control
         self.scopes = scopes
         self.loop = loop
+        self.clock = clock
 
     @property
     def fault(self) -> str | None:
@@ -77,14 +83,6 @@ class GatewayFeatureHost:
     def in_steps(self, work: Work) -> None:
         """Do something long in the turns that have time for it."""
         self._turns.oblige(self, work)
-
-    def changed(self, path: str) -> None:
-        """Have the view's subscribers get it again."""
-        self._changes.tell(path)
-
-    def publish(self, path: str, value: Any) -> None:
-        """Publish a sample of the feature's own."""
-        self._changes.tell(path, value)
 
     def store(self, table: str) -> PluginStore:
         """Return a table that is named after the feature."""

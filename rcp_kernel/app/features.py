@@ -86,8 +86,8 @@ class Features:
     def __init__(self, made: Sequence[tuple[FeatureHealth, Feature]]) -> None:
         self._made = tuple((health.name, feature) for health, feature in made)
         self._health = {health.name: health for health, _ in made}
-        heard = [_listener(health, feature) for health, feature in made]
-        self._listeners = [one for one in heard if one is not None]
+        listeners = [_listener(health, feature) for health, feature in made]
+        self._listeners = [one for one in listeners if one is not None]
 
     @property
     def resources(self) -> list[SystemResource]:
@@ -145,14 +145,14 @@ class Features:
 
     def reader_status(self, session: Session) -> dict[str, Any]:
         """Return what they tell a reader of `/system/status` about itself."""
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for name, feature in self._made:
             if feature.reader_status is not None:
                 try:
-                    told |= feature.reader_status(session)
+                    facts |= feature.reader_status(session)
                 except Exception as error:
                     self._health[name].failed("reader_status", error)
-        return told
+        return facts
 
     def metrics(self) -> Iterable[Metric]:
         """Go through their families for `/metrics`."""
@@ -169,11 +169,11 @@ class Features:
 
     def dry_run(self, call: Call) -> dict[str, Any]:
         """Return what they tell of a dry run."""
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for _, feature in self._made:
             if feature.dry_run is not None:
-                told.update(feature.dry_run(call))
-        return told
+                facts.update(feature.dry_run(call))
+        return facts
 
     def foresee(self, session: Session, entry: Entry, value: Any) -> None:
         """Refuse a value that could not be sent later either.
@@ -186,11 +186,11 @@ class Features:
 
     def describe(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
         """Return what they add to a resource in discovery, for somebody who may command it."""
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for _, feature in self._made:
             if feature.describe is not None:
-                told.update(feature.describe(rights, entry, schemas=schemas))
-        return told
+                facts.update(feature.describe(rights, entry, schemas=schemas))
+        return facts
 
     def status(self, rights: Rights | None) -> list[StatusPart]:
         """Return their parts of the report of health; one that has failed is degraded."""

@@ -134,7 +134,7 @@ class GuardLink:
         if plans == held:
             return
         same = {name for name, plan in plans.items() if held.get(name) == plan}
-        self._senders = {name: told for name, told in self._senders.items() if name in same}
+        self._senders = {name: report for name, report in self._senders.items() if name in same}
         self._plans = plans
         self._process.replace_plans(plans)
 
@@ -262,8 +262,8 @@ class GuardLink:
             if plan["group"] in names:
                 state, detail = self._senders.get(name, ("opening", ""))
                 one = {"backend": plan["group"], "name": name.partition("/")[2]}
-                told = {"sender": plan["sender"], "state": state, "detail": detail or None}
-                plans.append(one | told)
+                facts = {"sender": plan["sender"], "state": state, "detail": detail or None}
+                plans.append(one | facts)
         return {
             "state": self.state,
             "armed": not names.isdisjoint(self._arming.armed),

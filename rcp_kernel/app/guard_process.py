@@ -111,13 +111,13 @@ class GuardProcess:
     # -- its life --------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        ours, theirs = socket.socketpair()
+        parent, child = socket.socketpair()
         environment = {key: text for key, text in os.environ.items() if key not in _OURS}
         safety = self._safety
-        with theirs:
+        with child:
             command = [
                 *(sys.executable, "-P", "-m", "rcp_guard"),
-                *("--fd", str(theirs.fileno())),
+                *("--fd", str(child.fileno())),
                 *("--after", str(safety.guard_after)),
                 *("--bound", str(safety.guard_bound)),
             ]
@@ -127,20 +127,20 @@ class GuardProcess:
                     command,
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    pass_fds=(theirs.fileno(),),
+                    pass_fds=(child.fileno(),),
                     start_new_session=True,
                     env=environment,
                 )
             except OSError as error:
-                ours.close()
+                parent.close()
                 self._again()
                 log.error("guard_not_started", reason=str(error), again_in=self._pause)
                 return
-        ours.setblocking(False)
-        self._socket, self._heard = ours, 0.0
+        parent.setblocking(False)
+        self._socket, self._heard = parent, 0.0
         self._partial = self._waiting = b""
         self._told = frozenset()
-        self._loop.add_reader(ours, self._hear)
+        self._loop.add_reader(parent, self._hear)
         self._send({"plans": self.plans})
 
     def _again(self) -> None:

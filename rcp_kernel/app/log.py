@@ -40,8 +40,8 @@ class Recent:
                 },
             }
             self.records.append(record)
-            for told in self.on_record:
-                told(record)
+            for callback in self.on_record:
+                callback(record)
         return event
 
 

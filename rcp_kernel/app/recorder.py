@@ -101,11 +101,11 @@ class Recorder(Listener):
     def missed_step(self, command: Command, step: Record) -> None:
         """Do likewise for a step of a command, which is not confirmed any more."""
         command.unrecorded = True
-        asker = command.asker
+        requester = command.asker
         self.missed(
             Event(
                 what="execute" if step.status == "accepted" else "command",
-                principal=None if asker is None else asker.principal,
+                principal=None if requester is None else requester.principal,
                 tenant=command.tenant,
                 path=command.path,
             )

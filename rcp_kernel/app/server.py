@@ -20,6 +20,7 @@ from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.client_kinds import AdapterKind, TransportKind
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.errors import ConfigError
@@ -116,7 +117,9 @@ def _tables(raw: dict[str, dict[str, Any]], kinds: dict[str, Any], where: str) -
 
 
 @asynccontextmanager
-async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGenerator[Server]:
+async def running(
+    prepared: Prepared, recent: Recent | None = None, *, clock: Clock = SYSTEM_CLOCK
+) -> AsyncGenerator[Server]:
     """Run a gateway while entered.
 
     :raises ConfigError: a transport or adapter cannot be opened as configured.
@@ -135,6 +138,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
             loop,
             store=store,
             recent=recent,
+            clock=clock,
             features=prepared.features,
         )
         client_api, status = kernel.client_api, kernel.status
@@ -163,8 +167,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
 def _keep_record(stack: AsyncExitStack, kernel: Kernel) -> None:
     name = kernel.settings.config.name
     kernel.event_bus.note("start", principal=None, name=name, version=gateway_version())
-    for command in kernel.journal.cut_off:
-        kernel.journal.tell(command, command.history[-1])
+    kernel.journal.tell_cut_off()
     kernel.resume.start()
 
     def stop() -> None:

@@ -124,8 +124,8 @@ class StatusReport:
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or (self._store.trouble or self._store.damage) is not None
-        told = list(self._features(rights))
-        broken = broken or any(part.degraded for part in told)
+        sections = list(self._features(rights))
+        broken = broken or any(part.degraded for part in sections)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
@@ -146,7 +146,7 @@ class StatusReport:
             "queues": self._queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
-        for part in told:
+        for part in sections:
             report |= part.facts
         if every:
             report["process"] = self._process_facts()

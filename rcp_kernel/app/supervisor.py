@@ -181,7 +181,9 @@ class BackendSupervisor:
         path = full_path(self.tenant, self.robot, name)
         if path in place.entries:  # another backend of the same robot offers it for both
             return
-        entry = Entry(path, hold_resource(name, unit.robot), self, self.tenant, self.robot)
+        entry = Entry(
+            path, hold_resource(name, unit.robot), self, self.tenant, self.robot, place.clock
+        )
         entry.is_hold = True
         self.entries[name] = unit.own[name] = place.place(entry)
 

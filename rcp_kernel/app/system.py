@@ -115,7 +115,7 @@ class System(BaseBackend):
 
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
-        return self._registry.place(Entry(path, resource, self, None, None))
+        return self._registry.place(Entry(path, resource, self, None, None, self._registry.clock))
 
     def _add(self, own: SystemResource) -> None:
         """Put a feature's resource into the tree."""
@@ -210,12 +210,12 @@ class System(BaseBackend):
         return report | self._reader_status(session)
 
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
-        mine = session.principal
+        principal = session.principal
         places = session.rights.places("/system/sessions", Operation.EXECUTE)
         return [
             s.plain()
             for s in self._sessions.known.values()
-            if "*" in places or s.tenant in places or s.principal == mine
+            if "*" in places or s.tenant in places or s.principal == principal
         ]
 
     def _list_commands(self, session: Session) -> Iterator[Body | None]:

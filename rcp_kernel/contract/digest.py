@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.values import Encoding
-from rcp_kernel.wire import encode_body
+from rcp_kernel.values import ANY, Encoding
+from rcp_kernel.wire import Body
 
 __all__ = ["LONGEST", "bounded", "hashed", "hashing"]
 
@@ -23,7 +23,11 @@ def bounded(value: Any) -> Any:
     if isinstance(value, msgspec.Raw):  # it is already
         return value
     try:
-        data = encode_body(value, Encoding.JSON)
+        data = (
+            value.encoded(Encoding.JSON)
+            if isinstance(value, Body)
+            else ANY.encode(value, Encoding.JSON)
+        )
     except Exception:  # whatever cannot be written must not keep the rest out of the record
         return {"unwritable": type(value).__name__}
     return msgspec.Raw(data) if len(data) <= LONGEST else hashed(data)

@@ -98,5 +98,7 @@ class EventBus:
 
     def tell(self, event: Event) -> bool:
         """Tell of an event; return whether replies about it should wait."""
-        told = [hear(event) for hear in self.on_event]  # all of them hear of it
-        return any(told)
+        wait = False
+        for listener in self.on_event:  # all of them hear of it
+            wait = bool(listener(event)) or wait
+        return wait

@@ -15,7 +15,7 @@ from typing import Protocol
 
 from rcp_kernel.errors import EstopActive
 
-__all__ = ["Fenced", "check_fence", "fenced_off", "permitted", "unfenced"]
+__all__ = ["Fenced", "check_fence", "fenced_off", "permit", "permitted", "unfenced"]
 
 
 class Fenced(Protocol):
@@ -32,7 +32,7 @@ class Fenced(Protocol):
 _permit: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
 
 
-class permitted:  # noqa: N801 - used as a function is, and on every write
+class permitted:  # noqa: N801 - used as a function is
     """Run what is inside under a permit that the next stop of `unit` revokes.
 
     `stops` is the unit's count when the request was admitted.
@@ -48,6 +48,11 @@ class permitted:  # noqa: N801 - used as a function is, and on every write
 
     def __exit__(self, *_: object) -> None:
         _permit.reset(self._token)
+
+
+def permit(unit: Fenced, stops: int) -> None:
+    """Have the rest of the present task run under such a permit."""
+    _permit.set((unit, stops))
 
 
 @contextmanager

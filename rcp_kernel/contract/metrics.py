@@ -21,11 +21,12 @@ __all__ = ["BUCKETS", "Histogram", "Metrics", "counter", "gauge", "histogram"]
 
 BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 10.0)
 """Upper bounds in seconds."""
+_SHORTEST = BUCKETS[0]
 _HEAD = 2  # lines of a family before its samples: HELP and TYPE
 
 
 class Histogram:
-    """Counts by bucket; one `bisect` and two additions for an observation."""
+    """Counts by bucket; most durations belong in the first one, the others take a `bisect`."""
 
     __slots__ = ("counts", "total")
 
@@ -35,7 +36,7 @@ class Histogram:
 
     def observe(self, seconds: float) -> None:
         """Count one duration."""
-        self.counts[bisect_left(BUCKETS, seconds)] += 1
+        self.counts[0 if seconds <= _SHORTEST else bisect_left(BUCKETS, seconds)] += 1
         self.total += seconds
 
 

@@ -38,15 +38,15 @@ def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
 
 def attribute_error(error: Exception, origin: str, path: str) -> RcpError:
     """Turn what a backend raised, and no client may see, into an error that says whose it is."""
-    told = to_internal_error(error, backend=origin, path=path)
-    told.origin = origin
-    return told
+    internal = to_internal_error(error, backend=origin, path=path)
+    internal.origin = origin
+    return internal
 
 
 class Pending:
     """One coroutine with a deadline; `settle(result, error)` is called exactly once.
 
-    `begin` calls what it is given as soon as there is time for it; None: there is in any case.
+    The deadline counts from now on; the coroutine runs from `start` on.
     """
 
     __slots__ = ("_loop", "_settle", "_task", "_timeout", "_timer", "_work", "path")
@@ -58,7 +58,6 @@ class Pending:
         timeout: float,
         settle: Settle,
         path: str | None,
-        begin: Callable[[Callable[[], None]], None] | None = None,
     ) -> None:
         self.path = path
         self._loop = loop
@@ -67,12 +66,9 @@ class Pending:
         self._settle: Settle | None = settle
         self._task: asyncio.Task[Any] | None = None
         self._timer = loop.call_later(timeout, self._expire)
-        if begin is None:
-            self._start()
-        else:
-            begin(self._start)
 
-    def _start(self) -> None:
+    def start(self) -> None:
+        """Have the coroutine run, unless it is too late for that."""
         if self._settle is None:
             self._work.close()
             return

@@ -1,4 +1,4 @@
-"""Features: the extension point for what the gateway itself does. Records and protocols only."""
+"""Features: extensions of the gateway itself. This package contains only records and protocols."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Long-running actions of the gateway's own: checked whole in steps, then run as a command.
+"""Long-running actions of features: checked as a whole, in steps, then run as a command.
 
-A recorder that records for ten seconds, a trigger that waits for its event and then commands a robot:
-what such an action does takes time and happens in the name of whoever asked for it. As a command it
-has feedback, a deadline, an end, a record and a `cancel`, like the actions of robots.
+Examples are a recorder that records for ten seconds, or a trigger that waits for an event and then
+commands a robot: such an action takes time and acts for the principal that requested it. As a
+command it has feedback, a deadline, an end, an audit record and `cancel`, like a robot's action.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 class ActionHost(Protocol):
-    """What an action may use of the gateway, in the name of the session that asked for it."""
+    """The functions of the gateway that an action may use, for the session that requested it."""
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
@@ -36,75 +36,75 @@ class ActionHost(Protocol):
 
     @property
     def turns(self) -> Turns:
-        """The time of the event loop; its owner is the session's `principal.identity`."""
+        """Turns of the event loop; their owner is the session's `principal.identity`."""
         ...
 
     @property
     def registry(self) -> Registry:
-        """The tree. What a session may see of it is for the action to ask the session's rights."""
+        """The tree; the action must check the session's rights itself."""
         ...
 
     @property
     def conditions(self) -> Conditions:
-        """Evaluates conditions, and keeps the values coming that they name."""
+        """Evaluates conditions, and keeps the values that they use published."""
         ...
 
     def service(self, key: ServiceKey[T]) -> T | None:
-        """Return what another feature offers; None where no feature does."""
+        """Return a service of another feature; None if no feature provides it."""
         ...
 
     def resolve(self, session: Session, path: str, operation: Operation) -> Entry:
-        """Return a resource on which a session may do something, now or in another state.
+        """Return a resource on which a session may perform an operation, now or in another state.
 
-        :raises UnknownPath: it is not there, or hidden.
+        :raises UnknownPath: it does not exist, or is hidden.
         :raises Forbidden: the rules never allow it.
         """
         ...
 
     def is_personal(self, path: str) -> bool:
-        """Tell whether a resource shows each reader something else."""
+        """Return whether a resource shows each reader a different value."""
         ...
 
     def check_read(self, options: Any) -> None:
-        """Refuse what is no body of a `read`.
+        """Validate the body of a `read`.
 
-        :raises InvalidValue: it is none.
+        :raises InvalidValue: it is invalid.
         """
         ...
 
     def foresee(
         self, session: Session, entry: Entry, value: Any, *, gained: bool, complete: bool
     ) -> None:
-        """Refuse a later write or execute that would be refused whatever happens until then.
+        """Refuse a later write or execute that would be refused in any case.
 
-        `gained` says that the action gets control of the path itself before, `complete` that the
-        value is known already.
+        `gained`: the action acquires control of the path before. `complete`: the value is already
+        final.
 
-        :raises RcpError: as the request itself would be refused.
+        :raises RcpError: as for the request itself.
         """
         ...
 
     def send(self, session: Session, request: Request, answer: Answer, /) -> None:
-        """Have a request handled as if the session's client had sent it: it passes all checks.
+        """Handle a request as if the session's client had sent it, with all checks.
 
-        `answer` gets every reply, exactly one of them final; maybe before this returns.
+        `answer` receives every reply, exactly one of them final; possibly before this returns.
         """
         ...
 
     def started_by(self, request: Request) -> Command | None:
-        """Return the command that a request has started, by its `custom`, while it runs."""
+        """Return the command that a request has started, by its `custom` field, while it runs."""
         ...
 
     def cancel(self, command: Command, reason: str) -> None:
-        """Have a command cancelled: the robot is told at once, the final status follows."""
+        """Cancel a command: the robot is notified at once, the final status follows."""
         ...
 
     def disown(self, session: Session, id_: str) -> None:
-        """Have a client that comes back not told of a command that an action started for it."""
+        """Do not report a command to a resuming client: an action started it."""
         ...
 
     async def record_read(self, session: Session, request: Request, reply: Reply) -> None:
-        """Record what was read for a session; writes and commands go on record by themselves."""
+        """Record a read in the audit log; writes and commands are recorded automatically."""
         ...
 
 
@@ -113,53 +113,54 @@ class ActionRun(Work, Protocol):
 
     @property
     def input(self) -> Any:
-        """What was asked for, of the type of the resource's input."""
+        """The input, of the type of the resource's input."""
         ...
 
     @property
     def touches(self) -> tuple[str, ...]:
-        """All paths that it is about.
+        """All paths that it affects.
 
-        Who may not see one is not told of the command. If an e-stop stops the robot of one while the
-        request waits for its turn, the command is refused.
+        Principals that may not see one of them are not shown the command. If an e-stop stops the
+        robot of
+        one while the request waits for its turn, the command is refused.
         """
         ...
 
     def dry_run(self) -> Mapping[str, Any]:
-        """Return what a dry run tells."""
+        """Return the result of a dry run."""
         ...
 
     def begin(self, session: Session, request: Request, entry: Entry) -> None:
-        """Refuse the command as the last to be asked, or use up what lets it pass once."""
+        """Make the last check before the command starts; may use up an approval."""
         ...
 
 
 class Action(Protocol):
-    """What `SystemResource.action` does."""
+    """The implementation of `SystemResource.action`."""
 
     def admit(self, session: Session, running: Sequence[Command]) -> None:
-        """Refuse one run too many; `running` are the commands of this action that have not ended.
+        """Refuse a run beyond the limit; `running` are the unfinished commands of this action.
 
-        :raises QueueFull: there are as many as may be.
+        :raises QueueFull: as many as allowed are running.
         """
         ...
 
     def prepare(
         self, session: Session, request: Request, entry: Entry, host: ActionHost
     ) -> Generator[None, None, ActionRun]:
-        """Check a request whole, in steps of less than a millisecond, and change nothing.
+        """Check a whole request, in steps of less than a millisecond, without changing anything.
 
-        :raises RcpError: something is wrong with it.
+        :raises RcpError: the request is invalid.
         """
         ...
 
     def stops(self, request: Request, is_stop: Callable[[Request], bool]) -> bool:
-        """Tell whether a request does nothing but bring robots to rest: no quota holds it up then.
+        """Return whether a request only brings robots to rest, so that no quota delays it.
 
-        `is_stop` tells it of another request of the same session. Must be quick, whatever it is given.
+        `is_stop` decides that for another request of the same session. Must be fast for any input.
         """
         ...
 
     def show(self, command: Command) -> Any:
-        """Return what the list of the action's commands has of one, of the type of its items."""
+        """Return a command as the action's list shows it, of the list's item type."""
         ...

@@ -1,4 +1,4 @@
-"""What a feature for approvals offers to plans and to adapters that can ask a person."""
+"""The approval service for plans, and for adapters that can ask a person."""
 
 from __future__ import annotations
 
@@ -14,54 +14,55 @@ __all__ = ["APPROVALS", "ID", "About", "ApprovalService", "Decision", "NoApprova
 
 Decision = Literal["approve", "reject"]
 ID = "a-"
-"""What the ids of approvals begin with; what lets the steps of a plan pass begins otherwise."""
+"""Prefix of approval ids; the tokens of plans have another."""
 
 
 class About(NamedTuple):
-    """What a command that wants approval is about."""
+    """The subject of a command that requires approval."""
 
     paths: tuple[str, ...]
-    """Those for which it wants it."""
+    """Paths that require it."""
     seen: tuple[str, ...]
-    """All that whoever decides has to see."""
+    """Paths that must be visible to whoever decides."""
     steps: tuple[str, ...] = ()
-    """Of a plan: those that want it."""
+    """For a plan: the steps that require it."""
 
 
 class ApprovalService(Protocol):
-    """Whether a person has approved a command, and what became of the question."""
+    """Whether a command requires approval, and decisions on approvals."""
 
     def wanted(self, session: Session, entry: Entry, value: Any) -> bool:
-        """Tell whether a command wants approval; bringing an actuator to rest never does."""
+        """Return whether a command requires approval; bringing an actuator to rest never does."""
         ...
 
     def demand(
         self, session: Session, request: Request, entry: Entry, value: Any, about: About
     ) -> None:
-        """Use an approval of a command up, or ask for one.
+        """Use an approval for a command, or request one.
 
-        :raises ApprovalRequired: with the id to ask about and to repeat the command with.
-        :raises Forbidden: it was rejected, used, or is not for this.
+        :raises ApprovalRequired: with the id to decide on, and to repeat the command with.
+        :raises Forbidden: it was rejected or used, or is for another command.
         """
         ...
 
     def open(self, paths: tuple[str, ...]) -> str:
-        """Return what lets the steps of an approved plan pass, until `close`."""
+        """Return a token that admits the steps of an approved plan, until `close`."""
         ...
 
     def close(self, token: str | None) -> None:
-        """Have nothing pass by a token any more."""
+        """Revoke a token."""
         ...
 
     def answer(self, session: Session, id_: str, decision: Decision, reason: str | None) -> None:
-        """Decide as the person whom the client of a session has asked.
+        """Decide as the person at the session's client.
 
-        Only for an answer that a person gave at the client, never for one of a model.
+        Only for an answer given by a person at the client, never by a model.
 
-        :raises UnknownPath: there is no such approval for this principal.
-        :raises Forbidden: the roles do not let it decide (`may_approve`; `approve_own` for what it
-            asked for itself), or there is nothing to decide any more.
-        :raises RateLimited: it is one request too many now.
+        :raises UnknownPath: this principal has no such approval.
+        :raises Forbidden: its roles do not allow it (`may_approve`; `approve_own` for its own
+            requests), or
+            the approval is no longer pending.
+        :raises RateLimited: too many requests.
         """
         ...
 
@@ -70,24 +71,24 @@ APPROVALS: ServiceKey[ApprovalService] = ServiceKey("approvals")
 
 
 class NoApprovals:
-    """The service of a gateway without approvals: nothing wants one."""
+    """The service of a gateway without approvals: no command requires one."""
 
     def wanted(self, session: Session, entry: Entry, value: Any) -> bool:
-        """Nothing does."""
+        """Return False."""
         return False
 
     def demand(
         self, session: Session, request: Request, entry: Entry, value: Any, about: About
     ) -> None:
-        """Let everything pass."""
+        """Do nothing."""
 
     def open(self, paths: tuple[str, ...]) -> str:
-        """Return what is never looked at."""
+        """Return a token that is never checked."""
         return ""
 
     def close(self, token: str | None) -> None:
         """Do nothing."""
 
     def answer(self, session: Session, id_: str, decision: Decision, reason: str | None) -> None:
-        """Refuse: there is nothing to decide."""
+        """Refuse: there are no approvals."""
         raise UnknownPath(f"there is no approval '{id_[:64]}'", remedy="Send the command again.")

@@ -1,4 +1,4 @@
-"""What becomes of commands: for features that need to know what a robot was told last."""
+"""Command events, for features that track the last command to a robot."""
 
 from __future__ import annotations
 
@@ -13,48 +13,49 @@ __all__ = ["CommandEvents", "CommandObserver"]
 
 
 class CommandObserver(Protocol):
-    """Hears of every write and execute on a robot, and of what brings it to rest.
+    """Receives every write and execute on a robot, and every stop.
 
-    Called on the event loop: it takes note, and neither blocks nor awaits. It cannot refuse
-    anything; an exception is logged and changes nothing.
+    Called on the event loop: must neither block nor await. It cannot refuse anything; an exception
+    is
+    logged and changes nothing.
     """
 
     def sent(self, call: Call) -> None:
-        """All guards have let a command pass; it goes to its robot now."""
+        """A command has passed all guards and is being sent to its robot."""
         ...
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
-        """The robot took a written value, as `actual`."""
+        """The robot accepted a written value, as `actual`."""
         ...
 
     def refused(self, entry: Entry, value: Any) -> None:
-        """A written value was not taken: the robot goes on as before."""
+        """The robot did not accept a written value, and continues as before."""
         ...
 
     def stopping(self, entry: Entry, safe: Any) -> None:
-        """The gateway sends an actuator its safe value; repeated until the robot takes it."""
+        """The gateway sends an actuator its safe value, repeatedly until the robot accepts it."""
         ...
 
     def rested(self, entry: Entry, safe: Any) -> None:
-        """The safe value is in force, or the robot is brought to rest as a whole.
+        """The safe value is in force, or the whole robot is at rest.
 
-        `safe` is None for what has no safe value.
+        `safe` is None for an actuator without a safe value.
         """
         ...
 
 
 class CommandEvents:
-    """Passes on what becomes of commands; nothing depends on whoever hears it."""
+    """Passes command events to observers, whose errors change nothing."""
 
     def __init__(self) -> None:
         self._observers: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
 
     def configure(self, observers: Iterable[tuple[CommandObserver, FeatureHealth]]) -> None:
-        """Tell these from now on."""
+        """Set the observers."""
         self._observers = tuple(observers)
 
     def sent(self, call: Call) -> None:
-        """Pass it on."""
+        """Notify the observers."""
         for observer, health in self._observers:
             try:
                 observer.sent(call)
@@ -62,7 +63,7 @@ class CommandEvents:
                 health.failed("observer", error, path=call.entry.path)
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
-        """Pass it on."""
+        """Notify the observers."""
         for observer, health in self._observers:
             try:
                 observer.took(entry, value, actual)
@@ -70,7 +71,7 @@ class CommandEvents:
                 health.failed("observer", error, path=entry.path)
 
     def refused(self, entry: Entry, value: Any) -> None:
-        """Pass it on."""
+        """Notify the observers."""
         for observer, health in self._observers:
             try:
                 observer.refused(entry, value)
@@ -78,7 +79,7 @@ class CommandEvents:
                 health.failed("observer", error, path=entry.path)
 
     def stopping(self, entry: Entry, safe: Any) -> None:
-        """Pass it on."""
+        """Notify the observers."""
         for observer, health in self._observers:
             try:
                 observer.stopping(entry, safe)
@@ -86,7 +87,7 @@ class CommandEvents:
                 health.failed("observer", error, path=entry.path)
 
     def rested(self, entry: Entry, safe: Any) -> None:
-        """Pass it on."""
+        """Notify the observers."""
         for observer, health in self._observers:
             try:
                 observer.rested(entry, safe)

@@ -1,4 +1,4 @@
-"""What a feature that decides who has control offers to plans, which are checked before they begin."""
+"""The control service, by which plans check who has control before they start."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ __all__ = ["CONTROL", "ControlService", "NoControl"]
 
 
 class ControlService(Protocol):
-    """Who may command what at present."""
+    """Who may currently command what."""
 
     def check(self, session: Session, entry: Entry) -> None:
         """Refuse what the feature's guard would refuse now.
 
-        :raises RcpError: somebody else has control, or the session has to get it first.
+        :raises RcpError: another client has control, or the session must acquire it first.
         """
         ...
 
     def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
-        """Return what an execute would give its session control of, if it is such a request.
+        """Return the scope of which an execute would acquire control, if it is such a request.
 
-        :raises RcpError: it is not a valid one.
+        :raises RcpError: the request is invalid.
         """
         ...
 
@@ -34,11 +34,11 @@ CONTROL: ServiceKey[ControlService] = ServiceKey("control")
 
 
 class NoControl:
-    """The service of a gateway where everybody commands what the access rules allow."""
+    """The service of a gateway where access rules alone decide."""
 
     def check(self, session: Session, entry: Entry) -> None:
-        """Let everything pass."""
+        """Do nothing."""
 
     def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
-        """Nothing is given."""
+        """Return None."""
         return None

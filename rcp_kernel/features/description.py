@@ -12,8 +12,8 @@ __all__ = ["Describe"]
 
 
 class Describe(Protocol):
-    """Says of a resource what somebody who may command it may send here."""
+    """Describes which commands a principal may send to a resource."""
 
     def __call__(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> Mapping[str, Any]:
-        """Return items of its description; `schemas`: with schemas written out."""
+        """Return items for the description; `schemas` requests full schemas."""
         ...

@@ -1,4 +1,4 @@
-"""What a reply confirms beside the act itself: a record of it that is kept."""
+"""Durability of audit records: a reply is sent only once its record is stored."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ __all__ = ["Durability"]
 
 
 class Durability(Protocol):
-    """Lets replies to writes, commands and recorded refusals leave once their record is kept.
+    """Delays replies to writes, commands and recorded refusals until their records are stored.
 
-    The robot waits for nothing, and reads and subscriptions are never held.
+    Commands to robots are not delayed, and neither are reads and subscriptions.
     """
 
     def check(self) -> None:
-        """Refuse a write or command now whose record could not be kept; never asked about holds.
+        """Refuse a write or command whose record could not be stored; not called for holds.
 
-        :raises QueueFull: it could not.
+        :raises QueueFull: the record could not be stored.
         """
         ...
 
     def hold(self, send: Answer, until: float, reply: Reply) -> None:
-        """Send a reply now, or once all that was told so far is kept.
+        """Send a reply now, or once all records so far are stored.
 
-        `until` is the time of the event loop at which its client waits no longer.
+        `until` is the event loop time at which the client stops waiting.
         """
         ...
 
     def hold_estop(self, send: Answer, reply: Reply) -> None:
-        """Do as `hold` does for the reply to an e-stop, which is sent soon in any case."""
+        """Send the reply to an e-stop as `hold`, but soon in any case."""
         ...

@@ -1,7 +1,7 @@
-"""A feature: what a plugin adds to the gateway itself, declared as one record.
+"""A feature: a plugin's extension of the gateway itself, declared as one record.
 
-A backend adds a robot, a transport or an adapter adds clients; a feature adds resources below
-`/system/`, a rule that commands must pass, or a way to prove who one is.
+Backends add robots, transports and adapters add clients; a feature adds resources below `/system/`,
+rules that commands must pass, or an authentication method.
 """
 
 from __future__ import annotations
@@ -36,70 +36,75 @@ __all__ = ["Feature", "FeatureKind"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Feature:
-    """One feature of one gateway. Everything is optional."""
+    """One feature of one gateway. Every field is optional."""
 
     resources: tuple[SystemResource, ...] = ()
-    """What it shows and does below `/system/`."""
+    """Its resources below `/system/`."""
     guard: Guard | None = None
-    """What it refuses."""
+    """Refuses commands."""
     dry_run: Callable[[Call], Mapping[str, Any]] | None = None
-    """Returns what a dry run should tell of a call; items that are None are left out."""
+    """Returns items to add to a dry run of a call; None values are left out."""
     observer: CommandObserver | None = None
-    """Hears what becomes of commands; of a feature whose guard is not active, nothing."""
+    """Receives command events, but only while the guard, if any, is active."""
     foresee: Callable[[Session, Entry, Any], None] | None = None
-    """Refuses a value that could not pass at any later moment either; asked when a plan is checked,
-    long before the step of which it is."""
+    """Refuses a value that could not pass at any later time either; called when a plan is checked,
+    long before the step is run."""
     describe: Describe | None = None
-    """Returns what discovery adds to a resource for somebody who may command it."""
+    """Returns additions to the description of a resource, for a principal that may command it."""
     status: Callable[[Rights | None], StatusPart] | None = None
-    """Returns a part of `/system/status` for somebody, or for everybody (None)."""
+    """Returns a part of `/system/status` for a principal, or for everyone (None)."""
     authenticator: Authenticator | None = None
-    """Finds the principal of a bearer token."""
+    """Returns the principal of a bearer token."""
     on_event: Hear | None = None
-    """Hears of writes, refusals, logins, e-stops, stops by the gateway itself, starts and reloads."""
+    """Receives writes, refusals, logins, e-stops, stops by the gateway, starts and reloads."""
     on_command: CommandListener | None = None
-    """Hears each step of each command, plans included, before any client does."""
+    """Receives each step of each command, including plans, before any client does."""
     durability: Durability | None = None
-    """Has replies wait until what they confirm is kept, and refuses what could not be."""
+    """Delays replies until their records are stored, and refuses commands that could not be
+    recorded."""
     accounting: Accounting | None = None
-    """Counts sessions with their requests, subscriptions and commands, and may refuse more of them."""
+    """Counts sessions with their requests, subscriptions and commands, and may refuse more of
+    them."""
     reader_status: Callable[[Session], Mapping[str, Any]] | None = None
-    """Returns what `/system/status` tells a reader about itself, by names of the feature's own."""
+    """Returns what `/system/status` tells a reader about itself, by the feature's own names."""
     metrics: Callable[[], Iterable[Metric]] | None = None
-    """Returns families for `/metrics`, at each scrape."""
+    """Returns metric families for `/metrics`, at each scrape."""
     services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])
-    """What it offers to adapters and other parts of the gateway, by key."""
+    """Services for adapters and other parts of the gateway, by key."""
     reconfigure: Callable[[Any], None] | None = None
-    """Takes over the table of a reloaded configuration, at once."""
+    """Applies the table of a reloaded configuration immediately."""
     session_ended: Callable[[Session], None] | None = None
-    """Hears of each session that ends: it will not be resumed, unless the gateway is closing."""
+    """Called for each session that ends and cannot be resumed, unless the gateway is closing."""
     rights_changed: Callable[[], None] | None = None
-    """Hears that sessions may have other rights than before: by a reload, or another token."""
+    """Called when the rights of sessions may have changed, by a reload or another token."""
     halted: Callable[[frozenset[str], str, str], None] | None = None
-    """Hears of the paths whose robots an e-stop has halted, by whom, and why; what ran on them has
-    been ended."""
+    """Called with the paths whose robots an e-stop has halted, by whom, and why; their commands
+    have
+    already been ended."""
     running: Callable[[], AbstractAsyncContextManager[None]] | None = None
-    """Its life: entered before any backend is opened, left after the last one is closed."""
+    """Entered before any backend is opened, left after the last one is closed."""
 
 
 class FeatureKind(msgspec.Struct, frozen=True):
-    """A feature that can be configured; offered by the hook `rcp_features`.
+    """A configurable feature, registered by the hook `rcp_features`.
 
-    `make(table, host)` is called while the gateway is built: it must not do I/O. What runs goes into
-    `Feature.running`.
+    `make(table, host)` is called while the gateway is built and must not do I/O; background work
+    belongs into `Feature.running`.
     """
 
     name: str
-    """Its table in the configuration: `[features.<name>]`."""
+    """Name of its table in the configuration: `[features.<name>]`."""
     config: Any
     """The type of its table."""
     make: Callable[[Any, FeatureHost], Feature]
     description: str = ""
     needs: tuple[str, ...] = ()
-    """As of `BackendKind`; a feature that lacks one is an error at the start."""
+    """As for `BackendKind`; a missing requirement is an error at the start."""
     table: Callable[[GatewayConfig], Any] | None = None
-    """Takes its table from elsewhere in the configuration, for features whose keys are there: a value
-    of the type `config`, or what is decoded by it."""
+    """Returns the table from elsewhere in the configuration: a value of the type `config`, or
+    data to
+    decode."""
     check: Callable[[Any, GatewayConfig], None] | None = None
-    """Raise `ConfigError` for what this table and the rest of the configuration must not say
-    together; asked by `rcpd check` too."""
+    """Checks this table against the rest of the configuration and raises `ConfigError`; also
+    called by
+    `rcpd check`."""

@@ -1,8 +1,9 @@
-"""Guards: what a feature may refuse, and when it is asked.
+"""Guards: checks by which a feature can refuse commands.
 
-The kernel asks in one order, whatever is configured: rights, age, e-stop, the guards in the slots
-`LEASE` and `MOTION_LIMIT`, accounts, then the other guards by their slot. It never asks a guard about an
-e-stop or a hold; about the safe value of an actuator it asks those in the slot `LEASE` alone.
+The kernel checks in a fixed order: rights, age, e-stop, guards in the slots `LEASE` and
+`MOTION_LIMIT`, quotas, then the other guards by slot. E-stops and holds are never checked by a
+guard,
+and the safe value of an actuator only by those in the slot `LEASE`.
 """
 
 from __future__ import annotations
@@ -21,30 +22,30 @@ __all__ = ["Call", "Guard", "Slot"]
 
 
 class Slot(IntEnum):
-    """Where in the admission a guard is asked; within one slot by the feature's name."""
+    """The position of a guard in admission; within a slot, guards are ordered by feature name."""
 
     LEASE = 10
-    """Who has control: asked also about the safe value of an actuator, for that is a command that
-    takes over from another. Holds and e-stops pass."""
+    """Control: also checks the safe value of an actuator, because that command takes control from
+    another client. Holds and e-stops pass."""
     MOTION_LIMIT = 20
-    """What a value, or the state of the robot, must be like; before a quota is used."""
+    """Requirements on the value or the robot's state; before a quota is charged."""
     POLICY = 40
-    """A rule of the site: maintenance, opening hours."""
+    """Site rules such as maintenance or opening hours."""
     APPROVAL = 50
-    """Last, because it uses something up that others gave: nothing else refuses any more."""
+    """Last, because it uses an approval up: nothing can refuse the command after it."""
 
 
 class Call(msgspec.Struct, frozen=True):
-    """A write or an execute that would act on a robot, as guards see it."""
+    """A write or execute on a robot, as guards see it."""
 
     session: Session
-    """Whose it is; its `principal` and `rights` are those of now."""
+    """The sender; `principal` and `rights` are current."""
     request: Request
-    """The envelope. Its body is decoded: see `value`."""
+    """The envelope. Its body is decoded in `value`."""
     entry: Entry
-    """What it commands: `entry.path`, `entry.resource`, `entry.moves`, `entry.tenant`."""
+    """The target: `entry.path`, `entry.resource`, `entry.moves`, `entry.tenant`."""
     value: Any
-    """What would be sent, of the resource's type."""
+    """The value to be sent, of the resource's type."""
 
     @property
     def rests(self) -> bool:
@@ -55,27 +56,26 @@ class Call(msgspec.Struct, frozen=True):
 class Guard(Protocol):
     """Refuses calls by raising an `RcpError`; any other exception refuses as `internal`.
 
-    Both methods run on the event loop for each write and execute: they look things up, and neither
-    block nor await.
+    Both methods run on the event loop for each write and execute, and must neither block nor await.
     """
 
     @property
     def slot(self) -> Slot:
-        """Where it stands in the admission."""
+        """The position in admission."""
         ...
 
     @property
     def active(self) -> bool:
-        """Whether its configuration lets it refuse anything; asked at the start and at a reload.
+        """Whether the configuration lets it refuse anything; read at the start and after a reload.
 
-        One that is not is left out of the admission and costs nothing.
+        An inactive guard is skipped at no cost.
         """
         ...
 
     def admit(self, call: Call) -> None:
-        """Refuse what may not be done now. Dry runs (`call.request.dry_run`) change nothing."""
+        """Refuse a call now. For dry runs (`call.request.dry_run`) it must not change anything."""
         ...
 
     def confirm(self, call: Call) -> None:
-        """Refuse what may not be done any more, at the moment it acts: it may have waited."""
+        """Check again just before the call is executed: it may have waited."""
         ...

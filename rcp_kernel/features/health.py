@@ -1,4 +1,4 @@
-"""What has gone wrong in a feature: what it raised where it should only have listened."""
+"""Errors of a feature's listeners, which must not affect the gateway."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class FeatureHealth:
     def __init__(self, name: str) -> None:
         self.name = name
         self.fault: str | None = None
-        """What failed last, for people; None as long as nothing did."""
+        """The last failure, as text; None if nothing failed."""
         self.faults = 0
 
     def failed(self, part: str, error: Exception, **facts: Any) -> None:
-        """Note that a part of it raised; the log has the traceback.
+        """Record that a part raised; the log has the traceback.
 
-        What it raised may name what not everybody may see, so only its type is told.
+        The exception's text may be confidential, so only its type is reported.
         """
         self.faults += 1
         self.fault = f"{part} failed: {type(error).__name__}; see the log of the gateway"

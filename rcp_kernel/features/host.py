@@ -1,4 +1,4 @@
-"""What a feature receives: a few abilities of the gateway, never the gateway."""
+"""The interface to the gateway that a feature receives."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.features.robots import Robots
@@ -23,70 +24,75 @@ __all__ = ["FeatureHost"]
 
 
 class FeatureHost(Protocol):
-    """The gateway as one feature sees it. For the event loop's thread only."""
+    """The gateway as one feature sees it; only for the event loop's thread."""
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
-        """The event loop, with the gateway's monotonic time; it runs when the feature does."""
+        """The event loop, with the gateway's monotonic time; running whenever the feature is."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The gateway's clock, for rules on ages and deadlines; the loop's time runs with it."""
         ...
 
     @property
     def robots(self) -> Robots:
-        """All robots: their resources, what these say, and conditions on it."""
+        """All robots: their resources, samples and conditions on these."""
         ...
 
     @property
     def sessions(self) -> SessionDirectory:
-        """Who is there, and how to tell them something."""
+        """The connected sessions, and notices to them."""
         ...
 
     @property
     def control(self) -> Control:
-        """What robots are commanded: withdrawn, handed over, or brought to rest."""
+        """Control of robots: cancel, hand over, or bring to rest."""
         ...
 
     @property
     def scopes(self) -> ScopeRights:
-        """Parts of the tree: what is there, and who may do what in them."""
+        """Scopes of the tree: their contents and rights."""
         ...
 
     @property
     def fault(self) -> str | None:
-        """What of the feature failed last where it should only have listened, since the start."""
+        """The last failure of one of the feature's listeners since the start."""
         ...
 
     @property
     def closing(self) -> bool:
-        """Whether the gateway is on its way down: sessions end that the next run resumes."""
+        """Whether the gateway is shutting down: its sessions can be resumed after a restart."""
         ...
 
     def in_steps(self, work: Work) -> None:
-        """Do something long in the turns of the loop that have time for it, now if there is one.
+        """Run long work in steps, in spare turns of the event loop; the first now if possible.
 
-        `work` yields after each millisecond at the latest.
+        `work` must yield after at most a millisecond.
         """
         ...
 
     def changed(self, path: str) -> None:
-        """Say that a view of the feature's may show something else now; subscribers get it."""
+        """Notify subscribers that a view of the feature may have changed."""
         ...
 
     def publish(self, path: str, value: Any) -> None:
-        """Publish a sample of a resource of the feature's own; `SystemResource.shows` filters it."""
+        """Publish a sample of one of the feature's resources; `SystemResource.shows` filters it."""
         ...
 
     @property
     def visibility(self) -> Visibility:
-        """What of the tree and of its robots somebody may see."""
+        """Which parts of the tree and which robots a principal may see."""
         ...
 
     @property
     def ledger(self) -> Ledger:
-        """The tamper-evident log of the gateway's store."""
+        """The tamper-evident log in the gateway's store."""
         ...
 
     def store(self, table: str) -> PluginStore:
-        """Return a table of the feature's own in the gateway's store."""
+        """Return one of the feature's tables in the gateway's store."""
         ...
 
     def note(
@@ -101,30 +107,31 @@ class FeatureHost(Protocol):
         outcome: str = "ok",
         **facts: Any,
     ) -> None:
-        """Tell of an event, as the audit log records it; returns at once.
+        """Record an event in the audit log; returns at once.
 
-        Who may read it follows from `tenant` and `path`, or from all paths in `touches`.
+        `tenant` and `path`, or all paths in `touches`, determine who may read it.
         """
         ...
 
     def sees_all(self, rights: Rights, paths: Iterable[str]) -> bool:
-        """Tell whether somebody may see each of some paths."""
+        """Return whether a principal may see all of the paths."""
         ...
 
     def unread_bytes(self, session: Session) -> int:
-        """Return about how many bytes wait for a session's client: a sum, made when it is asked."""
+        """Compute the approximate number of bytes queued for a session's client."""
         ...
 
     def shed(self, session: Session, reason: str) -> int:
-        """Let go of what may be let go of that waits for a client; return the bytes that still wait.
+        """Drop data queued for a client where that is allowed; return the bytes still queued.
 
-        Best effort conflates, a reliable subscription ends with `overrun` for the `reason`, replies
-        for a client that is away are lost and their loss is told; those for one that is there stay.
+        Best-effort subscriptions conflate; reliable ones end with `overrun` for the `reason`.
+        Replies to a
+        disconnected client are dropped and the loss is reported; replies to a connected one stay.
         """
         ...
 
     def check_place(self, session: Session, request: Request) -> None:
-        """Refuse a request that its session has no place for, before something is used up for it.
+        """Refuse a request that its session cannot accept, before something is used up for it.
 
         :raises DuplicateRequest: the request's id is in flight in this session.
         :raises QueueFull: too many requests are in flight.

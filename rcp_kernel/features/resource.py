@@ -1,4 +1,4 @@
-"""Resources of the gateway's own: below `/system/`, each with what it shows to whom and what it does."""
+"""Resources of features, below `/system/`: their views and operations."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from rcp_kernel.sessions.session import Session
 __all__ = ["Filter", "Service", "SystemResource", "View", "ViewChanges"]
 
 View = Callable[[Session], Any]
-"""Makes the value of a resource for whoever asks."""
+"""Returns the value of a resource for one reader."""
 
 Filter = Callable[[Session, Any], Any]
-"""Returns what a session may see of a sample, None for one that is hidden from it."""
+"""Returns the part of a sample that a session may see; None hides it."""
 
 
 class Service(Protocol):
-    """Something that the gateway itself does, in no time."""
+    """A service of the gateway that completes immediately."""
 
     def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
-        """Do it, or for a dry run only check whether it could be done."""
+        """Run the service, or for a dry run only check whether it could run."""
         ...
 
 
@@ -34,29 +34,31 @@ class SystemResource:
     resource: Resource
     """Its name is `<kind>/<name>`, its path `/system/<name>`."""
     view: View | None = None
-    """Makes its value for each reader; the feature calls `FeatureHost.changed` when it may differ."""
+    """Returns the value for each reader; the feature calls `FeatureHost.changed` when it may
+    differ."""
     shows: Filter | None = None
-    """Decides of each sample who sees what of it."""
+    """Filters each sample for each session."""
     execute: Service | None = None
-    """Does what an `execute` asks for; must not block."""
+    """Handles `execute`; must not block."""
     action: Action | None = None
-    """Does what an `execute` asks for as a command, for as long as it takes. The value of the
-    resource is the list of its commands: each reader gets those that it may see."""
+    """Handles `execute` as a command that may take time. The value of the resource is the list
+    of its
+    commands, filtered for each reader."""
 
     @property
     def path(self) -> str:
-        """Where it is in the tree."""
+        """Its path in the tree."""
         return "/system/" + self.resource.name.partition("/")[2]
 
 
 class ViewChanges:
-    """Passes on what features publish, and that their views have changed."""
+    """Passes on samples and view changes of features."""
 
     def __init__(self) -> None:
         self.on_change: list[Callable[[str, Any], None]] = []
-        """Called with the path, and the sample that is published there."""
+        """Called with the path and the published sample."""
 
     def tell(self, path: str, value: Any = ()) -> None:
-        """Pass a sample on; by default one that only says that a view has changed."""
+        """Pass a sample on; the default only announces that a view has changed."""
         for changed in self.on_change:
             changed(path, value)

@@ -1,4 +1,4 @@
-"""What a feature may know of robots: their resources, samples, and conditions on these."""
+"""A feature's access to robots: resources, samples and conditions."""
 
 from __future__ import annotations
 
@@ -16,42 +16,42 @@ class RobotConditions(Protocol):
     """Evaluates conditions over the state of robots: see `rcp_conditions.condition`."""
 
     def use(self, conditions: Iterable[Condition]) -> None:
-        """Keep published what these conditions name, in place of those before."""
+        """Keep the values of these conditions published, instead of those of the previous call."""
         ...
 
     def holds(self, condition: Condition, placed: Entry) -> bool | None:
-        """Tell whether a condition holds for the robot of an entry; None: it cannot be known."""
+        """Return whether a condition holds for the robot of an entry; None if it is unknown."""
         ...
 
     def values(self, refs: Iterable[Ref], placed: Entry) -> dict[Ref, Any]:
-        """Return what names stand for now, for the robot of an entry; not what is unknown."""
+        """Return the current values of names for the robot of an entry, if known."""
         ...
 
     def resource(self, ref: Ref, placed: Entry) -> tuple[Entry, Ref] | None:
-        """Find what a name means for a robot: the resource, and the field in it."""
+        """Resolve a name for a robot: the resource, and the field within it."""
         ...
 
 
 class Robots(Protocol):
-    """The tree with all robots. For the event loop's thread only."""
+    """The tree with all robots; only for the event loop's thread."""
 
     @property
     def entries(self) -> Mapping[str, Entry]:
-        """Every resource, by path; changes while it is held."""
+        """Every resource, by path; a live mapping."""
         ...
 
     @property
     def conditions(self) -> RobotConditions:
-        """Conditions of the feature's own."""
+        """The feature's own conditions."""
         ...
 
     def follow(self, added: Callable[[Entry], None], removed: Callable[[Entry], None]) -> None:
-        """Have each resource told that is declared (or declared anew) and withdrawn from now on."""
+        """Report each resource that is declared (or declared again) or withdrawn from now on."""
         ...
 
     def watch(self, path: str, offer: Callable[[Sample], None]) -> Callable[[], None]:
-        """Have each sample of a path offered, and its source kept running; return what ends it.
+        """Receive each sample of a path, keep its source running; return the end function.
 
-        The path need not be there yet, and may come and go.
+        The path need not exist yet, and may come and go.
         """
         ...

@@ -1,4 +1,4 @@
-"""Named services: what one feature offers to the rest of the gateway, found by a typed key."""
+"""Services of features for the rest of the gateway, found by a typed key."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ServiceKey(Generic[T]):
-    """The name of a service, and its type.
+    """The name and type of a service.
 
-    A feature lists what it offers in `Feature.services`; adapters ask `ClientApi.service(key)`, which
-    returns None where no feature offers it.
+    Features list theirs in `Feature.services`; adapters call `ClientApi.service(key)`, which
+    returns
+    None if no feature provides it.
     """
 
     name: str
 
 
 class ServiceLookup(Protocol):
-    """Finds what features offer."""
+    """Finds the services of features."""
 
     def service(self, key: ServiceKey[T]) -> T | None:
-        """Return the service of a key; None where no feature offers it."""
+        """Return the service of a key; None if no feature provides it."""
         ...

@@ -1,4 +1,4 @@
-"""Who is there: sessions as features see them."""
+"""The sessions of the gateway, as features see them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ __all__ = ["SessionDirectory"]
 
 
 class SessionDirectory(Protocol):
-    """The sessions of the gateway.
+    """The directory of sessions.
 
-    What a session holds is held under a key, `Session.holder`: the session itself, or for requests
-    without a connection their principal as a whole. `Session.holders` are all keys that count for it.
+    What a session holds is stored under the key `Session.holder`: the session itself, or for
+    requests
+    without a connection their principal. `Session.holders` are all keys that apply to it.
     """
 
     def everyone(self) -> list[Session]:
-        """List the sessions of connections, and those that requests without one share."""
+        """List the sessions of connections, and those shared by other requests."""
         ...
 
     def holding(self, key: str) -> list[Session]:
@@ -25,9 +26,9 @@ class SessionDirectory(Protocol):
         ...
 
     def commanding(self, session: Session) -> Session:
-        """Return the session that a client commands by: another one, if this one only listens."""
+        """Return the session by which a client commands: another one, if this one only listens."""
         ...
 
     def tell(self, key: str, code: str, **facts: Any) -> None:
-        """Send a notice to all sessions of a holder; who is away gets it on return."""
+        """Send a notice to all sessions of a holder; disconnected ones receive it on resume."""
         ...

@@ -1,4 +1,4 @@
-"""What a feature says of itself in `/system/status`."""
+"""A feature's part of `/system/status`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ __all__ = ["StatusPart"]
 
 
 class StatusPart(NamedTuple):
-    """A part of the report of health."""
+    """A part of the health report."""
 
     facts: Mapping[str, Any]
-    """Items of the report, by names of the feature's own."""
+    """Items of the report, by the feature's own names."""
     degraded: bool = False
     """Whether something is wrong, so that the gateway as a whole is not `ok`."""

@@ -85,7 +85,7 @@ class GatewayActionHost:
         self, session: Session, entry: Entry, value: Any, *, gained: bool, complete: bool
     ) -> None:
         """Refuse a later command that would be refused whatever happens until then."""
-        check_motion(entry, entry.unit.latch)
+        check_motion(entry)
         if not gained:
             self._control.check(session, entry)
         if entry.owner.backend is None:
@@ -110,13 +110,13 @@ class GatewayActionHost:
         path = reply.path or request.path or ""
         body, touches = reply.body, [path]
         if "*" in path:
-            told = _plain(body)
-            touches = [item["path"] for item in told]
+            recorded = _plain(body)
+            touches = [item["path"] for item in recorded]
         elif isinstance(body, Body) and len(data := body.encoded(Encoding.JSON)) > _LONG:
-            told = await self.turns.finish(session.principal.identity, hashing(data))
+            recorded = await self.turns.finish(session.principal.identity, hashing(data))
         else:
-            told = bounded(_plain(body))
-        self._events.looked(session, request, path, told, touches)
+            recorded = bounded(_plain(body))
+        self._events.looked(session, request, path, recorded, touches)
 
 
 def _plain(body: Any) -> Any:

@@ -70,31 +70,37 @@ class Admission:
         :raises QueueFull: a feature could not keep what its reply confirms.
         :raises RcpError: a guard refuses that decides who has control, or how robots may move.
         """
-        entry = call.entry
-        check_age(entry, call.request.timestamp)
+        entry, timestamp = call.entry, call.request.timestamp
+        if timestamp is not None:
+            check_age(entry, timestamp)
         if entry.is_hold:  # bringing a robot to rest is open to whoever may execute it
             self._shutdown.check()
             return
-        check_motion(entry, entry.unit.latch)
-        self._check_thaw(entry)
-        check_hold(entry, call.value)
+        if entry.barred:
+            check_motion(entry)
+            self._check_thaw(entry)
+            check_hold(entry, call.value)
         if self.control and entry.tenant is not None:
             _ask(self.control, call)
-        self._shutdown.check()
-        self._replies.check()
+        if self._shutdown.begun:
+            self._shutdown.check()
+        if self._replies.demands:
+            self._replies.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
-        self._ask(self._early, call)
+        if self._early:
+            self._ask(self._early, call)
 
     def ask(self, call: Call) -> None:
         """Ask the guards that come last, when nothing else is in the way.
 
         :raises RcpError: one refuses.
         """
-        self._ask(self._late, call)
+        if self._late:
+            self._ask(self._late, call)
 
     def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
-        if guards and _concerns_guards(call):
+        if _concerns_guards(call):
             _ask(guards, call)
 
     def check_control(self, call: Call) -> None:
@@ -103,10 +109,7 @@ class Admission:
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises RcpError: a guard refuses that decides who has control.
         """
-        check_motion(call.entry, call.entry.unit.latch)
-        self._confirm_control(call)
-
-    def _confirm_control(self, call: Call) -> None:
+        check_motion(call.entry)
         if self.control and call.entry.tenant is not None:
             _confirm(self.control, call)
 
@@ -121,14 +124,17 @@ class Admission:
         :raises AdapterUnavailable: there is no robot any more.
         :raises RcpError: a guard refuses.
         """
-        entry, session = call.entry, call.session
-        called = entry.operations & Operation.EXECUTE
-        self._resolver.check(session, entry, called or Operation.WRITE)
-        check_age(entry, call.request.timestamp)
+        entry, request = call.entry, call.request
+        called = Operation.EXECUTE if request.type == "execute" else Operation.WRITE
+        self._resolver.check(call.session, entry, called)
+        if request.timestamp is not None:
+            check_age(entry, request.timestamp)
         if not entry.is_hold:
-            check_motion(entry, entry.unit.latch)
-            check_hold(entry, call.value)
-            self._confirm_control(call)
+            if entry.barred:
+                check_motion(entry)
+                check_hold(entry, call.value)
+            if self.control and entry.tenant is not None:
+                _confirm(self.control, call)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()

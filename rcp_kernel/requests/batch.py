@@ -146,8 +146,8 @@ class _Batch:
         try:
             data = encode_body(reply.body, self._answer)
         except Exception as error:
-            told = to_internal_error(error, path=reply.path)
-            failed = failure(told, reply.type, reply.id, reply.path, command=reply.command)
+            internal = to_internal_error(error, path=reply.path)
+            failed = failure(internal, reply.type, reply.id, reply.path, command=reply.command)
             failed.custom = reply.custom
             reply, data = failed, b""
         # The first one is told however long it is.
@@ -179,9 +179,9 @@ def _without_body(reply: Reply, size: int, limit: int) -> Reply:
         remedy="Send this request on its own, not in a batch.",
         details={"limit": limit},
     )
-    told = failure(error, reply.type, reply.id, reply.path)
-    told.custom = reply.custom
-    return told
+    refusal = failure(error, reply.type, reply.id, reply.path)
+    refusal.custom = reply.custom
+    return refusal
 
 
 def _parts(request: Request, limit: int) -> list[bytes]:

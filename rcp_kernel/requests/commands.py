@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from rcp_kernel.clock import now
-from rcp_kernel.contract.fence import permitted
+from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -124,7 +124,8 @@ class Commands:
 
     def _run(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
         entry = call.entry
-        self._began(entry)
+        if entry.barred:
+            self._began(entry)
         if not _shared(entry):
             self._active[entry.path] = command
         if entry.moves:
@@ -150,10 +151,10 @@ class Commands:
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            with permitted(entry.unit, stops):
-                result = await backend.execute(entry.name, call.value, progress)
+            permit(entry.unit, stops)
+            result = await backend.execute(entry.name, call.value, progress)
         try:
-            if work is None and is_long(result):
+            if work is None and entry.output_type.grows and is_long(result):
                 owner = call.session.principal.identity
                 return await self._turns.finish(owner, checked(entry.output_type, result))
             return entry.output_type.check(result)[0] if result is not None else None
@@ -173,7 +174,7 @@ class Commands:
         fraction: float | None = None,
     ) -> None:
         """Tell how far a command has come: the `Progress` that its backend gets."""
-        if command.final:
+        if command.finished is not None:
             return
         body: Any = NO_BODY
         if feedback is not None:
@@ -238,18 +239,21 @@ class Commands:
             )
 
     def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
-        if not command.final:
+        if command.finished is None:
             self._end(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # looked at, so that asyncio does not report it as lost
-        if self._active.get(command.path) is command:
-            del self._active[command.path]
-            self._next(command.path)
+        command.task = None  # with all that it refers to; the command is remembered for long
+        path = command.path
+        if self._active.get(path) is command:
+            del self._active[path]
+            if path in self._queues:
+                self._next(path)
 
     def _next(self, path: str) -> None:
-        queue = self._queues.get(path)
+        queue = self._queues[path]
         if not queue:
-            self._queues.pop(path, None)
+            del self._queues[path]
             return
         following = queue.popleft()
         if not queue:

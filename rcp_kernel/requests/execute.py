@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import secrets
+import os
 from collections.abc import Coroutine, Generator, Mapping
 from copy import copy
 from time import perf_counter
@@ -137,7 +137,8 @@ class ExecuteHandler:
         try:
             if self._keys.find(session, request, action.path) is not None:
                 return self.execute(session, request, answer)
-            _check_room(session, action.path)
+            if session.account is not None:
+                session.account.check_command(action.path)
             action.check_running(session)
             prepared = yield from action.prepare(session, request, waiting)
             return self.execute(session, request, answer, prepared)
@@ -164,7 +165,8 @@ class ExecuteHandler:
         if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
             return None
-        known = self._keys.find(session, request, entry.path)
+        keyed = request.idempotency_key is not None
+        known = self._keys.find(session, request, entry.path) if keyed else None
         if isinstance(known, Command):
             self._journal.follow(known, session, request, answer, started)
             return None
@@ -173,7 +175,8 @@ class ExecuteHandler:
         self._commands.admit(entry)
         halts = entry.is_hold or (action is not None and self.stops(session, request))
         if not halts:
-            _check_room(session, entry.path)
+            if session.account is not None:
+                session.account.check_command(entry.path)
             if action is not None:
                 action.check_running(session)
         if entry.is_hold and not request.dry_run:
@@ -192,12 +195,14 @@ class ExecuteHandler:
             prepared.run.begin(session, request, entry)
             command = prepared.command(session, request, entry)
             command.followers.append(action.follow)
-        if request.idempotency_key is not None:
+        if keyed:
             command.ready = self._keys.committed
             command.followers.append(self._settling(session, request, entry.path))
         self._journal.follow(command, session, request, answer, started)
-        self._keys.note(session, request, entry.path, command)
-        count_command(session, command)
+        if keyed:
+            self._keys.note(session, request, entry.path, command)
+        if session.account is not None:
+            count_command(session.account, command)
         self._start(command, call)
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
@@ -379,17 +384,11 @@ class ExecuteHandler:
         )
 
 
-def _check_room(session: Session, path: str) -> None:
-    """Refuse a command that is one too many for whatever counts the session."""
-    if (account := session.account) is not None:
-        account.check_command(path)
-
-
 def _command(call: Call) -> Command:
     """Return the command that a call to a robot becomes."""
     session, request, entry = call.session, call.request, call.entry
     return Command(
-        id="cmd-" + secrets.token_hex(8),
+        id="cmd-" + os.urandom(8).hex(),
         path=entry.path,
         principal=session.principal.name,
         proof=session.principal.proof,

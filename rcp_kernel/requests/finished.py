@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.values import Encoding, dump
@@ -17,7 +17,8 @@ __all__ = ["Finished"]
 
 _KEPT = 1000
 _BYTES = 32 * 1024 * 1024  # of inputs, feedback and results
-_EMPTY = 1024  # bytes that any command counts for
+_EMPTY = 1024  # bytes that any command counts for, numbers included
+_SCALARS = (float, int, bool, type(None))
 
 
 class Finished:
@@ -49,14 +50,19 @@ class Finished:
 
 
 def _size(command: Command) -> int:
-    bodies = [record.body for record in command.history if record.body is not NO_BODY]
-    size = _EMPTY
-    for value in [command.input, *bodies]:
-        if isinstance(value, LongValue):
-            size += value.size
-            continue
-        try:
-            size += len(dump(value, Encoding.MSGPACK))
-        except Exception:  # what cannot be written is not told to anybody either
-            size += _EMPTY
+    size = _EMPTY + _length(command.input)
+    for record in command.history:
+        if record.body is not NO_BODY:
+            size += _length(record.body)
     return size
+
+
+def _length(value: Any) -> int:
+    if isinstance(value, _SCALARS):
+        return 0
+    if isinstance(value, LongValue):
+        return value.size
+    try:
+        return len(dump(value, Encoding.MSGPACK))
+    except Exception:  # what cannot be written is not told to anybody either
+        return _EMPTY

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock, now
 from rcp_kernel.errors import DuplicateRequest, InternalError
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.command import Command, Record
@@ -62,7 +62,8 @@ class _Seen:
 class Keys:
     """The first outcome of each key, by principal, for a day."""
 
-    def __init__(self, store: Store, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, store: Store, loop: asyncio.AbstractEventLoop, clock: Clock) -> None:
+        self._now = clock.now
         self._store = store
         self._loop = loop
         self._known: OrderedDict[str, _Seen] = OrderedDict()
@@ -72,12 +73,15 @@ class Keys:
         """Return what comes or came of the request's key, or None.
 
         :raises DuplicateRequest: the key was used for something else.
+        :raises InternalError: what is kept of the key cannot be read.
         """
         if request.idempotency_key is None:
             return None
         found = self._known.get(_name(session, request.idempotency_key, path))
-        if found is None or found.created < now() - _AGE:
+        if found is None or found.created < self._now() - _AGE:
             return None
+        if found.outcome is None:
+            raise _unreadable(path)
         if found.digest != _digest(request, path):
             raise DuplicateRequest(
                 "the idempotency key was used for a different request", path=path
@@ -91,7 +95,7 @@ class Keys:
         name = _name(session, request.idempotency_key, path)
         if name in self._known:
             self._drop(name)
-        seen = _Seen(_digest(request, path), now(), request.type, path)
+        seen = _Seen(_digest(request, path), self._now(), request.type, path)
         seen.outcome = outcome
         if isinstance(outcome, Command):
             seen.command = outcome.id
@@ -133,7 +137,7 @@ class Keys:
         self._store.put(_TABLE, name, None)
 
     def _bound(self) -> None:
-        oldest = now() - _AGE
+        oldest = self._now() - _AGE
         while len(self._known) > _KEPT or self._bytes > _BYTES:
             self._drop(next(iter(self._known)))
         while self._known and self._known[next(iter(self._known))].created < oldest:
@@ -141,12 +145,13 @@ class Keys:
 
     def load(self, command: Callable[[str], Command | None]) -> None:
         """Take in the keys of earlier runs; `command` finds one of the history."""
-        rows = self._store.load(_TABLE)
+        rows = self._store.load(_TABLE, unreadable={})
         found = [(name, _read(row)) for name, row in rows.items()]
-        kept = [(name, seen) for name, seen in found if seen is not None]
-        for name, seen in sorted(kept, key=lambda item: item[1].created):
+        for name, seen in sorted(found, key=lambda item: item[1].created):
             self._known[name] = seen
             self._bytes += seen.size
+            if not seen.digest:
+                continue
             reply = _cut_off(seen) if seen.reply is None else _decoded(seen)
             if seen.command is not None:
                 seen.outcome = command(seen.command) or _ended(seen, reply)
@@ -158,8 +163,8 @@ class Keys:
 
 def _name(session: Session, key: str, path: str) -> str:
     """Name a key: that of a principal, by its proof, in one tenant."""
-    who, proof = session.principal.identity
-    text = f"{len(who)}:{who}:{proof}:{tenant_of(path)}:{key}"
+    name, proof = session.principal.identity
+    text = f"{len(name)}:{name}:{proof}:{tenant_of(path)}:{key}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -186,8 +191,8 @@ def _decoded(seen: _Seen) -> Reply:
     return Reply(**fields)
 
 
-def _read(row: Any) -> _Seen | None:
-    """Return the key of a row; one that cannot be read is left out and told of."""
+def _read(row: Any) -> _Seen:
+    """Return the key of a row; one that cannot be read has no digest: it fits no request."""
     try:
         seen = _Seen(row["digest"], row["created"], row["type"], row["path"])
         seen.command, seen.reply = row["command"], row["reply"]
@@ -195,8 +200,17 @@ def _read(row: Any) -> _Seen | None:
             _decoded(seen)
     except (msgspec.DecodeError, TypeError, KeyError) as error:
         log.warning("store_row_unreadable", table=_TABLE, error=str(error))
-        return None
+        return _Seen(b"", now(), "", "")
     return seen
+
+
+def _unreadable(path: str) -> InternalError:
+    """Refuse a key that was used: what was sent under it may have run, so it does not run again."""
+    return InternalError(
+        "what came of this idempotency key cannot be read; the request was not sent again",
+        path=path,
+        remedy="Check the state of the robot, then send it with a new key if it is still needed.",
+    )
 
 
 def _cut_off(seen: _Seen) -> Reply:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable
-from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -75,8 +74,11 @@ class InFlight:
             self._counts.conclude(session, reply, started)
             answer(reply)
 
-        begin = None if urgent else partial(self._turns.begin, session.principal.identity)
-        session.inflight[key] = Pending(self._loop, work, timeout, settle, path, begin)
+        pending = session.inflight[key] = Pending(self._loop, work, timeout, settle, path)
+        if urgent:
+            pending.start()
+        else:
+            self._turns.begin(session.principal.identity, pending.start)
 
     def claim(self, session: Session, request: Request) -> str:
         """Reserve a place among the session's unanswered requests.

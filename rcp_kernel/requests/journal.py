@@ -84,9 +84,10 @@ class CommandJournal:
             del history[1]
         if status in FINAL:
             self._close(command, step)
-        if status != "in_progress":
+        if status != "in_progress" and self._store.keeps:
             self.keep(command)
-        self.tell(command, step)
+        for hear in self.on_step:
+            hear(command, step)
         for follower in tuple(command.followers):
             follower(command, step)
         if status in FINAL:
@@ -103,8 +104,6 @@ class CommandJournal:
 
     def keep(self, command: Command) -> None:
         """Have the store keep a command's present state."""
-        if not self._store.keeps:
-            return
         try:
             row = as_row(command)
         except Exception:  # the command goes on, whether it can be written down or not
@@ -115,10 +114,11 @@ class CommandJournal:
     def _forget(self, command: Command) -> None:
         self._store.put(TABLE, command.id, None)
 
-    def tell(self, command: Command, step: Record) -> None:
-        """Tell a step to those who hear of all commands."""
-        for hear in self.on_step:
-            hear(command, step)
+    def tell_cut_off(self) -> None:
+        """Tell those who hear of all commands which ones the end of the earlier run cut off."""
+        for command in self.cut_off:
+            for hear in self.on_step:
+                hear(command, command.history[-1])
 
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float
@@ -134,19 +134,19 @@ class CommandJournal:
             if len(session.commands) > _FOLLOWED:
                 _forget_finished(session.commands)
 
-        def told(command: Command, step: Record) -> None:
+        def on_step(command: Command, step: Record) -> None:
             reply = command.reply(step)
             reply.id = request.id  # others may follow the same command under ids of theirs
-            if reply.final:
+            if step.status in FINAL:
                 session.inflight.pop(key, None)
                 self._requests.conclude(session, reply, started)
             answer(reply)
 
         history = command.history
         if not history or not command.final:
-            command.followers.append(told)
+            command.followers.append(on_step)
         if history:
-            told(command, history[-1])
+            on_step(command, history[-1])
 
 
 def _forget_finished(commands: dict[str, OwnCommand]) -> None:

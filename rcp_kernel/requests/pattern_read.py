@@ -113,8 +113,8 @@ class PatternRead:
             return self._failed(entry, error)
 
     def _failed(self, entry: Entry, error: Exception) -> bool:
-        told = to_internal_error(error, path=entry.path)
-        facts = {"path": entry.path, "status": told.status, "error": error_body(told)}
+        internal = to_internal_error(error, path=entry.path)
+        facts = {"path": entry.path, "status": internal.status, "error": error_body(internal)}
         return self._page.add(facts, NO_BODY, self._room)
 
     @property

@@ -44,7 +44,10 @@ class ReplyGate:
     @property
     def lost(self) -> int:
         """How many events were not recorded: has it grown, then what was just told is unconfirmed."""
-        return sum(demand.lost for demand in self.demands)
+        lost = 0
+        for demand in self.demands:
+            lost += demand.lost
+        return lost
 
     def confirmed(self, reply: Reply, lost: int) -> Reply:
         """Return a reply, or one that confirms nothing if something is unrecorded since `lost`."""

@@ -76,15 +76,17 @@ class RequestEvents:
 
         def done(reply: Reply) -> None:
             lost = gate.lost
-            self._events.note(
-                "write",
-                principal=session.principal,
-                session=session,
-                request=request,
-                tenant=entry.tenant,
-                path=entry.path,
-                outcome="ok" if reply.error is None else reply.error["code"],
-                message=reply.message,
+            self._events.tell(
+                Event(
+                    what="write",
+                    principal=session.principal,
+                    session=session,
+                    request=request,
+                    tenant=entry.tenant,
+                    path=entry.path,
+                    outcome="ok" if reply.error is None else reply.error["code"],
+                    facts={"message": reply.message},
+                )
             )
             answer(gate.confirmed(reply, lost))
 

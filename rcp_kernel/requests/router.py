@@ -11,7 +11,6 @@ from time import perf_counter
 
 import structlog
 
-from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.structure import LONG, check_structure
@@ -60,7 +59,7 @@ class RequestRouter:
         self._events = events
         self._long_bodies = long_bodies
         self._actions = actions
-        self._routes: dict[str, Route] = {"ping": _ping, "hello": _hello}
+        self._routes: dict[str, Route] = {"hello": _hello}
         self._stepped: dict[str, SteppedRoute] = {}
         self._stopping: dict[str, Callable[[Session, Request], bool]] = {}
 
@@ -178,10 +177,6 @@ class RequestRouter:
         reply.custom = request.custom
         hide = (request.path or "") in self._actions
         return reply, self._events.refused(session, request, reply, answer, hide=hide)
-
-
-def _ping(_session: Session, request: Request, _answer: Answer) -> Reply:
-    return Reply(type="ping", id=request.id, timestamp=iso(now()), custom=request.custom)
 
 
 def _hello(_session: Session, _request: Request, _answer: Answer) -> Reply:

@@ -322,12 +322,12 @@ class SubscribeHandler:
             self._hub.dropped["overrun"] += 1
             facts |= {"error": error_body(error), "message": error.message}
 
-        def told() -> None:
+        def on_end() -> None:
             code = reason if error is not None else "subscription_ended"
             notice(subscription.outbox, code, **facts)
 
         # What was delivered to the queue before the end goes out before the notice of it.
-        self._links.end(subscription, _send_rest if error is None else None, told)
+        self._links.end(subscription, _send_rest if error is None else None, on_end)
 
 
 def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:

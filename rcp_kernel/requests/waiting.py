@@ -65,15 +65,15 @@ class WaitingCommands:
         for waiting in own:
             waiting.cancelled = True
         if others:
-            who = session.principal.identity, session.tenant, session.rights
+            owner = session.principal.identity, session.tenant, session.rights
             for waiting in set(self._known).difference(own):
-                if who not in waiting.asking and len(waiting.asking) >= _ASKING:
+                if owner not in waiting.asking and len(waiting.asking) >= _ASKING:
                     raise QueueFull(
                         "too many clients have cancelled what waits for its turn here",
                         remedy="Cancel it by its id as soon as it runs.",
                         retry_after=1.0,
                     )
-                waiting.asking[who] = session
+                waiting.asking[owner] = session
         return [waiting.id for waiting in own]
 
     def settle(self, waiting: WaitingCommand, command: Command) -> None:

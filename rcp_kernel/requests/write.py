@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.fence import permitted
+from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.structure import LONG
@@ -77,7 +77,8 @@ class WriteHandler:
         """Start a write; a repeat under the same key waits for the first one's outcome."""
         entry = self._resolver.resolve(session, request.path, Operation.WRITE)
         value = request.decode_body(entry.value_type, entry.label)
-        first = self._keys.find(session, request, entry.path)
+        keyed = request.idempotency_key is not None
+        first = self._keys.find(session, request, entry.path) if keyed else None
         if isinstance(first, asyncio.Future):
             held = self._replies.held(answer, request, entry)
             self._repeat(first, session, request, entry, held)
@@ -90,7 +91,7 @@ class WriteHandler:
             facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
         held = self._replies.held(answer, request, entry)
-        if request.idempotency_key is not None:
+        if keyed:
             held = self._noting(session, request, entry, held)
         noted = self._request_events.written(session, request, entry, held)
         try:
@@ -124,20 +125,23 @@ class WriteHandler:
         request, entry, value = call.request, call.entry, call.value
         if request.idempotency_key is not None:
             await self._keys.committed()
-        with self._deadman.in_flight(entry), permitted(entry.unit, stops):
-            try:
-                if entry.path in self._deadman.leaving:
-                    await self._deadman.cleared(entry)
-                backend = self._admission.confirm(call)
-                if entry.unit.stops != stops and entry.barred:
-                    self._events.refused(entry, value)
-                    text = "an e-stop was latched and reset since this was sent"
-                    raise EstopActive(text, path=entry.path)
-                sample = await self._send(backend, entry, value, window)
-            except BaseException:
-                # An e-stop or a loss of control is why, whatever came of the write.
-                self._admission.check_control(call)
-                raise
+        permit(entry.unit, stops)
+        task = self._deadman.departed(entry)
+        try:
+            if entry.path in self._deadman.leaving:
+                await self._deadman.cleared(entry)
+            backend = self._admission.confirm(call)
+            if entry.barred and entry.unit.stops != stops:
+                self._events.refused(entry, value)
+                text = "an e-stop was latched and reset since this was sent"
+                raise EstopActive(text, path=entry.path)
+            sample = await self._send(backend, entry, value, window)
+        except BaseException:
+            # An e-stop or a loss of control is why, whatever came of the write.
+            self._admission.check_control(call)
+            raise
+        finally:
+            self._deadman.arrived(entry, task)
         if isinstance(request, Prepared):
             owner = call.session.principal.identity
             await self._turns.finish(owner, sample.encode_in_steps())
@@ -168,7 +172,8 @@ class WriteHandler:
         entry.owner.latency = perf_counter() - started
         actual = value if actual is None else actual
         events.took(entry, value, actual)
-        deadman.disarm(entry, guard)
+        if guard is not None:
+            deadman.disarm(entry, guard)
         if window is not None and value != safe_value(entry):
             deadman.arm(entry, window)
         return entry.publish(actual, None)
@@ -214,6 +219,7 @@ def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
         type="write",
         id=request.id,
         path=entry.path,
+        status="completed",
         body=body,
         message=f"{entry.path} written.",
         seq=sample.seq,

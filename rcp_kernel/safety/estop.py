@@ -17,7 +17,7 @@ from msgspec import Meta
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.scope_rights import ScopeRights
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.safety import Deadman
@@ -94,6 +94,7 @@ class Estop:
         halted: Callable[[frozenset[str], str, str], None],
         record: EstopRecord,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         """Act on the robots of `supervisors`.
 
@@ -110,6 +111,7 @@ class Estop:
         self._tell_halted = halted
         self._record = record
         self._loop = loop
+        self._now = clock.now
         self._due: list[tuple[list[StopGroup], str, str | None]] = []
         """E-stops after which what ran has not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
@@ -118,8 +120,8 @@ class Estop:
 
     def state(self, session: Session) -> EstopState:
         """Return what a session may see of the latches."""
-        mine = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
-        wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
+        own = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
+        wide = {key: latch.plain() for key, latch in self._wide().items() if key in own}
         visible = self._visible(session)
         groups = tuple(
             name for name in self._groups() if self._members(session.rights, name, visible)
@@ -161,7 +163,7 @@ class Estop:
     # -- stop and reset ------------------------------------------------------------------------
 
     def request(
-        self, session: Session, asked: EstopRequest, sent: Request
+        self, session: Session, request: EstopRequest, sent: Request
     ) -> Coroutine[Any, Any, EstopState]:
         """Latch or reset what is in scope, at once; return what waits for robots to come to rest.
 
@@ -169,30 +171,30 @@ class Estop:
         :raises Forbidden: a reset by somebody whose role may not, in all of the scope; or a stop of
             several tenants without the right to that.
         """
-        keys, robots = self.check(session, asked)
-        if asked.reset:
+        keys, robots = self.check(session, request)
+        if request.reset:
             freed = self._reset(keys, robots)
-            self._record(session, sent, asked, keys, freed)
+            self._record(session, sent, request, keys, freed)
             return self._state_now(session)
         latches, by = self._latches, session.principal.name
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
-            latches.set(key, by, asked.reason)
+            latches.set(key, by, request.reason)
         for robot in _merged(robots):
             robot.count_stop()
         stops = self._stops.begin(robots)
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
-        self._due.append((robots, by, asked.reason))
+        self._due.append((robots, by, request.reason))
         self._loop.call_soon(self._end_due)
-        self._record(session, sent, asked, keys, fresh)
+        self._record(session, sent, request, keys, fresh)
         return self._halted(session, stops, sent.deadline)
 
     def check(
-        self, session: Session, asked: EstopRequest
+        self, session: Session, request: EstopRequest
     ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the latches and robots that a request means; refuse it as `request` does."""
-        keys, robots = self._meant(session, asked.scope)
-        if not asked.reset:
+        keys, robots = self._meant(session, request.scope)
+        if not request.reset:
             return keys, robots
         known = self._settings.config.tenant_names
         touched = {robot.tenant for robot in robots}
@@ -205,9 +207,9 @@ class Estop:
             )
         return keys, robots
 
-    def names(self, session: Session, asked: EstopRequest) -> list[str]:
+    def names(self, session: Session, request: EstopRequest) -> list[str]:
         """Name the robots that a request means, as far as the session sees them; refuse as it would."""
-        _, robots = self.check(session, asked)
+        _, robots = self.check(session, request)
         seen = self._visible(session)
         return sorted(robot.name for robot in robots if robot in seen)
 
@@ -222,7 +224,7 @@ class Estop:
         for key, tenant in keys.items():
             latches.reset(key, () if tenant is None else (tenant_key(tenant),))
         for robot in _merged(freed):
-            robot.release(now())
+            robot.release(self._now())
         self._stops.end(robot for robot in robots if robot.latch is None)
         return freed
 

@@ -44,14 +44,14 @@ async def _until_taken(
 ) -> None:
     loop = asyncio.get_running_loop()
     calls = [first]
-    pause, refused, told = _AGAIN, _FAILED, -_TOLD
+    pause, refused, logged_at = _AGAIN, _FAILED, -_TOLD
     try:
         while True:
             failure = await _answered(calls, loop.time() + pause)
             if failure is None and not calls:
                 return
-            if failure is not None and loop.time() - told >= _TOLD:
-                told = loop.time()
+            if failure is not None and loop.time() - logged_at >= _TOLD:
+                logged_at = loop.time()
                 log.warning(event, error=repr(failure), **facts)
             if calls:
                 pause = min(pause * _SLOWER, _SLOWEST)

@@ -10,12 +10,11 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.latches import Latch
 from rcp_kernel.wire import Request
 
 __all__ = [
@@ -32,12 +31,13 @@ _UNTAKEN = 0.25  # s that the robot may not take a safe value before its other b
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 
 
-def check_motion(entry: Entry, latch: Latch | None) -> None:
+def check_motion(entry: Entry) -> None:
     """Refuse motion under a latched e-stop.
 
     :raises EstopActive: the path moves something, and its robot is stopped.
     """
-    if latch is not None and entry.barred:
+    latch = entry.unit.latch if entry.barred else None
+    if latch is not None:
         raise EstopActive(
             f"{latch.by} has latched an e-stop" + (f": {latch.reason}" if latch.reason else ""),
             path=entry.path,
@@ -64,7 +64,7 @@ def is_safe(entry: Entry, value: Any) -> bool:
     return entry.resource.safe is not None and bool(value == safe_value(entry))
 
 
-def check_age(entry: Entry, timestamp: str | float | None) -> None:
+def check_age(entry: Entry, timestamp: str | float) -> None:
     """Refuse a command that is older, or further in the future, than its path allows.
 
     What moves something is not to be older than the last reset of an e-stop either.
@@ -72,8 +72,6 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
     :raises StaleCommand: it is.
     :raises BadRequest: its timestamp is not a time.
     """
-    if timestamp is None:
-        return
     sent = parse_time(timestamp)
     if sent < entry.unit.released and entry.barred:
         raise StaleCommand(
@@ -85,36 +83,13 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
     limit = entry.resource.max_age
     if limit is None:
         return
-    age = (now() - sent) / 1e9
+    age = (entry.clock.now() - sent) / 1e9
     if abs(age) > limit:
         raise StaleCommand(
             f"the command is {age:.3f} s old; the limit of {entry.path} is {limit:g} s",
             path=entry.path,
             details={"age": age, "max_age": limit},
         )
-
-
-class _Flight:
-    """A write under way, while entered."""
-
-    __slots__ = ("_flights", "_path", "_task")
-
-    def __init__(self, flights: dict[str, set[asyncio.Task[Any]]], path: str) -> None:
-        self._flights, self._path = flights, path
-        self._task = asyncio.current_task()
-
-    def __enter__(self) -> None:
-        if self._task is not None:
-            self._flights.setdefault(self._path, set()).add(self._task)
-
-    def __exit__(self, *_: object) -> None:
-        if self._task is None:
-            return
-        flights = self._flights.get(self._path)
-        if flights is not None:
-            flights.discard(self._task)
-            if not flights:
-                del self._flights[self._path]
 
 
 class Deadman:
@@ -168,10 +143,24 @@ class Deadman:
             )
         return request.valid_for
 
-    def in_flight(self, entry: Entry) -> _Flight:
-        """Have the present task known as one that writes to an entry, for `ground` to cancel."""
-        self._began(entry)
-        return _Flight(self._flights, entry.path)
+    def departed(self, entry: Entry) -> asyncio.Task[Any]:
+        """Have the present task known as one that writes to an entry, for `cut` to cancel.
+
+        Return it: what `arrived` takes when it has ended, however that was.
+        """
+        if entry.barred:
+            self._began(entry)
+        task = asyncio.current_task()
+        assert task is not None
+        self._flights.setdefault(entry.path, set()).add(task)
+        return task
+
+    def arrived(self, entry: Entry, task: asyncio.Task[Any]) -> None:
+        """Know of a write no more."""
+        flights = self._flights[entry.path]
+        flights.discard(task)
+        if not flights:
+            del self._flights[entry.path]
 
     def cancel_writes(self, entry: Entry) -> list[asyncio.Task[Any]]:
         """Cut what commands an entry whose robot is brought to rest as a whole.

@@ -18,7 +18,7 @@ class SessionAccount(Protocol):
     """
 
     def take(self, moment: float) -> bool:
-        """Count a request at `moment` (`perf_counter`), or count nothing and return False.
+        """Count a request at `moment` (`Clock.monotonic`), or count nothing and return False.
 
         Asked before the body is decoded. What stops a robot counts, and passes in any case; an
         e-stop, a cancel and a release are not counted at all.

@@ -135,14 +135,12 @@ class SessionAccounting:
         for command in self._running.values():
             if command.asker is not None:
                 self.update(command.asker)
-                count_command(command.asker, command)
+                if command.asker.account is not None:
+                    count_command(command.asker.account, command)
 
 
-def count_command(session: Session, command: Command) -> None:
+def count_command(account: SessionAccount, command: Command) -> None:
     """Count a command until it ends; one that began goes on, whatever a feature makes of it."""
-    account = session.account
-    if account is None:
-        return
     try:
         end = account.add_command(command.id, command.path)
     except Exception:

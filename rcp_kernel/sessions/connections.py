@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -44,6 +44,7 @@ _HELD = 256  # messages that wait for a `hello`
 
 
 _HELLO = value_type(Hello)
+AtOnce = Mapping[str, Callable[[Session, Request], bytes | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,8 +54,8 @@ class ConnectionParts:
     handle: Handler
     prepare: Callable[[Session, Request], Generator[None, None, Request]]
     """Decodes a long body in steps."""
-    read_at_once: Callable[[Session, Request], bytes | None]
-    """Answers the read that nearly all reads are."""
+    at_once: AtOnce
+    """By type, what answers in JSON what nearly all requests of the type are."""
     handshake: Handshake
     sessions: Sessions
     identities: Identities
@@ -76,13 +77,12 @@ class Connection:
     """
 
     __slots__ = (
+        "_at_once",
         "_handle",
         "_held",
         "_identifying",
         "_parts",
-        "_read_at_once",
         "_settings",
-        "_splices",
         "closed",
         "encoding",
         "expelled",
@@ -106,7 +106,8 @@ class Connection:
         one_way: bool = False,
     ) -> None:
         self._parts = parts
-        self._handle, self._read_at_once = parts.handle, parts.read_at_once
+        self._handle = parts.handle
+        self._at_once: AtOnce = parts.at_once if encoding is Encoding.JSON else {}
         self._settings = parts.settings
         self.peer = peer
         self.encoding = encoding
@@ -125,7 +126,6 @@ class Connection:
         self._held: deque[bytes] | None = None
         """Messages since a `hello` or a long message that is not handled yet."""
         self._identifying: asyncio.Task[None] | None = None
-        self._splices = encoding is Encoding.JSON
         session.connection = self
         session.one_way = one_way
         session.encoding = encoding
@@ -172,8 +172,9 @@ class Connection:
                 return
             request = decode_request(data, self.encoding)
             outbox = self.outbox
-            if request.type == "read" and self._splices and outbox.waiting <= SHARE:
-                reply = self._read_at_once(self.session, request)
+            at_once = self._at_once.get(request.type)
+            if at_once is not None and outbox.waiting <= SHARE:
+                reply = at_once(self.session, request)
                 if reply is not None:
                     outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
                     return
@@ -231,10 +232,10 @@ class Connection:
 
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
-        told = to_internal_error(error, session=self.session.id)
+        internal = to_internal_error(error, session=self.session.id)
         type_, id_ = peek_header(data, self.encoding)
-        self._parts.counts.count(self.session.transport, type_, told.code)
-        self.send(failure(told, type_, id_))
+        self._parts.counts.count(self.session.transport, type_, internal.code)
+        self.send(failure(internal, type_, id_))
 
     def send(self, reply: Reply) -> None:
         """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
@@ -250,15 +251,15 @@ class Connection:
             if last is not None:
                 outbox.put(last())
         data = self.encode(reply)
-        if reply.path != ESTOP and outbox.backlog.refuses(len(data)):
+        if len(data) > SMALL and reply.path != ESTOP and outbox.backlog.refuses(len(data)):
             data = self.encode(left_out(reply, len(data)))
         outbox.put(data)
 
     def _bounded(self, request: Request, reply: bytes) -> bytes:
-        """Return the answer to a read, counted already, or what is told where it has no room."""
+        """Return an answer, counted already, or what is told where it has no room."""
         if not self.outbox.backlog.refuses(len(reply)):
             return reply
-        answer = Reply(type="read", id=request.id, path=request.path)
+        answer = Reply(type=request.type, id=request.id, path=request.path)
         return self.encode(left_out(answer, len(reply)))
 
     def encode(self, reply: Reply) -> bytes:
@@ -266,9 +267,9 @@ class Connection:
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
-            told = to_internal_error(error, path=reply.path)
-            said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
-            return encode_reply(said, self.encoding)
+            internal = to_internal_error(error, path=reply.path)
+            substitute = failure(internal, reply.type, reply.id, reply.path, command=reply.command)
+            return encode_reply(substitute, self.encoding)
 
     def _encode_feedback(self, reply: Reply) -> bytes:
         """Write feedback, which never ends its command: without the body if that cannot be written."""
@@ -307,9 +308,9 @@ class Connection:
         self.outbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
-        told = to_internal_error(error)
-        self._parts.counts.count(self.session.transport, "hello", told.code)
-        reply = failure(told, "hello", request.id)
+        internal = to_internal_error(error)
+        self._parts.counts.count(self.session.transport, "hello", internal.code)
+        reply = failure(internal, "hello", request.id)
         self._parts.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import Clock, iso
 from rcp_kernel.streams.notices import notice
 
 if TYPE_CHECKING:
@@ -21,7 +21,10 @@ _LOOK = 30.0  # s: clocks are set, so what is left is worked out anew so often
 class CredentialExpiry:
     """Watches the sessions whose proof ends."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, expel: Callable[[Session], None]) -> None:
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, clock: Clock, expel: Callable[[Session], None]
+    ) -> None:
+        self._clock = clock
         self._loop = loop
         self._expel = expel
 
@@ -38,20 +41,20 @@ class CredentialExpiry:
             session.lapse.cancel()
             session.lapse = None
 
-    def _look(self, session: Session, told: bool) -> None:  # noqa: FBT001 - for `call_later`
+    def _look(self, session: Session, warned: bool) -> None:  # noqa: FBT001 - for `call_later`
         session.lapse = None
         expires = session.principal.expires
         if expires is None:
             return
-        left = (expires - now()) / 1e9
+        left = (expires - self._clock.now()) / 1e9
         if left <= 0:
             self._expel(session)
             return
-        if left <= _AHEAD and not told:
-            told = True
+        if left <= _AHEAD and not warned:
+            warned = True
             _tell(session, expires, left)
-        wait = min(left if told else left - _AHEAD, _LOOK)
-        session.lapse = self._loop.call_later(wait, self._look, session, told)
+        wait = min(left if warned else left - _AHEAD, _LOOK)
+        session.lapse = self._loop.call_later(wait, self._look, session, warned)
 
 
 def _tell(session: Session, expires: int, left: float) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal, same
 from rcp_kernel.errors import Gap, Unauthenticated
@@ -177,7 +176,13 @@ class Handshake:
         principal = connection.session.principal
         tenant = kept.tenant if kept.tenant in self._identities.tenants_of(principal) else None
         tenant = self._identities.tenant_for(principal, tenant)
-        session = Session(principal, self._rules.rights(principal), tenant, kept.transport)
+        session = Session(
+            principal,
+            self._rules.rights(principal),
+            tenant,
+            kept.transport,
+            clock=self._sessions.clock,
+        )
         if hello.session is not None and not _proves(hello.session, kept):
             session.id = hello.session
         session.secret = proof or session.secret
@@ -206,14 +211,14 @@ class Handshake:
         if session.expiry is not None:
             session.expiry.cancel()
             session.expiry = None
-        cut, session.cut = session.cut or now(), None
-        said = {reply.command for reply, _ in session.missed if reply.final}
-        tell = self._follower(session.deliver)
+        cut, session.cut = session.cut or self._sessions.clock.now(), None
+        reported = {reply.command for reply, _ in session.missed if reply.final}
+        follower = self._follower(session.deliver)
         recent = cut - int(1e9 * max(_RECENT, _UNHEARD * self._settings.limits.heartbeat))
         for command in session.commands.values():
             ended = command.finished
-            if command.id not in said and (ended is None or ended > recent):
-                tell(command.reply())
+            if command.id not in reported and (ended is None or ended > recent):
+                follower(command.reply())
         if session.overflowed:
             lost = session.overflowed
             gap = Gap(f"{lost} replies were lost while the client was disconnected")

@@ -47,10 +47,10 @@ def checked(type_: ValueType, value: Any) -> Generator[None, None, LongValue]:
     """
     value, json = yield from type_.check_in_steps(value)
     yield
-    told = LongValue(value, json)
+    long = LongValue(value, json)
     with suppress(InvalidValue):  # an integer of more than 64 bits, which only JSON can carry
-        told.encoded(Encoding.MSGPACK)
-    return told
+        long.encoded(Encoding.MSGPACK)
+    return long
 
 
 def plain(value: Any) -> Any:

@@ -53,8 +53,8 @@ class Resolver:
         if not known:
             rights.remember(full, mask)
         # As integers: Python makes a new flag of each `&` of two, which costs more than all the rest.
-        asked = int(operation)
-        if not int(entry.operations) & asked:
+        bits = int(operation)
+        if not int(entry.operations) & bits:
             offered = operation_names(entry.operations)
             wanted = operation_names(operation)[0]
             raise UnsupportedOperation(
@@ -62,7 +62,7 @@ class Resolver:
                 path=entry.path,
                 details={"allowed": offered},
             )
-        if not mask & asked and not (anyway and rights.depends(entry, operation)):
+        if not mask & bits and not (anyway and rights.depends(entry, operation)):
             self.check(session, entry, operation)
         return entry
 
@@ -72,7 +72,7 @@ class Resolver:
         :raises Forbidden: they do not.
         """
         rights = session.rights
-        if rights.permits(entry, operation):
+        if rights.masks.get(entry.path, 0) & int(operation) or rights.permits(entry, operation):
             return
         wanted = operation_names(operation)[0]
         text = f"{session.principal.name} may not {wanted} {entry.path}"

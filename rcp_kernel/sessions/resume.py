@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import structlog
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
@@ -65,7 +65,9 @@ class SessionResume:
         settings: Settings,
         shutdown: Shutdown,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
+        self._now = clock.now
         self._store = store
         self._settings = settings
         self._shutdown = shutdown
@@ -90,25 +92,25 @@ class SessionResume:
                 log.warning("store_row_unreadable", table=_TABLE, error=str(error))
                 self._delete(name, [])
                 continue
-            left = (kept.cut or self.ended) + limit - now()
-            mine = {key: row for key, row in subscriptions.items() if key.startswith(name)}
+            left = (kept.cut or self.ended) + limit - self._now()
+            own = {key: row for key, row in subscriptions.items() if key.startswith(name)}
             if left <= 0:
-                self._delete(name, list(mine))
+                self._delete(name, list(own))
                 continue
-            kept.subscriptions = {key.partition("/")[2]: row for key, row in mine.items()}
+            kept.subscriptions = {key.partition("/")[2]: row for key, row in own.items()}
             self._kept[name] = kept
             self._loop.call_later(left / 1e9, self._expire, name)
 
     def start(self) -> None:
         """Note from time to time that the gateway is alive."""
-        self._store.put(_LIFE, "alive", now())
+        self._store.put(_LIFE, "alive", self._now())
         self._beat = self._loop.call_later(_BEAT, self.start)
 
     def stop(self) -> None:
         """Note it a last time."""
         if self._beat is not None:
             self._beat.cancel()
-        self._store.put(_LIFE, "alive", now())
+        self._store.put(_LIFE, "alive", self._now())
 
     # -- what becomes of sessions now ----------------------------------------------------------
 

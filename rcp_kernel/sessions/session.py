@@ -6,11 +6,10 @@ import asyncio
 import secrets
 from collections import deque
 from collections.abc import Callable
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import Clock, iso
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import RcpError
@@ -99,6 +98,7 @@ class Session:
     """One principal's subscriptions, commands and replies not yet delivered."""
 
     __slots__ = (
+        "_monotonic",
         "account",
         "away",
         "commands",
@@ -135,6 +135,7 @@ class Session:
         tenant: str | None,
         transport: str,
         *,
+        clock: Clock,
         shared: bool = False,
     ) -> None:
         self.id = "s-" + secrets.token_hex(16)
@@ -154,7 +155,8 @@ class Session:
         self.subscriptions: dict[str, Subscription] = {}
         self.commands: dict[str, OwnCommand] = {}
         self.inflight: dict[str, Pending | None] = {}
-        self.created = now()
+        self.created = clock.now()
+        self._monotonic = clock.monotonic
         self.cut: int | None = None
         """When the connection was lost, ns; None while there is one."""
         self.expiry: asyncio.TimerHandle | None = None
@@ -199,7 +201,7 @@ class Session:
         :raises RateLimited: it is one too many now.
         """
         account = self.account
-        if account is not None and not account.take(moment := perf_counter()):
+        if account is not None and not account.take(moment := self._monotonic()):
             raise account.refusal(moment)
 
     def check_pace(self) -> None:
@@ -210,7 +212,7 @@ class Session:
         :raises RateLimited: it would be one too many now.
         """
         account = self.account
-        if account is not None and not account.allows(moment := perf_counter()):
+        if account is not None and not account.allows(moment := self._monotonic()):
             raise account.refusal(moment)
 
     @property

@@ -13,7 +13,7 @@ from typing import Any
 
 from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.identity import Principal, same
@@ -54,7 +54,9 @@ class Sessions:
         links: Links,
         outbound: Outbound,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
+        self.clock = clock
         self.known = known
         self._settings = settings
         self._shutdown = shutdown
@@ -78,7 +80,7 @@ class Sessions:
         """Called with a session that goes on under other rights."""
         self.on_review: list[Callable[[], None]] = []
         """Called when who holds what may have other rights than before."""
-        self._lapsing = CredentialExpiry(loop, self._expel)
+        self._lapsing = CredentialExpiry(loop, clock, self._expel)
         self.relief = Relief(loop, known.values, outbound)
         identities.on_change.append(self.review)
 
@@ -99,7 +101,9 @@ class Sessions:
             self._make_room()
         if len(self.known) >= self._settings.limits.sessions:
             raise QueueFull("the gateway has reached its limit of sessions")
-        session = Session(principal, self._rules.rights(principal), chosen, transport)
+        session = Session(
+            principal, self._rules.rights(principal), chosen, transport, clock=self.clock
+        )
         self._accounting.enter(session, self.drop)
         self.known[session.id] = session
         self.relief.start()
@@ -158,7 +162,7 @@ class Sessions:
         if session is None:
             chosen = self._identities.tenant_for(principal, tenant)
             rights = self._rules.rights(principal)
-            session = Session(principal, rights, chosen, transport, shared=True)
+            session = Session(principal, rights, chosen, transport, clock=self.clock, shared=True)
             self._accounting.update(session)
             if len(self._stateless) >= _STATELESS:
                 self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
@@ -175,9 +179,9 @@ class Sessions:
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
         for command in self._commands.running.values():  # what is under way in somebody's name
-            if (asker := command.asker) is not None:
-                principal = self._identities.renewed(asker.principal)
-                asker.rights = (
+            if (requester := command.asker) is not None:
+                principal = self._identities.renewed(requester.principal)
+                requester.rights = (
                     Rights((), {}) if principal is None else self._rules.rights(principal)
                 )
         shared = list(self._stateless.items())
@@ -223,7 +227,7 @@ class Sessions:
 
     def _expel(self, session: Session) -> None:
         """End a session whose proof is not good any more, and all that it holds."""
-        told = TokenExpired("the session's credentials are no longer valid")
+        error = TokenExpired("the session's credentials are no longer valid")
         connection = session.connection
         if connection is not None:
             for id_ in session.subscriptions:
@@ -231,15 +235,15 @@ class Sessions:
                     connection.outbox,
                     "subscription_ended",
                     id=id_,
-                    reason=told.code,
-                    error=error_body(told),
-                    message=told.message,
+                    reason=error.code,
+                    error=error_body(error),
+                    message=error.message,
                 )
-            connection.send(failure(told, "hello"))
+            connection.send(failure(error, "hello"))
             connection.expelled = True
             connection.outbox.mark()
         for ending in list(session.endings):
-            ending(told)
+            ending(error)
         session.rights = Rights((), {})  # for what is under way to the gateway
         self._lapsing.forget(session)
         if session.id in self.known or not self._elsewhere(session):
@@ -259,7 +263,7 @@ class Sessions:
     def cut(self, session: Session) -> None:
         """Take notice that the connection is gone; the session waits if its client knows it."""
         session.connection = None
-        session.cut = now()
+        session.cut = self.clock.now()
         session.away = self._outbound.open()
         running = self._commands.running
         for command in [running[id_] for id_ in session.commands if id_ in running]:

@@ -12,11 +12,11 @@ def unrecorded(reply: Reply, why: str = "could not be written in time") -> Reply
     """Return the reply that confirms nothing, and tells the true outcome in `details`."""
     error = reply.error
     outcome = reply.status if error is None else error["code"]
-    told: RcpError = DeadlineExceeded(
+    unknown: RcpError = DeadlineExceeded(
         f"its audit record {why}, so it cannot be confirmed",
         remedy="Check the state of the robot and /system/status before you send it again.",
         details={"outcome": outcome},
     )
-    said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
-    said.custom = reply.custom
-    return said
+    substitute = failure(unknown, reply.type, reply.id, reply.path, command=reply.command)
+    substitute.custom = reply.custom
+    return substitute

@@ -26,9 +26,9 @@ def left_out(reply: Reply, size: int) -> Reply:
         else "Read the waiting messages, then send it again.",
         details={"size": size} | ({"outcome": reply.status} if acted else {}),
     )
-    told = failure(error, reply.type, reply.id, reply.path, command=reply.command)
-    told.custom = reply.custom
-    if acted and told.error is not None:
-        told.status = "failed"
-        told.error["retryable"] = False
-    return told
+    substitute = failure(error, reply.type, reply.id, reply.path, command=reply.command)
+    substitute.custom = reply.custom
+    if acted and substitute.error is not None:
+        substitute.status = "failed"
+        substitute.error["retryable"] = False
+    return substitute

@@ -206,7 +206,7 @@ class DiskStore(Store):
 
     def settled(self, callback: Callable[[], object]) -> None:
         """Call back once all that was put before is committed."""
-        if self.idle:
+        if self._committed == self._count:
             callback()
         else:
             self._waiters.append((self._count, callback))

@@ -24,6 +24,8 @@ class Ledger:
         self.head: Head = (last[0][0], last[0][1]) if last else (0, GENESIS)
         """The last record made; not necessarily committed yet."""
         self._found = self.head[0]
+        self.settled = store.settled
+        """Calls back on the event loop once all that the store was given before is committed."""
 
     def add(self, what: str, facts: Mapping[str, Any]) -> bytes:
         """Seal a record and have it written; return its bytes. Facts that are None are left out.
@@ -50,10 +52,6 @@ class Ledger:
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
         """Have the store's thread look something up; `then` gets it on the event loop."""
         self._store.look(work, then)
-
-    def settled(self, callback: Callable[[], object]) -> None:
-        """Call back on the event loop once all that the store was given before is committed."""
-        self._store.settled(callback)
 
     @property
     def keeps(self) -> bool:

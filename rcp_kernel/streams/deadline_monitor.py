@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.path_subscription import PathSubscription
@@ -43,7 +42,7 @@ class DeadlineMonitor:
     def poll(self) -> None:
         """Tell of what has gone silent since the last look."""
         self._sweep = None
-        moment = time.monotonic()
+        moment = self._registry.clock.monotonic()
         for path, known in list(self._timed.items()):
             entry = self._registry.entries[path]
             stale = entry.latest is not None and entry.stale

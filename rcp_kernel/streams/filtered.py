@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -26,7 +25,7 @@ class FilteredPathSubscription(PathSubscription):
 
     judges = True
 
-    __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_where")
+    __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_monotonic", "_where")
 
     def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
         super().__init__(subscription, entry, outbox)
@@ -35,6 +34,7 @@ class FilteredPathSubscription(PathSubscription):
         wants_change = options.on == "change" or options.deadband is not None
         self._change = Change(options.deadband, options.fields) if wants_change else None
         self._interval = min(1.0 / options.rate, _LONGEST) if options.rate else 0.0
+        self._monotonic = entry.clock.monotonic
         self._due = 0.0
         self._held: Sample | None = None
         self._armed = False
@@ -45,7 +45,7 @@ class FilteredPathSubscription(PathSubscription):
         if self._where is not None and not self._passes(sample):
             return
         if self._interval:
-            wait = self._due - time.monotonic()
+            wait = self._due - self._monotonic()
             # A tenth of the period is forgiven: a source at the wanted rate has jitter too.
             if wait > self._interval * 0.1:
                 self._held = sample
@@ -64,7 +64,7 @@ class FilteredPathSubscription(PathSubscription):
         if self._held is None or self.outbox is None:
             return
         # A sample may have gone out by the allowance since: what is held waits for its own beat.
-        wait = self._due - time.monotonic()
+        wait = self._due - self._monotonic()
         if wait > self._interval * 0.1:
             self._arm(wait)
             return
@@ -79,7 +79,7 @@ class FilteredPathSubscription(PathSubscription):
             except RcpError:
                 return
         if self._interval:
-            moment = time.monotonic()
+            moment = self._monotonic()
             late = moment - self._due
             # Keep the beat of the period where possible, so that the mean rate is the one asked for.
             self._due = (self._due if late < self._interval else moment) + self._interval
@@ -96,7 +96,7 @@ class FilteredPathSubscription(PathSubscription):
         """Queue earlier samples; the next new one keeps the rate's distance from them."""
         super().replay(samples)
         if self.backlog and self._interval:
-            self._due = time.monotonic() + self._interval
+            self._due = self._monotonic() + self._interval
 
     def admit(self, sample: Sample) -> Sample | None:
         """Return an earlier sample that passes; the rate does not hold the past back."""

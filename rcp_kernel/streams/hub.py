@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -145,7 +144,7 @@ class Hub:
             entry.listeners.append(feed)
         if len(entry.listeners) == 1:
             entry.size_ring()
-        feed.heard = time.monotonic()
+        feed.heard = entry.clock.monotonic()
         if entry.deadline is not None or feed.subscription.options.qos.deadline is not None:
             self.deadline_monitor.follow(entry)
         self.demand.retune(entry)

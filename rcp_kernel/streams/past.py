@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from rcp_kernel.clock import now
 from rcp_kernel.streams.filters import seconds
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.samples import Sample
@@ -23,7 +22,7 @@ def past(feed: PathSubscription, history: int | str, last: int) -> list[Sample]:
     if isinstance(history, int):
         newer = sum(sample.seq > last for sample in ring)
         return ring[-history - newer :] if history + newer else []
-    since = now() - int(seconds(history) * 1e9)
+    since = feed.entry.clock.now() - int(seconds(history) * 1e9)
     return [sample for sample in ring if sample.received >= since or sample.seq > last]
 
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Container, Iterable
 from typing import Any, Protocol
 from weakref import WeakValueDictionary
 
-from rcp_kernel.clock import now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.filters import Options, Where
 from rcp_kernel.streams.frames import first_native, shortened, spliced
@@ -157,6 +156,11 @@ class PathSubscription:
         """How many samples wait to be collected."""
         return len(self.queue) + (len(self.backlog) if self.backlog else 0)
 
+    def _old(self, sample: Sample) -> bool:
+        """Tell whether a sample has waited for longer than it is worth sending."""
+        lifespan = self._lifespan
+        return lifespan is not None and self.entry.clock.now() - sample.received > lifespan * 1e9
+
     def offer(self, sample: Sample) -> None:
         """Queue a sample; a full queue lets its oldest go, or ends a reliable subscription."""
         queue = self.queue
@@ -244,7 +248,7 @@ class PathSubscription:
             if not queue:
                 break
             sample = queue[0]
-            if self._lifespan is not None and now() - sample.received > self._lifespan * 1e9:
+            if self._old(sample):
                 queue.popleft()
                 self.dropped += 1
                 self.subscription.skipped += 1

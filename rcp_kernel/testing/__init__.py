@@ -1,6 +1,6 @@
 """The public kit: an author subclasses a suite, and the suite, not the author, wrote the tests.
 
-`BackendSuite` and `StopSuite` prove a robot's plugin, `TransportSuite` a client's wire, `AdapterSuite` a
+`BackendSuite`, `StopSuite` and `ProfileSuite` prove a robot's plugin, `TransportSuite` a client's wire, `AdapterSuite` a
 translation, `FeatureSuite` a feature with its guard; `loopback` and `serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
 """
 
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import rcp_kernel.testing._asserts  # noqa: F401 # pyright: ignore[reportUnusedImport] - comes first
 from rcp_kernel.testing._client import BOUND, Client, MemoryClient, Message, decode, encode
+from rcp_kernel.testing._clock import SteppedClock, SteppedLoop
+from rcp_kernel.testing._scripted import Behaviour, ScriptedRobot, Take, scripted
 from rcp_kernel.testing._serve import (
     ADMIN,
     OPERATOR,
@@ -22,6 +24,7 @@ from rcp_kernel.testing._suite import Suite, eventually, proves
 from rcp_kernel.testing.adapter import AdapterGateway, AdapterSuite
 from rcp_kernel.testing.backend import BackendSuite, Goal, Robot
 from rcp_kernel.testing.feature import FeatureGateway, FeatureSuite
+from rcp_kernel.testing.profile import Body, ProfileRig, ProfileSuite
 from rcp_kernel.testing.stop import StopRig, StopSuite
 from rcp_kernel.testing.wire import REQUIREMENTS, Requirement, TransportSuite
 
@@ -34,6 +37,8 @@ __all__ = [
     "AdapterGateway",
     "AdapterSuite",
     "BackendSuite",
+    "Behaviour",
+    "Body",
     "Client",
     "FeatureGateway",
     "FeatureSuite",
@@ -41,18 +46,25 @@ __all__ = [
     "Life",
     "MemoryClient",
     "Message",
+    "ProfileRig",
+    "ProfileSuite",
     "Requirement",
     "Robot",
+    "ScriptedRobot",
     "Served",
+    "SteppedClock",
+    "SteppedLoop",
     "StopRig",
     "StopSuite",
     "Suite",
+    "Take",
     "TransportSuite",
     "decode",
     "encode",
     "eventually",
     "loopback",
     "proves",
+    "scripted",
     "serve",
     "serve_backend",
 ]

@@ -16,6 +16,7 @@ from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.client_kinds import AdapterKind, TransportKind
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.features import FeatureKind
@@ -84,6 +85,7 @@ async def serve(
     features: Sequence[FeatureKind] = (),
     transports: Sequence[TransportKind] = (),
     adapters: Sequence[AdapterKind] = (),
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AsyncGenerator[Served]:
     """Run the gateway of a configuration while entered.
 
@@ -91,6 +93,7 @@ async def serve(
     active beside those of the configuration; `transports` and `adapters` serve its tables by name. Transports that the
     configuration names are opened; a text that names none opens none. Where `guard_after` has its default, the
     guard waits as long as it can: the test, and whatever it simulates, share the gateway's event loop.
+    A test that moves time gives the `clock` of its `SteppedClock`, and runs on a `SteppedLoop`.
 
     :raises StartupError: as `rcpd serve` would.
     """
@@ -132,7 +135,7 @@ async def serve(
     }
     made = active(config, plugins.features, "test")
     prepared = Prepared(config, plugins, tuple(tables), open_transports, open_adapters, made)
-    async with running(prepared, recent) as server:
+    async with running(prepared, recent, clock=clock) as server:
         yield Served(server, lives)
 
 
@@ -169,6 +172,7 @@ async def serve_backend(
     beside: Sequence[BackendKind] = (),
     store: Path | None = None,
     guard_after: float = _GUARD_AFTER,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AsyncGenerator[Served]:
     """Run a gateway around one backend: a kind with its table, or an `open` with its Struct.
 
@@ -200,7 +204,7 @@ async def serve_backend(
     }
     config = decode_table(raw, GatewayConfig, "test: ")
     config = msgspec.structs.replace(config, keys=_KEYS)
-    async with serve(config, backend, *beside) as served:
+    async with serve(config, backend, *beside, clock=clock) as served:
         yield served
 
 

@@ -11,7 +11,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
 from rcp_kernel.spi import Backend, MotionState
@@ -94,7 +94,10 @@ class Entry:
 
     __slots__ = (
         "_heard",
+        "_monotonic",
+        "_now",
         "barred",
+        "clock",
         "deadline",
         "feedback_type",
         "input_type",
@@ -122,7 +125,13 @@ class Entry:
     )
 
     def __init__(
-        self, path: str, resource: Resource, owner: Owner, tenant: str | None, robot: str | None
+        self,
+        path: str,
+        resource: Resource,
+        owner: Owner,
+        tenant: str | None,
+        robot: str | None,
+        clock: Clock,
     ) -> None:
         self.path = path
         self.name = resource.name
@@ -157,29 +166,32 @@ class Entry:
         """Rate in Hz at which it is published whoever listens."""
         self.written: float | None = None
         """Monotonic time of the last write, for rates of change and the dead-man."""
+        self.clock = clock
+        self._now = clock.now
+        self._monotonic = clock.monotonic
         self._heard = 0.0
 
     @property
     def age(self) -> float | None:
         """Seconds since the latest sample came in, or None if none ever did."""
-        return None if self.latest is None else time.monotonic() - self._heard
+        return None if self.latest is None else self._monotonic() - self._heard
 
     @property
     def stale(self) -> bool:
         """Whether the latest value has a successor overdue, or its backend is gone."""
         if self.latest is None or self.owner.backend is None:
             return True
-        return self.deadline is not None and time.monotonic() - self._heard > self.deadline
+        return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Make the next sample and offer it to every listener."""
-        received = now()
+        received = self._now()
         self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
         if self.latest is not None:
             self.latest.forget_encodings()
         self.latest = sample
-        self._heard = time.monotonic()
+        self._heard = self._monotonic()
         self.ring.append(sample)
         self.owner.samples += 1
         for listener in self.listeners:

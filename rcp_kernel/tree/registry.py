@@ -10,6 +10,7 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 
+from rcp_kernel.clock import Clock
 from rcp_kernel.errors import PluginError, RcpError
 from rcp_kernel.model import Kind, Pattern, Resource, full_path, kind_of
 from rcp_kernel.tree.entry import Entry, Owner
@@ -24,7 +25,8 @@ _ROBOT = 4  # the part of a full path that names the robot, where a backend has 
 class Registry:
     """The tree. Only the event loop's thread touches it."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
         self.entries: dict[str, Entry] = {}
         self.generation = 0
         """Rises with every change of the tree: the validator of caches and ETags."""
@@ -45,7 +47,7 @@ class Registry:
             example does not fit its type.
         """
         path = full_path(tenant, robot, resource.name)
-        return self.place(Entry(path, _checked(resource), owner, tenant, robot))
+        return self.place(Entry(path, _checked(resource), owner, tenant, robot, self.clock))
 
     def place(self, entry: Entry) -> Entry:
         """Put an entry into the tree.
@@ -66,8 +68,8 @@ class Registry:
             entry.seq = self._numbers.pop(entry.path, 0)
         self.entries[entry.path] = entry
         self._changed()
-        for told in self.on_added:
-            told(entry)
+        for callback in self.on_added:
+            callback(entry)
         return entry
 
     def withdraw(self, path: str) -> None:
@@ -79,8 +81,8 @@ class Registry:
         while len(self._numbers) > _WITHDRAWN:
             del self._numbers[next(iter(self._numbers))]
         self._changed()
-        for told in self.on_removed:
-            told(entry)
+        for callback in self.on_removed:
+            callback(entry)
 
     def grow(self, owner: Owner, *, growing: bool) -> None:
         """Note whether a backend may still declare what it has not: it opens, or looks for more."""

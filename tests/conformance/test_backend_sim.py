@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import Any, ClassVar
 
 import rcp_sim
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
+from rcp_kernel.testing import (
+    BackendSuite,
+    Body,
+    Goal,
+    ProfileSuite,
+    StopRig,
+    StopSuite,
+    eventually,
+)
 from rcp_sim.messages import FaultSpec
 
 REST = (0.0, 0.0)
@@ -103,3 +112,36 @@ class TestSim(SimRig, BackendSuite):
 
 class TestSimStops(SimRig, StopSuite):
     """What any stop owes."""
+
+
+class TestSimProfiles(ProfileSuite):
+    """What the profiles mean, as the simulation has it."""
+
+    kind = SimRig.kind
+    config: ClassVar[Mapping[str, Any]] = {
+        "world": {
+            "width": 12.0,
+            "height": 12.0,
+            "obstacles": [{"x": 0.0, "y": 4.5, "size_x": 8.0, "size_y": 1.0}],
+        },
+        "noise": 0.0,
+        "map_resolution": 0.5,
+        "time_scale": 3.0,
+    }
+    profiles = ("mobile", "battery", "camera", "lidar", "power")
+
+    async def body(self) -> Body:
+        rover = self.backend.device.sim.rover
+        return Body(x=rover.x, y=rover.y, yaw=rover.yaw, forward=rover.v, yaw_rate=rover.w)
+
+    async def at_rest(self) -> bool:
+        return self.backend.device.sim.rover.at_rest
+
+    async def charge(self) -> float:
+        return self.backend.device.sim.pack.charge
+
+    async def obstacle(self, bearing: float) -> float | None:
+        """Measure to the box on its left and to the walls, at right angles from the start."""
+        x, y = math.cos(bearing), math.sin(bearing)
+        left = 4.0 if y > 0 else 6.0
+        return min(6.0 / abs(x) if x else math.inf, left / abs(y) if y else math.inf)

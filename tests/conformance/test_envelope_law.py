@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conformance.wires import HttpClient, WebSocketClient
+from rcp_kernel.clock import Clock as GatewayClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
@@ -22,7 +23,6 @@ from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Client, MemoryClient, serve
 from rcp_kernel.types import Real
 from rcp_kernel.values import Encoding
-from rcp_motion_limits import commanded_values
 
 pytestmark = pytest.mark.anyio
 RATE, LEAST, MOST, LONGEST = 1.0, -2.0, 2.0, 30.0
@@ -321,9 +321,9 @@ class Bench:
 
 
 @asynccontextmanager
-async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[Bench]:
+async def running(wire: str) -> AsyncGenerator[Bench]:
     clock = Clock()
-    monkeypatch.setattr(commanded_values, "clock", lambda: clock.now)
+    gateway_clock = GatewayClock(monotonic=lambda: clock.now)
     made: list[Recorder] = []
 
     @asynccontextmanager
@@ -332,7 +332,10 @@ async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[
         yield made[-1]
 
     kind = BackendKind("recorder", msgspec.Struct, opened)
-    async with serve(parse(CONFIG, "test"), kind) as served, AsyncExitStack() as stack:
+    async with (
+        serve(parse(CONFIG, "test"), kind, clock=gateway_clock) as served,
+        AsyncExitStack() as stack,
+    ):
         bench = Bench(made[-1], clock)
 
         async def connect(who: str, encoding: Encoding) -> Client:
@@ -353,11 +356,9 @@ async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[
 
 
 @pytest.fixture
-async def bench(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> AsyncGenerator[Bench]:
+async def bench(request: pytest.FixtureRequest) -> AsyncGenerator[Bench]:
     """A gateway over one wire, for one test."""
-    async with running(request.param, monkeypatch) as made:
+    async with running(request.param) as made:
         yield made
         assert made.checked > 20, "hardly anything was let through"
         assert made.refused > 20, "hardly anything was refused"

@@ -85,7 +85,7 @@ class Dumb(Robot):
     def declare(self) -> None:
         number: Any = {"value": float, "live": True}
         words: Any = {"input": str, "output": str}
-        self.host.declare(
+        self.add(
             Resource(name="param/limit", description="A limit.", value=float),
             Resource(name="service/echo", description="Answers.", **words),
             Resource(name="service/secret", description="Answers.", **words),

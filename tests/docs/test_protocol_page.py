@@ -15,6 +15,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.app.composition import compose
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.system import EstopRequest
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import BRANCHES, Policy, operation_names
@@ -98,7 +99,9 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
     loop = asyncio.get_running_loop()
     config = GatewayConfig()
     features = features_of(config)
-    kernel = compose(config, loop, store=Store(), recent=Recent(), features=features)
+    kernel = compose(
+        config, loop, store=Store(), recent=Recent(), clock=SYSTEM_CLOCK, features=features
+    )
     told = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
     assert told == {
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))

@@ -27,8 +27,8 @@ from websockets.exceptions import ConnectionClosed
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import serve
+from rcp_kernel.spi import BackendKind, Host, Progress
+from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import quantity
 
 KEY = "operator-operator"
@@ -52,36 +52,28 @@ BOUND = 10.0  # s that an answer may take
 FINAL = ("completed", "failed", "rejected", "cancelled")
 
 
-class NoOptions(msgspec.Struct):
-    """Nothing to configure."""
+async def run(value: Any, progress: Progress) -> Any:
+    """Be done at once."""
+    return value
 
 
-class Robot(BaseBackend):
-    """Runs what it is told at once, and measures all the time."""
-
-    def __init__(self, host: Host) -> None:
-        self._host = host
-        host.declare(
-            Resource(name="service/run", description="Runs.", input=str, output=str),
-            Resource(name="sensor/level", description="A level.", value=quantity("m"), live=True),
-        )
-        host.publish("sensor/level", 0.0)
-
-    async def measure(self) -> None:
-        """Publish at 100 Hz."""
-        for number in range(1_000_000):
-            self._host.publish("sensor/level", float(number))
-            await asyncio.sleep(0.01)
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        return value
+async def measure(robot: ScriptedRobot) -> None:
+    """Publish at 100 Hz."""
+    for number in range(1_000_000):
+        robot.measure("sensor/level", float(number))
+        await asyncio.sleep(0.01)
 
 
 @asynccontextmanager
-async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-    """Measure while entered."""
-    robot = Robot(host)
-    measuring = asyncio.create_task(robot.measure())
+async def open_robot(_config: msgspec.Struct, host: Host) -> AsyncGenerator[ScriptedRobot]:
+    """Run what it is told at once, and measure all the time."""
+    robot = ScriptedRobot(
+        host,
+        Resource(name="service/run", description="Runs.", input=str, output=str),
+        Resource(name="sensor/level", description="A level.", value=quantity("m"), live=True),
+        behaviours={"service/run": run},
+    )
+    measuring = asyncio.create_task(measure(robot))
     try:
         yield robot
     finally:
@@ -93,7 +85,7 @@ def live(folder: Path, ready: int) -> None:
     configure("error", "json")
 
     async def main() -> None:
-        kind = BackendKind("robot", NoOptions, open_robot)
+        kind = BackendKind("robot", msgspec.Struct, open_robot)
         config = CONFIG.format(path=folder / "store.db")
         async with serve(parse(config, "resumes"), kind) as served:
             port = next(f["port"] for f in served.server.status.transports if "port" in f)

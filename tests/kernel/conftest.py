@@ -11,12 +11,6 @@ from kernel.world import World, world_of
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    """Run on asyncio: the kernel's event loop."""
-    return "asyncio"
-
-
-@pytest.fixture
 async def world() -> AsyncGenerator[World]:
     """A gateway with a robot, for one test."""
     async with world_of() as made:
@@ -24,6 +18,6 @@ async def world() -> AsyncGenerator[World]:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock() -> Clock:
     """The time by which changes are measured, in the test's hand."""
-    return Clock(monkeypatch)
+    return Clock()

@@ -7,16 +7,16 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
 import msgspec
-import pytest
 
 from kernel.world import CONFIG as PLAIN
 from kernel.world import Client, Robot, World, prepared, world_of
 from rcp_kernel.app.reload import apply
+from rcp_kernel.clock import SYSTEM_CLOCK
+from rcp_kernel.clock import Clock as GatewayClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_kernel.types import Int64, Pose, Real, Twist, quantity
-from rcp_motion_limits import commanded_values
 
 CONFIG = (
     PLAIN
@@ -74,7 +74,7 @@ class FencedRobot(Robot):
 
     def declare(self) -> None:
         super().declare()
-        self.host.declare(
+        self.add(
             Resource(
                 name="sensor/pose", description="A pose.", value=Pose, live=True, deadline=10.0
             ),
@@ -121,9 +121,9 @@ class FencedRobot(Robot):
 
 
 @asynccontextmanager
-async def fenced(envelopes: str) -> AsyncGenerator[World]:
+async def fenced(envelopes: str, clock: GatewayClock = SYSTEM_CLOCK) -> AsyncGenerator[World]:
     """Run a gateway with envelopes around the robot."""
-    async with world_of(CONFIG + envelopes, FencedRobot) as world:
+    async with world_of(CONFIG + envelopes, FencedRobot, clock) as world:
         yield world
 
 
@@ -179,9 +179,10 @@ GENTLE = SLOW.replace("bounds =", 'rate = { "linear.x" = 1.0 }\nbounds =').repla
 class Clock:
     """Time that a test moves."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self) -> None:
         self.now = 1000.0
-        monkeypatch.setattr(commanded_values, "clock", lambda: self.now)
+        self.clock = GatewayClock(monotonic=lambda: self.now)
+        """As a gateway takes it."""
 
 
 def goal(x: Any, y: Any = 1.0, **more: Any) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import cbor2
 import msgspec
 import pytest
@@ -113,15 +115,13 @@ def test_a_time_is_iso_or_seconds(text: str | float, ns: int) -> None:
 
 
 @pytest.mark.anyio
-async def test_a_read_is_answered_alike_by_the_quick_way_and_the_common_one(world: World) -> None:
+async def test_a_request_is_answered_alike_at_once_and_by_its_handler(world: World) -> None:
     world.robot.host.publish("sensor/level", 1.5)
     quick, common = world.client(), world.client()
-    common.connection._splices = False
-    for id_ in ("a", 'quo"te', "ünï"):
-        replies = [
-            await client.ask(type="read", path="/tenant/alpha/sensor/level", id=id_)
-            for client in (quick, common)
-        ]
+    common.connection._at_once = {}
+    asked = ({"type": "read", "path": "/tenant/alpha/sensor/level"}, {"type": "ping"})
+    for request, id_ in itertools.product(asked, ("a", 'quo"te', "ünï")):
+        replies = [await client.ask(id=id_, **request) for client in (quick, common)]
         for reply in replies:
             del reply["timestamp"]
         assert replies[0] == replies[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import cache
 from pathlib import Path
@@ -18,12 +18,14 @@ from rcp_kernel.app.log import configure
 from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.spi import BackendKind, Host, Progress
 from rcp_kernel.store.store import Store
+from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
 
@@ -34,107 +36,69 @@ class NoOptions(msgspec.Struct):
     """The robot has nothing to configure."""
 
 
-class Robot(BaseBackend):
-    """A robot whose every reaction a test decides."""
+RESOURCES = (
+    Resource(
+        name="sensor/level", description="A level.", value=quantity("m"), live=True, deadline=0.2
+    ),
+    Resource(name="sensor/lazy", description="Published while watched.", value=quantity("m")),
+    Resource(name="param/limit", description="A limit.", value=quantity("m/s", ge=0, le=2.5)),
+    Resource(
+        name="actuator/drive",
+        description="A drive.",
+        value=Twist,
+        valid_for=0.1,
+        safe=Twist(),
+        max_age=1.0,
+    ),
+    Resource(
+        name="action/go",
+        description="Goes.",
+        input=quantity("m"),
+        output=quantity("m"),
+        feedback=quantity("m"),
+    ),
+    Resource(
+        name="action/wait_in_line", description="Queues.", input=quantity("1"), policy="queue"
+    ),
+    Resource(name="action/cut_in", description="Preempts.", input=quantity("1"), policy="preempt"),
+    Resource(name="service/echo", description="Answers.", input=str, output=str),
+)
+
+
+MOVES = ("go", "wait_in_line", "cut_in")
+
+
+class Robot(ScriptedRobot):
+    """The robot of the kernel's tests: its actions do as the number says that they are given."""
 
     def __init__(self, host: Host) -> None:
-        self.host = host
-        self.writes: list[tuple[str, Any]] = []
-        self.halts = 0
-        self.watched: list[tuple[str, float | None]] = []
-        self.left: list[tuple[str, float | None]] = []
-        self.release = asyncio.Event()
-        self.started: asyncio.Queue[Any] = asyncio.Queue()
-        self.stopped = 0
-        self.fail_writes = 0
-        self.fail_halts = 0
+        super().__init__(host, values={"param/limit": 1.5})
+        self.behaviours |= dict.fromkeys((f"action/{n}" for n in MOVES), self.go)
+        self.behaviours["service/echo"] = echo
+        self.lazy["sensor/lazy"] = 7.0
 
     def declare(self) -> None:
         """Put the robot's resources into the tree."""
-        self.host.declare(
-            Resource(
-                name="sensor/level",
-                description="A level.",
-                value=quantity("m"),
-                live=True,
-                deadline=0.2,
-            ),
-            Resource(
-                name="sensor/lazy", description="Published while watched.", value=quantity("m")
-            ),
-            Resource(
-                name="param/limit", description="A limit.", value=quantity("m/s", ge=0, le=2.5)
-            ),
-            Resource(
-                name="actuator/drive",
-                description="A drive.",
-                value=Twist,
-                valid_for=0.1,
-                safe=Twist(),
-                max_age=1.0,
-            ),
-            Resource(
-                name="action/go",
-                description="Goes.",
-                input=quantity("m"),
-                output=quantity("m"),
-                feedback=quantity("m"),
-            ),
-            Resource(
-                name="action/wait_in_line",
-                description="Queues.",
-                input=quantity("1"),
-                policy="queue",
-            ),
-            Resource(
-                name="action/cut_in", description="Preempts.", input=quantity("1"), policy="preempt"
-            ),
-            Resource(name="service/echo", description="Answers.", input=str, output=str),
-        )
+        self.add(*RESOURCES)
 
-    async def read(self, name: str) -> Any:
-        if name == "param/limit":
-            return 1.5
-        return await super().read(name)
-
-    async def write(self, name: str, value: Any) -> Any:
-        if self.fail_writes:
-            self.fail_writes -= 1
-            raise DeviceRejected("busy")
-        self.writes.append((name, value))
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        if name == "service/echo":
-            return value
-        self.started.put_nowait(value)
-        try:
-            if value == 13:
+    async def go(self, value: Any, progress: Progress) -> Any:
+        """Go on until released, unless the number says something else."""
+        match value:
+            case 13:
                 raise DeviceRejected("thirteen brings bad luck")
-            if value == 14:
+            case 14:
                 progress(1.0)
                 raise DeviceRejected("stumbled")
-            if value == 15:
+            case 15:
                 raise ZeroDivisionError("a bug")
-            progress(value / 2, fraction=0.5)
-            await self.release.wait()
-        except asyncio.CancelledError:
-            self.stopped += 1
-            raise
-        return value if name == "action/go" else None
+            case _:
+                progress(value / 2, fraction=0.5)
+                return await self.wait(value, progress)
 
-    @asynccontextmanager
-    async def watch(self, name: str, rate: float | None) -> AsyncIterator[None]:
-        self.watched.append((name, rate))
-        if name == "sensor/lazy":
-            self.host.publish(name, 7.0)
-        yield
-        self.left.append((name, rate))
 
-    async def halt(self) -> None:
-        self.halts += 1
-        if self.fail_halts:
-            self.fail_halts -= 1
-            raise DeviceRejected("did not hear")
+async def echo(value: Any, progress: Progress) -> Any:
+    """Answer with what was asked."""
+    return value
 
 
 class Client:
@@ -286,10 +250,12 @@ def features_of(config: GatewayConfig) -> tuple[ActiveFeature, ...]:
 
 @asynccontextmanager
 async def world_of(
-    text: str = CONFIG, make: Callable[[Host], Robot] = Robot
+    text: str = CONFIG,
+    make: Callable[[Host], Robot] = Robot,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AsyncGenerator[World]:
     """Run a gateway of a configuration around the robot."""
     robots: list[Robot] = []
     recent = configure("warning", "json")
-    async with running(prepared(parse(text, "test"), robots, make), recent) as server:
+    async with running(prepared(parse(text, "test"), robots, make), recent, clock=clock) as server:
         yield World(server, robots)

@@ -263,3 +263,15 @@ def test_a_vendors_profile_is_claimed_as_a_record() -> None:
 def test_a_profile_with_a_bad_name_or_version_is_none(name: str, version: str) -> None:
     with pytest.raises(PluginError):
         Profile(name=name, version=version, description="A crane.", resources=(HOOK,))
+
+
+def test_two_maps_of_one_input_are_bounded_side_by_side() -> None:
+    limits = {"points.positions.elbow": (-1.0, 1.0), "points.velocities.elbow": (-2.0, 2.0)}
+    offers = ("sensor/joint_states", "action/move_joints")
+    claimed = named(claim(["arm"], *offers, offer("action/follow_trajectory", limits)))
+    type_ = value_type(claimed["action/follow_trajectory"].input)
+    assert {"WaypointPositions", "WaypointVelocities"} <= type_.schema["$defs"].keys()
+    point = {"time": 1.0, "positions": {"elbow": 0.5}, "velocities": {"elbow": 1.5}}
+    assert type_.convert({"points": [point]}).points[0].velocities.given() == {"elbow": 1.5}
+    with pytest.raises(OutOfRange):
+        type_.convert({"points": [point | {"velocities": {"elbow": 2.5}}]})

@@ -176,6 +176,16 @@ def test_what_is_only_added_needs_a_new_minor_version(what: str) -> None:
     assert unannounced(document(MOBILE), document(replace(made, version="1.1"))) == []
 
 
+def test_the_wording_of_a_type_is_free() -> None:
+    words = {"__doc__": "A place, in better words."}
+    reworded = msgspec.defstruct(
+        "MoveTo", [], bases=(m.MoveTo,), namespace=words, frozen=True, forbid_unknown_fields=True
+    )
+    made = changed("action/move_to", input=reworded)
+    assert document(made) != document(MOBILE)
+    assert unannounced(document(MOBILE), document(made)) == []
+
+
 def test_nothing_changes_without_a_change() -> None:
     for profile in STANDARD.values():
         assert changes(document(profile), document(profile)) == []

@@ -9,15 +9,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import msgspec
-
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import serve
+from rcp_kernel.spi import Host, Progress
+from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import Pose, quantity
 
 BOUND = 20.0  # s any wait of a test may take
@@ -53,72 +51,59 @@ key = "key-of-tenant-beta"
 """
 
 
-class NoOptions(msgspec.Struct):
-    """Nothing to configure."""
+RESOURCES = (
+    Resource(name="sensor/pose", description="A pose.", value=Pose, live=True),
+    Resource(name="sensor/text", description="A text.", value=str, live=True),
+    Resource(name="sensor/blob", description="Bytes.", value=bytes, live=True),
+    Resource(name="sensor/silent", description="Never there.", value=quantity("m")),
+    Resource(name="param/limit", description="A limit.", value=quantity("m/s", ge=0, le=2.5)),
+    Resource(name="param/blob", description="Bytes.", value=bytes),
+    Resource(name="param/text", description="A text.", value=str),
+    Resource(
+        name="action/go",
+        description="Goes.",
+        input=quantity("m", ge=0),
+        output=quantity("m"),
+        feedback=quantity("m"),
+    ),
+    Resource(
+        name="service/add", description="Adds one.", input=quantity("1"), output=quantity("1")
+    ),
+)
 
 
-class Robot(BaseBackend):
-    """Reacts as its test wants."""
+def robot(host: Host) -> ScriptedRobot:
+    """Make a robot of few words."""
+    made = ScriptedRobot(host, *RESOURCES)
+    made.measure("sensor/pose", {"position": {"x": 1.0, "y": 2.0}})
+    made.measure("sensor/text", "x")
+    made.measure("sensor/blob", b"0123456789")
+    made.measure("param/limit", 1.0)
 
-    def __init__(self, host: Host) -> None:
-        self.host = host
-        self.release = asyncio.Event()
-        self.started = asyncio.Event()
-        self.writes: list[Any] = []
-        host.declare(
-            Resource(name="sensor/pose", description="A pose.", value=Pose, live=True),
-            Resource(name="sensor/text", description="A text.", value=str, live=True),
-            Resource(name="sensor/blob", description="Bytes.", value=bytes, live=True),
-            Resource(name="sensor/silent", description="Never there.", value=quantity("m")),
-            Resource(
-                name="param/limit", description="A limit.", value=quantity("m/s", ge=0, le=2.5)
-            ),
-            Resource(name="param/blob", description="Bytes.", value=bytes),
-            Resource(name="param/text", description="A text.", value=str),
-            Resource(
-                name="action/go",
-                description="Goes.",
-                input=quantity("m", ge=0),
-                output=quantity("m"),
-                feedback=quantity("m"),
-            ),
-            Resource(
-                name="service/add",
-                description="Adds one.",
-                input=quantity("1"),
-                output=quantity("1"),
-            ),
-        )
-        host.publish("sensor/pose", {"position": {"x": 1.0, "y": 2.0}})
-        host.publish("sensor/text", "x")
-        host.publish("sensor/blob", b"0123456789")
-        host.publish("param/limit", 1.0)
-
-    async def write(self, name: str, value: Any) -> Any:
-        self.writes.append(value)
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        if name == "service/add":
-            return value + 1
-        self.started.set()
+    async def go(value: Any, progress: Progress) -> Any:
         progress(value / 2, fraction=0.5)
         if value > 100:
             raise DeviceRejected("too far")
-        await self.release.wait()
-        return value
+        return await made.wait(value, progress)
+
+    async def add(value: Any, progress: Progress) -> Any:
+        return value + 1
+
+    made.behaviours |= {"action/go": go, "service/add": add}
+    return made
 
 
 class Site:
     """The gateway's address and what stands behind it."""
 
-    def __init__(self, server: Server, robots: list[Robot]) -> None:
+    def __init__(self, server: Server, robots: list[ScriptedRobot]) -> None:
         self.server = server
         self.robots = robots
         self.url: str = next(f["url"] for f in server.status.transports if "url" in f)
         self.port: int = next(f["port"] for f in server.status.transports if "port" in f)
 
     @property
-    def robot(self) -> Robot:
+    def robot(self) -> ScriptedRobot:
         """The robot of tenant alpha."""
         return self.robots[0]
 
@@ -141,19 +126,17 @@ async def site(
     folder: Path | None = None,
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration, the store is in `folder` if given."""
-    robots: list[Robot] = []
+    robots: list[ScriptedRobot] = []
 
-    @asynccontextmanager
-    async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-        robots.append(Robot(host))
-        yield robots[-1]
+    def make(host: Host) -> ScriptedRobot:
+        robots.append(robot(host))
+        return robots[-1]
 
     configure("error", "json")
     text = CONFIG.format(port=port, top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
-    kind = BackendKind("robot", NoOptions, open_robot)
     with TemporaryDirectory() as scratch:
         text += f'[store]\npath = "{folder or scratch}/store.db"\n'
-        async with serve(parse(text, "test"), kind) as served:
+        async with serve(parse(text, "test"), scripted(make)) as served:
             yield Site(served.server, robots)
 
 

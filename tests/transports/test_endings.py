@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import msgspec
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
@@ -30,8 +29,8 @@ from rcp_kernel.access.tokens import TokenFile
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import Served, serve
+from rcp_kernel.spi import Host
+from rcp_kernel.testing import ScriptedRobot, Served, eventually, scripted, serve
 from rcp_kernel.types import Twist, quantity
 
 pytestmark = pytest.mark.anyio
@@ -76,47 +75,13 @@ leeway = 0
 """
 
 
-class NoOptions(msgspec.Struct):
-    """Nothing to configure."""
-
-
-class Robot(BaseBackend):
-    """Drives as it is told and says when it stands."""
-
-    def __init__(self, host: Host) -> None:
-        self.driven = asyncio.Event()
-        self.at_rest = asyncio.Event()
-        self.going = asyncio.Event()
-        self.stopped = asyncio.Event()
-        self.host = host
-        host.declare(
-            Resource(name="sensor/level", description="A level.", value=quantity("m"), live=True),
-            Resource(
-                name="actuator/drive",
-                description="A drive.",
-                value=Twist,
-                valid_for=0.3,
-                safe=Twist(),
-            ),
-            Resource(
-                name="action/go", description="Goes.", input=quantity("m"), output=quantity("m")
-            ),
-        )
-        host.publish("sensor/level", 1.0)
-
-    async def write(self, name: str, value: Any) -> Any:
-        if value.linear.x:
-            self.at_rest.clear()
-            self.driven.set()
-        else:
-            self.at_rest.set()
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        self.going.set()
-        try:
-            await asyncio.Event().wait()
-        finally:
-            self.stopped.set()
+RESOURCES = (
+    Resource(name="sensor/level", description="A level.", value=quantity("m"), live=True),
+    Resource(
+        name="actuator/drive", description="A drive.", value=Twist, valid_for=0.3, safe=Twist()
+    ),
+    Resource(name="action/go", description="Goes.", input=quantity("m"), output=quantity("m")),
+)
 
 
 class Place:
@@ -135,7 +100,7 @@ class Place:
                 folder=folder, ca=self.ca.file, server=self.ca.server(), audience=AUDIENCE
             )
         )
-        self.robots: list[Robot] = []
+        self.robots: list[ScriptedRobot] = []
         self.url = ""
         self.token: str | None = None
         self.certificate: Signed | None = None
@@ -144,17 +109,17 @@ class Place:
     async def serving(self) -> AsyncGenerator[Served]:
         """Run the gateway, then make the proof: its time begins."""
 
-        @asynccontextmanager
-        async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-            self.robots.append(Robot(host))
-            yield self.robots[-1]
+        def make(host: Host) -> ScriptedRobot:
+            robot = ScriptedRobot(host, *RESOURCES)
+            robot.measure("sensor/level", 1.0)
+            self.robots.append(robot)
+            return robot
 
         configure("error", "json")
         if self.kind == "token":
             with closing(TokenFile(self.folder / "store.db")) as table:
                 _, self.token = table.create("ann", (("*", ("operator",)),), None)
-        kind = BackendKind("robot", NoOptions, open_robot)
-        async with serve(parse(self.config.read_text(), "test"), kind) as served:
+        async with serve(parse(self.config.read_text(), "test"), scripted(make)) as served:
             self.url = next(f["url"] for f in served.server.status.transports if "url" in f)
             if self.kind == "jwt":
                 self.token = self.signer.token(exp=int(time.time()) + LIFE, sub="ann")
@@ -254,6 +219,16 @@ async def within(*awaited: Awaitable[Any]) -> list[Any]:
         return await asyncio.gather(*awaited)
 
 
+async def rested(robot: ScriptedRobot) -> None:
+    """Wait until it was driven, and is at rest."""
+    assert any(value != Twist() for _, value in robot.writes)
+
+    async def still() -> bool:
+        return not robot.moving
+
+    await eventually(still, "the robot rests", BOUND)
+
+
 def lease_of(tenant: str) -> dict[str, Any]:
     return {"do": "acquire", "scope": f"/tenant/{tenant}", "ttl": 300}
 
@@ -280,14 +255,14 @@ async def test_the_end_of_a_proof_ends_a_websocket_and_what_it_drives(
         wrote = await wire.ask(type="write", path=drive_of("alpha"), body=FAST, valid_for=60)
         assert wrote["status"] == "completed", wrote
         await wire.ask(type="execute", id="go", path="/tenant/alpha/action/go", body=1.0)
-        await within(robot.going.wait())
+        await within(robot.started.get())
         await here.end()
         assert await wire.end() == 1008
         last = wire.said[-1]
         assert (last["status"], last["error"]["code"]) == ("rejected", "token_expired")
         [ended] = [m for m in wire.said if m.get("code") == ENDED]
         assert (ended["id"], ended["reason"]) == ("s", "token_expired")
-        await within(robot.at_rest.wait(), robot.stopped.wait())
+        await within(robot.stopped.get(), rested(robot))
         assert await leases(here) == []
 
 
@@ -318,11 +293,11 @@ async def test_the_end_of_a_proof_ends_what_was_begun_over_http(kind: str, tmp_p
         waiting = asyncio.create_task(
             http.post(CONTEXT + "/tenant/beta/action/go", json=1.0, headers={"Prefer": "wait=60"})
         )
-        await within(robot.going.wait())
+        await within(robot.started.get())
         await here.end()
         [answer] = await within(waiting)
         assert code_of(answer) == (401, "token_expired")
-        await within(robot.at_rest.wait(), robot.stopped.wait())
+        await within(robot.stopped.get(), rested(robot))
         assert code_of(await http.get(CONTEXT + drive_of("beta"))) == (401, here.afterwards)
         assert await leases(here) == []
 
@@ -342,4 +317,4 @@ async def test_who_drives_by_the_dead_man_drives_no_longer_than_the_proof(
         # One that was on its way when the proof ended is told so, later ones what the proof is now.
         assert code_of(answer) in [(401, here.afterwards), (401, "token_expired")]
         assert ending is not None
-        await within(ending, here.robots[0].at_rest.wait())
+        await within(ending, rested(here.robots[0]))

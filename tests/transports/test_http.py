@@ -14,7 +14,7 @@ import zstandard
 from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
 from rcp_kernel.model import Resource
 from transports.raw import answer, connected
-from transports.robot import KEY, Robot, Site, site
+from transports.robot import KEY, Site, site
 
 pytestmark = pytest.mark.anyio
 POSE = "/rcp/v1/context/tenant/alpha/sensor/pose"
@@ -246,7 +246,7 @@ async def test_execute_answers_at_once_and_its_command_can_be_followed(
     assert (response.status_code, response.json()["status"]) == (202, "accepted")
     place = response.headers["location"]
     assert place == f"/rcp/v1/commands/{response.json()['command']}"
-    await gateway.robot.started.wait()
+    await gateway.robot.started.get()
     state = (await http.get(place)).json()["body"]
     assert (state["status"], state["progress"]) == ("in_progress", 0.5)
     busy = await http.post(f"{CONTEXT}/action/go", json=4)
@@ -293,19 +293,21 @@ async def test_waiting_in_vain_ends_with_what_there_is(
 @pytest.mark.parametrize("call", ["write", "execute", "posted", "service"])
 async def test_what_has_failed_is_never_a_2xx(
     http: httpx.AsyncClient,
-    monkeypatch: pytest.MonkeyPatch,
+    gateway: Site,
     trouble: type[Exception],
     status: int,
     code: str,
     call: str,
 ) -> None:
-    async def fail(self: Robot, name: str, value: Any, progress: Any = None) -> Any:
-        if name == "action/go":
-            progress(1.0, fraction=0.5)
+    async def fail(value: Any, progress: Any = None) -> Any:
         raise trouble("the way is blocked")
 
-    monkeypatch.setattr(Robot, "write", fail)
-    monkeypatch.setattr(Robot, "execute", fail)
+    async def stumble(value: Any, progress: Any) -> Any:
+        progress(1.0, fraction=0.5)
+        await fail(value)
+
+    gateway.robot.takes["param/limit"] = fail
+    gateway.robot.behaviours |= {"action/go": stumble, "service/add": fail}
     message = {"type": "execute", "path": "/action/go", "body": 4, "deadline": 5}
     for key in ("first", "first", "again"):  # a repeat under a key tells the same
         headers = {"idempotency-key": key}
@@ -324,7 +326,7 @@ async def test_what_has_failed_is_never_a_2xx(
 
 
 async def test_a_value_that_does_not_fit_its_type_is_a_bad_gateway(
-    http: httpx.AsyncClient, gateway: Site, monkeypatch: pytest.MonkeyPatch
+    http: httpx.AsyncClient, gateway: Site
 ) -> None:
     # Values are checked when they are written out: the status has to wait for that.
     good = await http.get(POSE)
@@ -338,10 +340,10 @@ async def test_a_value_that_does_not_fit_its_type_is_a_bad_gateway(
     posted = await http.post("/rcp/v1/messages", json={"type": "read", "path": "/sensor/pose"})
     assert (posted.status_code, error(posted)) == (502, "device_rejected")
 
-    async def read_back(self: Robot, name: str, value: Any) -> Any:
+    async def read_back(value: Any) -> Any:
         return "a text where a number was promised"
 
-    monkeypatch.setattr(Robot, "write", read_back)
+    gateway.robot.takes["param/limit"] = read_back
     written = await http.put(f"{CONTEXT}/param/limit", json=1.0)
     assert (written.status_code, written.json()["status"]) == (502, "failed")
 
@@ -393,7 +395,7 @@ async def test_commands_are_listed_page_by_page(http: httpx.AsyncClient, gateway
         for n in range(25)
     ]
     running = await http.post(f"{CONTEXT}/action/go", json=1)
-    await gateway.robot.started.wait()
+    await gateway.robot.started.get()
     found: list[str] = []
     query: dict[str, str] = {"limit": "10"}
     while True:

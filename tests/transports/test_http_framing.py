@@ -221,7 +221,7 @@ async def test_a_websocket_waits_for_no_answer_before_it(gateway: Site) -> None:
     slow += f"Authorization: Bearer {KEY}\r\nContent-Length: 1\r\n\r\n4".encode()
     async with connected(gateway) as raw:
         raw.send(slow + handshake())
-        await gateway.robot.started.wait()
+        await gateway.robot.started.get()
         gateway.robot.release.set()
         status, data = await answer(raw, b"")
     assert status in (200, 202)

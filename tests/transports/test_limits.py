@@ -236,7 +236,7 @@ async def test_a_pipelined_request_waits_for_its_turn_not_for_its_clock() -> Non
         go = b"POST /rcp/v1/context/tenant/alpha/action/go?wait=5 HTTP/1.1\r\nHost: localhost\r\n"
         key = b"Authorization: Bearer " + KEY.encode() + b"\r\nContent-Length: 1\r\n\r\n"
         raw.send(go + key + b"1" + PUT + b"Content-Length: 3\r\n\r\n1")
-        await gateway.robot.started.wait()
+        await gateway.robot.started.get()
         await asyncio.sleep(0.25)  # more than the second body's clock, which does not run yet
         gateway.robot.release.set()
         raw.send(b".5")

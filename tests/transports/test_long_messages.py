@@ -65,9 +65,9 @@ async def test_what_comes_after_a_long_message_is_handled_after_it(gateway: Site
             pings = [id_ for id_ in said if id_ not in ("long", "short")]
             assert pings == [f"{number}" for number in range(300)]
             assert (await other.reply())["status"] == "completed"
-            writes = gateway.robot.writes
+            writes = [value for _, value in gateway.robot.writes]
             assert writes.index(text) < writes.index(f"{turn}")
-            writes.clear()
+            gateway.robot.writes.clear()
 
 
 async def test_what_was_answered_before_another_connection_took_over_still_comes() -> None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import Counter, deque
-from collections.abc import AsyncGenerator, Coroutine, Generator
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import Coroutine, Generator
+from contextlib import AsyncExitStack, contextmanager
 from itertools import count as counting
 from typing import Any
 
@@ -24,14 +24,14 @@ from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.peer import UNKNOWN
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.spi import BackendKind, Host
-from rcp_kernel.testing import Served, serve
+from rcp_kernel.spi import Host
+from rcp_kernel.testing import ScriptedRobot, Served, scripted, serve
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply
 from rcp_ws.client import WsClient
 from rcp_ws.config import WsConfig
 from transports.raw import TEXT, Raw, frame, opened
-from transports.robot import BOUND, KEY, NoOptions, Robot, Site
+from transports.robot import BOUND, KEY, Site, robot
 
 BACKLOG = 40  # replies
 TURNS = 60  # of the loop, within which everything has to be answered that can be
@@ -148,7 +148,7 @@ class Place:
     def __init__(self) -> None:
         self._runner = asyncio.Runner()
         self._stack = AsyncExitStack()
-        self.robots: list[Robot] = []
+        self.robots: list[ScriptedRobot] = []
 
     @contextmanager
     def inside(self) -> Generator[None]:
@@ -167,13 +167,12 @@ class Place:
         return self._runner.run(bounded())
 
     def serve(self, config: str) -> None:
-        @asynccontextmanager
-        async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-            self.robots.append(Robot(host))
-            yield self.robots[-1]
+        def make(host: Host) -> ScriptedRobot:
+            self.robots.append(robot(host))
+            return self.robots[-1]
 
         configure("error", "json")
-        kind = BackendKind("robot", NoOptions, open_robot)
+        kind = scripted(make)
         served: Served = self.do(self._stack.enter_async_context(serve(parse(config, "t"), kind)))
         self.server = served.server
 

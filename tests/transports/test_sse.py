@@ -200,7 +200,7 @@ async def test_a_client_that_does_not_read_costs_no_memory(gateway: Site) -> Non
 
 async def test_a_command_is_followed_to_its_end(http: httpx.AsyncClient, gateway: Site) -> None:
     started = await http.post("/rcp/v1/context/action/go", json=4)
-    await gateway.robot.started.wait()
+    await gateway.robot.started.get()
     place = started.headers["location"]
     async with stream(http, f"{place}/events") as events:
         history = [await events.next(), await events.next()]

@@ -14,6 +14,7 @@ _silent = logging.getLogger("rcp.picows")
 _silent.setLevel(logging.CRITICAL)  # otherwise each connection would log three lines
 _BUFFER = 16 * 1024  # bytes at first; grows with the messages
 _AT_ONCE = 16 * 1024  # bytes: about 500 pings
+_whole_buffer = WSProtocol.get_buffer
 
 
 class FrameReader(WSProtocol):
@@ -45,7 +46,8 @@ class FrameReader(WSProtocol):
 
     def get_buffer(self, size_hint: int) -> memoryview:
         """Return the buffer for the next bytes."""
-        return WSProtocol.get_buffer(self, size_hint)[:_AT_ONCE]
+        buffer = _whole_buffer(self, size_hint)
+        return buffer if len(buffer) <= _AT_ONCE else buffer[:_AT_ONCE]
 
     def feed(self, data: bytes) -> None:
         """Parse bytes that were read before this protocol took the transport over."""

@@ -281,7 +281,7 @@ class Socket(WSListener):
 
     def reply(self, data: bytes) -> None:
         """Send one message, uncompressed; picows frames it without an additional copy."""
-        if not self._gone():
+        if self.open and not self._raw.is_closing():
             self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
 
     def _gone(self) -> bool:

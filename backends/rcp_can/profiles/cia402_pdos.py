@@ -84,11 +84,11 @@ def eds_map(file: str, node: int) -> PdoMap:
         {pdo.cob: pdo.layout for pdo in _pdos(dictionary, range(0x1800, 0x1A00))},
     )
     seen = frozenset(name for layout in found.feedback.values() for name in layout.names)
-    for way, has in (("receive", found.commanded), ("transmit", seen)):
-        if missing := [name for name in _NEEDED[way] if name not in has]:
+    for direction, has in (("receive", found.commanded), ("transmit", seen)):
+        if missing := [name for name in _NEEDED[direction] if name not in has]:
             words = ", ".join(f"0x{OBJECTS[name][0]:04X} ({name})" for name in missing)
             raise ConfigError(
-                f"{file}: no {way} PDO carries {words}; let the gateway map the PDOs (map_pdos = true)"
+                f"{file}: no {direction} PDO carries {words}; let the gateway map the PDOs (map_pdos = true)"
             )
     return found
 

@@ -55,9 +55,9 @@ class QuadPilot(Pilot):
             vn, ve = self.velocity
         else:
             dn, de = self.place[0] - body.n, self.place[1] - body.e
-            way = math.hypot(dn, de)
-            quick = pace(way, limits.speed, limits.acceleration, _PLACE_GAIN)
-            part = quick / way if way > 1e-6 else 0.0
+            distance = math.hypot(dn, de)
+            quick = pace(distance, limits.speed, limits.acceleration, _PLACE_GAIN)
+            part = quick / distance if distance > 1e-6 else 0.0
             vn, ve = dn * part + self.velocity[0], de * part + self.velocity[1]
         if self.faces_travel and math.hypot(vn, ve) > _FACES_TRAVEL_FROM * limits.speed:
             self.yaw = math.atan2(ve, vn)
@@ -89,7 +89,7 @@ def _toward(
     now: tuple[float, float], wanted: tuple[float, float], most: float
 ) -> tuple[float, float]:
     dn, de = wanted[0] - now[0], wanted[1] - now[1]
-    way = math.hypot(dn, de)
-    if way <= most:
+    distance = math.hypot(dn, de)
+    if distance <= most:
         return wanted
-    return now[0] + dn / way * most, now[1] + de / way * most
+    return now[0] + dn / distance * most, now[1] + de / distance * most

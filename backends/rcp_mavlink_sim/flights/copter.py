@@ -43,8 +43,8 @@ class CopterFlight(Flight):
     def refusal(self, mode: Mode) -> str | None:
         """Return why a mode cannot be entered now; None if it can."""
         vehicle = self._vehicle
-        stands = vehicle.armed and vehicle.body.landed
-        if mode is Mode.AUTO and stands and self.mission.flyable and not self.mission.takes_off:
+        landed = vehicle.armed and vehicle.body.landed
+        if mode is Mode.AUTO and landed and self.mission.flyable and not self.mission.takes_off:
             return "Auto: Missing Takeoff Cmd"
         return super().refusal(mode)
 

@@ -152,7 +152,7 @@ class PlaneFlight(Flight):
         if not vehicle.kind.by_hand(self.mode) and not rolls:
             pilot.spinning = False
         delay = vehicle.params["LAND_DISARMDELAY"]
-        stands = math.hypot(vehicle.body.vn, vehicle.body.ve) < _AT_REST
+        at_rest = math.hypot(vehicle.body.vn, vehicle.body.ve) < _AT_REST
         done = self.mission.complete and self.mode is Mode.AUTO
-        if done and stands and delay and self.landed_for >= delay:
+        if done and at_rest and delay and self.landed_for >= delay:
             self.disarm()

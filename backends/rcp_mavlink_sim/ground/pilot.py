@@ -46,8 +46,12 @@ class GroundPilot(Pilot):
             body.want_speed, body.want_turn = self.by_hand
         elif self.place is not None:
             dn, de = self.place[0] - body.n, self.place[1] - body.e
-            way = math.hypot(dn, de)
-            speed = pace(way, self.limits.speed, self.limits.acceleration) if way > self.near else 0
+            distance = math.hypot(dn, de)
+            speed = (
+                pace(distance, self.limits.speed, self.limits.acceleration)
+                if distance > self.near
+                else 0
+            )
             self._head(math.atan2(de, dn), speed)
         else:
             self._along()

@@ -6,7 +6,7 @@
     with rcp_client.Robot() as robot:
         pose = robot.read("/sensor/pose")
 
-Names are imported when first used, so that `rcpctl --help` does not wait for what it does not need.
+Names are imported on first use, so that `rcpctl --help` starts quickly.
 """
 
 from __future__ import annotations

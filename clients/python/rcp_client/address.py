@@ -1,4 +1,4 @@
-"""Where a gateway is: one text from a person, and the addresses that follow from it."""
+"""The address of a gateway, parsed from user input."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Address:
     """The address of a gateway."""
 
     url: str
-    """Of its HTTP root, without a slash at the end."""
+    """URL of its HTTP root, without a trailing slash."""
     ws: str
     host: str
     port: int
@@ -25,7 +25,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """Read `http://host:port`, `wss://host/prefix` or plain `host:port`.
+        """Parse `http://host:port`, `wss://host/prefix` or plain `host:port`.
 
         :raises ValueError: it is none of these.
         """

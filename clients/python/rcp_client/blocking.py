@@ -1,7 +1,7 @@
-"""The client for scripts without asyncio: the same methods, each waiting for its answer.
+"""The client for scripts without asyncio: the same methods, each blocking until its reply.
 
-The asyncio client runs on an event loop in a thread of its own, so the connection is looked after
-also while the script does something else.
+The asyncio client runs on an event loop in a separate thread, so that the connection is maintained
+while the script does other work.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ T = TypeVar("T")
 
 
 class Robot:
-    """A session with a gateway; takes what `rcp_client.connect` takes, and raises what it raises.
+    """A session with a gateway; arguments and errors as for `rcp_client.connect`.
 
-    May be used from several threads. Callbacks are called on the client's own thread.
+    May be used from several threads. Callbacks run on the client's own thread.
     """
 
     def __init__(self, url: str | None = None, **options: Any) -> None:
@@ -69,7 +69,7 @@ class Robot:
         future = self._portal.start_task_soon(run)
         try:
             return future.result()
-        except BaseException:  # Ctrl-C in the script: have the request let go of as well
+        except BaseException:  # Ctrl-C in the script: cancel the request as well
             future.cancel()
             raise
 
@@ -128,7 +128,7 @@ class Robot:
         return self._do(self._client.hold, robot, **options)
 
     def lease(self, scope: str, **options: Any) -> BlockingLease:
-        """See `Client.lease`; use it by `with`."""
+        """See `Client.lease`; use it in a `with` statement."""
         return BlockingLease(self._do, self._client.lease(scope, **options))
 
     def leases(self) -> list[dict[str, Any]]:
@@ -136,7 +136,7 @@ class Robot:
         return self._do(self._client.leases)
 
     def subscribe(self, patterns: str | Iterable[str], **options: Any) -> BlockingSubscription:
-        """See `Client.subscribe`; iterate over it, or use it by `with`."""
+        """See `Client.subscribe`; iterate over it, or use it in a `with` statement."""
 
         async def make() -> Subscription:
             return self._client.subscribe(patterns, **options)
@@ -178,7 +178,7 @@ class BlockingCommand:
 
     @property
     def status(self) -> str:
-        """The last status heard of."""
+        """The last received status."""
         return self._handle.status
 
     def __iter__(self) -> Generator[Feedback]:
@@ -189,15 +189,16 @@ class BlockingCommand:
         return self._do(self._handle.result)
 
     def cancel(self) -> Reply:
-        """Have the robot told to stop it."""
+        """Request cancellation; the robot is told to stop the command."""
         return self._do(self._handle.cancel)
 
 
 class BlockingLease:
-    """Exclusive control while a `with` block runs; it cannot cut the block short.
+    """Exclusive control during a `with` block, which it cannot interrupt.
 
-    Leaving the block raises `LeaseLost` if it was lost; `check` tells before. The gateway refuses
-    what the block commands meanwhile.
+    If the lease is lost, leaving the block raises `LeaseLost`; call `check` to find out earlier.
+    The
+    gateway refuses commands of the block in the meantime.
     """
 
     def __init__(self, do: Callable[..., Any], lease: Lease) -> None:
@@ -220,7 +221,7 @@ class BlockingLease:
 
     @property
     def lost(self) -> LeaseLost | None:
-        """Why it is gone, once it is."""
+        """Why the lease was lost, once it is."""
         return self._lease.lost
 
     def check(self) -> None:
@@ -233,7 +234,7 @@ class BlockingLease:
 
 
 class BlockingSubscription:
-    """A standing request for samples; see `Subscription`."""
+    """A subscription; see `Subscription`."""
 
     def __init__(self, do: Callable[..., Any], subscription: Subscription) -> None:
         self._do = do
@@ -250,12 +251,12 @@ class BlockingSubscription:
         return _blocking(self._do, self._subscription.__aiter__)
 
     def events(self) -> Generator[Update | Notice]:
-        """Iterate over updates and notices in the order in which they came."""
+        """Iterate over updates and notices in the order of arrival."""
         return _blocking(self._do, self._subscription.events)
 
 
 def _blocking(do: Callable[..., Any], begin: Callable[[], Any]) -> Generator[Any]:
-    """Drive an asynchronous generator, all of it on the client's thread."""
+    """Run an asynchronous generator entirely on the client's thread."""
 
     async def make() -> Any:
         return begin()

@@ -1,4 +1,4 @@
-"""Requests under way: what was asked, under which ids, and whether it may be asked again."""
+"""Requests in flight: their envelopes and ids, and whether they may be sent again."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rcp_protocol.wire import FINAL
 __all__ = ["Call", "Calls", "Repeat"]
 
 Repeat = Literal["always", "keyed", "never"]
-"""What a cut does to a request that was sent: it is sent again; sent again if its idempotency key
-is still known to the gateway; or ended, because to do it twice or late would be wrong."""
+"""What happens to a sent request when the connection is lost: it is sent again; it is sent again if
+the gateway still knows its idempotency key; or it ends, because repeating it would be wrong."""
 
 
 class Call:
-    """One request until its final reply."""
+    """One request, until its final reply."""
 
     __slots__ = (
         "_heard",
@@ -43,26 +43,26 @@ class Call:
         self.envelope = envelope
         self.repeat: Repeat = repeat
         self.fixed = fixed
-        """The id it always goes out under, where the id is more than a number."""
+        """A fixed id, for requests whose id has a meaning."""
         self.link: object = None
         """The connection it was last sent on."""
         self.ids: list[str] = []
-        """Every id it was sent under; replies to any of them are its own."""
+        """All ids under which it was sent; replies to any of them belong to it."""
         self.command: str | None = None
         """The gateway's id of the command it started."""
         self.session: str | None = None
-        """The session that tells of the command, once it is accepted."""
+        """The session that reports on the command, once it is accepted."""
         self.sent: int | None = None
-        """When it first went out, ns since the epoch."""
+        """When it was first sent, ns since the epoch."""
         self.started = time.monotonic()
         self.first: asyncio.Future[None] = self.loop.create_future()
-        """Done with the first reply, or the end."""
+        """Done with the first reply, or with an error."""
         self.end: asyncio.Future[Reply | RcpError] = self.loop.create_future()
         self.listeners: list[Callable[[Reply], None]] = []
         self._heard = ""
 
     def take(self, reply: Reply) -> None:
-        """Take a reply in; one that was heard before is dropped."""
+        """Handle a reply; duplicates are dropped."""
         if self.end.done():
             return
         self.command = self.command or reply.command
@@ -78,7 +78,7 @@ class Call:
             self.first.set_result(None)
 
     def fail(self, error: RcpError) -> None:
-        """End it without a reply."""
+        """End the call without a reply."""
         if not self.end.done():
             self.end.set_result(error)
         if not self.first.done():
@@ -86,7 +86,7 @@ class Call:
 
 
 class Calls:
-    """Every request under way, by each of its ids and by its command."""
+    """All requests in flight, by each of their ids and by command."""
 
     def __init__(self) -> None:
         self._by_id: dict[str, Call] = {}
@@ -97,20 +97,20 @@ class Calls:
         return len(self._open)
 
     def every(self) -> list[Call]:
-        """List them in the order in which they began."""
+        """List the calls in the order in which they began."""
         return list(self._open)
 
     def enter(self, call: Call) -> None:
-        """Take a call in."""
+        """Add a call."""
         self._open[call] = None
 
     def name(self, call: Call, id_: str) -> None:
-        """Note an id that a call goes out under."""
+        """Register an id under which a call is sent."""
         call.ids.append(id_)
         self._by_id[id_] = call
 
     def leave(self, call: Call) -> None:
-        """Let a call go; later replies to it are of no interest."""
+        """Remove a call; later replies to it are ignored."""
         self._open.pop(call, None)
         for id_ in call.ids:
             self._by_id.pop(id_, None)
@@ -118,9 +118,10 @@ class Calls:
             self._by_command.pop(call.command, None)
 
     def take(self, reply: Reply) -> bool:
-        """Hand a reply to its call; tell whether there is one.
+        """Pass a reply to its call; return whether there is one.
 
-        The command's id decides first: after a return, replies may bear the id of an earlier try.
+        The command's id takes precedence: after a reconnection, replies may carry the id of an
+        earlier attempt.
         """
         call = self._by_command.get(reply.command) if reply.command else None
         call = call or (self._by_id.get(reply.id) if reply.id else None)
@@ -134,7 +135,7 @@ class Calls:
         return True
 
     def fail(self, error: Callable[[Call], RcpError]) -> None:
-        """End them all."""
+        """End all calls with an error."""
         for call in self.every():
             call.fail(error(call))
             self.leave(call)

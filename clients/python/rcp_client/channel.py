@@ -1,7 +1,7 @@
-"""A session with a gateway over however many connections it takes.
+"""A session with a gateway, over any number of consecutive connections.
 
-A lost connection is opened again with growing pauses; `hello` takes the session back, the gateway
-replays what was missed, and `recovery` decides what becomes of requests without an answer.
+A lost connection is reopened with growing pauses; `hello` resumes the session, the gateway replays
+missed messages, and `recovery` decides what happens to unanswered requests.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from rcp_protocol.errors import (
 __all__ = ["Channel"]
 
 log = logging.getLogger("rcp.client")
-_SEGMENT = 256 * 1024  # bytes of one frame: a pose waits at most that long behind a map
+_SEGMENT = 256 * 1024  # bytes of one frame, which limits the delay of short messages
 
 
 class Channel:
-    """Requests out, replies and updates in."""
+    """Sends requests, receives replies and updates."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.calls = Calls()
         self.listeners: list[Callable[[Notice], None]] = []
-        """Told of every notice."""
+        """Called with every notice."""
         self.subscriptions: dict[str, Subscriber] = {}
         self.session: str | None = None
         self.greeting: dict[str, Any] = {}
-        """What the gateway answered to the last `hello`."""
+        """The gateway's reply to the last `hello`."""
         self._codec = Codec(settings.encoding)
         self._prefix = secrets.token_hex(4)
         self._numbers = itertools.count(1)
@@ -62,26 +62,26 @@ class Channel:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection that has been greeted."""
+        """Whether there is a connection that has completed its handshake."""
         return self._greeted and self._link is not None and not self._link.closed
 
     def new_id(self) -> str:
-        """Make an id that no other client uses."""
+        """Return an id that no other client uses."""
         return f"{self._prefix}-{next(self._numbers)}"
 
-    # -- life ----------------------------------------------------------------------------------
+    # -- lifetime ------------------------------------------------------------------------------
 
     async def open(self) -> None:
         """Connect for the first time.
 
         :raises ConnectionLost: the gateway cannot be reached.
-        :raises Unauthenticated, Forbidden: it does not let this client in.
+        :raises Unauthenticated, Forbidden: it refuses this client.
         """
         await self._dial()
         self._keeper = asyncio.create_task(self._keep(), name="rcp client")
 
     async def close(self) -> None:
-        """Say goodbye; whatever waits ends with `ConnectionLost`."""
+        """Close the session; pending calls end with `ConnectionLost`."""
         self._over = self._over or ConnectionLost("the client was closed")
         if self._keeper is not None:
             self._keeper.cancel()
@@ -98,7 +98,7 @@ class Channel:
             subscription.fail(error)
 
     async def _dial(self) -> bool:
-        """Connect and say hello; return whether the session was taken back."""
+        """Connect and send `hello`; return whether the session was resumed."""
         settings = self.settings
         self._lost.clear()
         self._greeted = False
@@ -113,7 +113,7 @@ class Channel:
             ssl=settings.ssl,
         )
         try:
-            if link.closed:  # before it was known which one it is
+            if link.closed:  # it was closed before it could be assigned
                 raise ConnectionLost(link.why)
             resumed = await self._greet(link)
         except BaseException:
@@ -129,7 +129,7 @@ class Channel:
             except (Gap, Unauthenticated) as error:
                 if isinstance(error, TokenExpired):
                     raise
-                await self._hello(link)  # the session is gone: begin a new one
+                await self._hello(link)  # the session has expired: begin a new one
                 return False
             return True
         await self._hello(link)
@@ -143,7 +143,7 @@ class Channel:
         if session is not None:
             body |= {"session": session, "resume_token": self._resume_token}
             body["resume_from"] = self._seen()
-        asked = now()
+        requested = now()
         reply = await self._first(link, {"type": "hello", "body": body})
         facts: dict[str, Any] = reply.body or {}
         self.greeting = facts
@@ -152,10 +152,10 @@ class Channel:
         limits = facts.get("limits") or {}
         link.segment_size = limits.get("segment_size") or facts.get("segment_size")
         if reply.timestamp is not None:
-            self._recovery.greeted(reply.timestamp, asked, resumed=session is not None)
+            self._recovery.greeted(reply.timestamp, requested, resumed=session is not None)
 
     async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
-        """Ask on a link that is not in general use yet."""
+        """Send a request on a link that is not in general use yet."""
         call = Call(envelope, "never")
         self.calls.enter(call)
         self._go(call, link)
@@ -169,7 +169,7 @@ class Channel:
         return _outcome(outcome)
 
     def _seen(self) -> dict[str, int]:
-        """Return the last number seen of each path, the lowest where several subscriptions have it."""
+        """Return the last number seen of each path, the lowest over all subscriptions."""
         seen: dict[str, int] = {}
         for subscription in self.subscriptions.values():
             for path, seq in subscription.seen.items():
@@ -192,7 +192,7 @@ class Channel:
             self._end(ConnectionLost(f"the client failed: {error!r}"))
 
     async def _unless_lost(self, work: Coroutine[Any, Any, None]) -> None:
-        """Do something with the connection, and leave it when the connection is lost again."""
+        """Run work on the connection, and abandon it when the connection is lost again."""
         doing = asyncio.ensure_future(work)
         lost = asyncio.ensure_future(self._lost.wait())
         try:
@@ -204,7 +204,7 @@ class Channel:
             doing.result()
 
     async def _return(self) -> bool:
-        """Try to come back until it works or patience ends."""
+        """Try to reconnect until it succeeds or patience ends."""
         settings = self.settings
         began, pause = time.monotonic(), settings.first_pause
         while True:
@@ -219,10 +219,10 @@ class Channel:
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients
             pause = min(pause * 2, settings.longest_pause)
 
-    # -- out -----------------------------------------------------------------------------------
+    # -- sending -------------------------------------------------------------------------------
 
     def start(self, envelope: dict[str, Any], repeat: Repeat, *, id_: str | None = None) -> Call:
-        """Begin a request; it waits for the connection if there is none now.
+        """Start a request; without a connection it waits for the next one.
 
         :raises RcpError: the client is closed, or the envelope cannot be encoded.
         """
@@ -241,14 +241,14 @@ class Channel:
     async def ask(self, envelope: dict[str, Any], repeat: Repeat = "always") -> Reply:
         """Send a request and return its final reply, within its deadline.
 
-        :raises RcpError: it failed, was refused or cancelled, or no answer came.
+        :raises RcpError: it failed, was refused or cancelled, or no reply came.
         """
         deadline = envelope.setdefault("deadline", self.settings.deadline)
         call = self.start(envelope, repeat)
         return await self.finish(call, deadline + MARGIN)
 
     async def finish(self, call: Call, limit: float | None) -> Reply:
-        """Wait for a call's end.
+        """Wait for the end of a call.
 
         :raises RcpError: it failed, was refused or cancelled, or `limit` seconds have passed.
         """
@@ -262,7 +262,7 @@ class Channel:
         return _outcome(outcome)
 
     def late(self, call: Call, limit: float) -> RcpError:
-        """Say why a call had no answer in time."""
+        """Return the error for a call without a reply in time."""
         path = call.envelope.get("path")
         if not self.connected:
             return ConnectionLost(
@@ -271,17 +271,17 @@ class Channel:
         return DeadlineExceeded(f"the gateway did not answer within {limit:g} s", path=path)
 
     def send(self, call: Call, **facts: Any) -> None:
-        """Send a call, once more if need be, with further fields."""
+        """Send a call, possibly again, with additional fields."""
         self._go(call, self._link, **facts)
 
     def calls_of_before(self) -> list[Call]:
-        """List the calls that were not sent on the present connection, and that nothing answers."""
+        """List the unanswered calls that were not sent on the current connection."""
         before = [call for call in self.calls.every() if call.link is not self._link]
-        # Of a command that it has accepted, the session tells whatever becomes of it.
+        # The session reports the outcome of an accepted command by itself.
         return [c for c in before if c.command is None or c.session != self.session]
 
     def _go(self, call: Call, link: Link | None, **facts: Any) -> None:
-        """Send a call under an id of its own, or the one it always has."""
+        """Send a call under a new id, or under its fixed id."""
         id_ = call.fixed or self.new_id()
         self.calls.name(call, id_)
         call.sent = call.sent or now()
@@ -292,11 +292,11 @@ class Channel:
             link.send({**call.envelope, "id": id_, **facts})
 
     def post(self, envelope: dict[str, Any]) -> None:
-        """Send a request whose answer nobody waits for; nothing happens without a connection."""
+        """Send a request without waiting for a reply; does nothing without a connection."""
         if self.connected and self._link is not None:
             self._link.send({**envelope, "id": self.new_id()})
 
-    # -- in ------------------------------------------------------------------------------------
+    # -- receiving -----------------------------------------------------------------------------
 
     def _received(self, message: Message, data: bytes) -> None:
         if message.type == "update":
@@ -313,7 +313,7 @@ class Channel:
                 self.tell(Notice(code=error.code, message=error.message, path=message.path))
 
     def tell(self, notice: Notice) -> None:
-        """Pass a notice on to whom it concerns."""
+        """Pass a notice to its subscription and to the user's callback."""
         for id_, subscription in list(self.subscriptions.items()):
             if notice.id in (None, id_):
                 subscription.note(notice)
@@ -331,7 +331,7 @@ class Channel:
 
 
 def _told(error: RcpError, call: Call) -> RcpError:
-    """Make a copy of an error for one call, so that each names its own path."""
+    """Copy an error for one call, so that each names its own path."""
     made = type(error)(error.message, path=call.envelope.get("path"), remedy=error.remedy)
     made.__cause__ = error
     return made

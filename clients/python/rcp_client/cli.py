@@ -1,6 +1,6 @@
-"""`rcpctl`: a gateway's client for terminals and shell scripts.
+"""`rcpctl`: the command-line client of a gateway, for terminals and shell scripts.
 
-Only what parses the command line is imported here; the client comes in when a command runs.
+Only command line parsing is imported here; the client is imported when a command runs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _WITH_VALUE = {**_CONTEXT, "ignore_unknown_options": True}
 
 
 def _keep(ctx: click.Context, param: click.Parameter, value: Any) -> None:
-    """Note an option of every command; the one nearest to its end of the line wins."""
+    """Store an option shared by all commands; the last one on the command line wins."""
     if value is not None and param.name is not None:
         ctx.ensure_object(dict)[param.name] = value
 
@@ -34,7 +34,7 @@ def _shared(*names: str, **facts: Any) -> Callable[[F], F]:
 
 
 def _common(function: F) -> F:
-    """Add the options that may stand before or after the subcommand."""
+    """Add the options that may precede or follow the subcommand."""
     options = (
         _shared("--url", metavar="URL", help="Gateway [RCP_URL; http://127.0.0.1:8080]."),
         _shared("--token", metavar="TEXT", help="API key or JWT [RCP_TOKEN; rcpd demo's]."),
@@ -80,7 +80,7 @@ def _run(ctx: click.Context, name: str, **arguments: Any) -> int:
 
     try:
         return run(name, ctx.ensure_object(dict), arguments)
-    except BrokenPipeError:  # whoever reads has had enough, as in `rcpctl watch … | head`
+    except BrokenPipeError:  # the reader has closed the pipe, as in `rcpctl watch … | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 

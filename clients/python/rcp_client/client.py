@@ -23,7 +23,7 @@ from rcp_protocol.values import value_type
 
 __all__ = ["Client"]
 
-_PAGE = 500  # resources asked for at once
+_PAGE = 500  # resources requested at once
 
 
 def _reading(
@@ -37,12 +37,14 @@ def _reading(
 
 
 class Client:
-    """A session with a gateway, which outlives the connections that carry it.
+    """A session with a gateway, which outlives its individual connections.
 
-    Methods raise the kernel's errors (`rcp_protocol.errors`) by the code that the gateway answered,
-    with its `remedy`; `DeadlineExceeded` where no answer came in time, and `ConnectionLost` where
-    there is no connection. A cut in the middle of a request is mended behind the scenes: writes and
-    executes carry an idempotency key, so that being sent again never makes them happen twice.
+    Methods raise the error class (`rcp_protocol.errors`) of the code in the gateway's reply, with
+    its
+    `remedy`; `DeadlineExceeded` if no reply came in time, and `ConnectionLost` if there is no
+    connection. A lost connection is recovered transparently: writes and executes carry an
+    idempotency
+    key, so that sending them again never executes them twice.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -58,12 +60,12 @@ class Client:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection now."""
+        """Whether the client is currently connected."""
         return self.channel.connected
 
     @property
     def greeting(self) -> dict[str, Any]:
-        """What the gateway said to `hello`: principal, roles, tenant, limits."""
+        """The gateway's reply to `hello`: principal, roles, tenant, limits."""
         return self.channel.greeting
 
     # -- values --------------------------------------------------------------------------------
@@ -74,13 +76,14 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
-        type: Any = None,  # noqa: A002 - the natural word
+        type: Any = None,  # noqa: A002 - the natural name
         deadline: float | None = None,
     ) -> Any:
-        """Return the present value of a path, or the list of all items of a pattern.
+        """Return the current value of a path, or the list of all items of a pattern.
 
-        `fields` keeps only some of its fields (`position.x`), `fresh` asks the robot itself, and
-        `type` decodes the value into a msgspec type.
+        `fields` selects some fields (`position.x`), `fresh` reads from the robot itself, and `type`
+        decodes
+        the value to a msgspec type.
         """
         reply = await self.sample(path, fields=fields, fresh=fresh, deadline=deadline)
         return reply.body if type is None else value_type(type).convert(reply.body)
@@ -95,7 +98,7 @@ class Client:
     ) -> Reply:
         """Read a path and return the whole reply: value, number, source time, freshness.
 
-        Of a pattern every page is fetched; `pages` gives them one by one.
+        For a pattern, all pages are fetched; `pages` yields them one by one.
         """
         return await joined(self.channel.ask, _reading(path, fields, fresh), deadline)
 
@@ -108,9 +111,9 @@ class Client:
         limit: int | None = None,
         deadline: float | None = None,
     ) -> AsyncGenerator[list[dict[str, Any]]]:
-        """Read a pattern page by page, each with at most `limit` items (1000).
+        """Read a pattern page by page, each with at most `limit` items (default 1000).
 
-        `deadline` is for all of them together.
+        `deadline` applies to all pages together, in s.
         """
         envelope = _reading(pattern, fields, fresh, limit)
         async for reply in pages(self.channel.ask, envelope, deadline):
@@ -127,10 +130,11 @@ class Client:
         approval: str | None = None,
         deadline: float | None = None,
     ) -> Any:
-        """Write a value and return the one that is in force.
+        """Write a value and return the value in force.
 
-        `valid_for` is how many seconds a velocity stands before the gateway brings the robot to
-        rest; `dry_run` checks everything and changes nothing.
+        `valid_for` is the time in s after which the gateway brings the robot to rest unless a new
+        value
+        is written; `dry_run` checks everything and changes nothing.
         """
         envelope = kept(
             {
@@ -151,7 +155,7 @@ class Client:
     async def start(
         self,
         path: str,
-        input: Any = None,  # noqa: A002 - the contract's word
+        input: Any = None,  # noqa: A002 - the name in the protocol
         *,
         deadline: float | None = None,
         idempotency_key: str | None = None,
@@ -161,7 +165,7 @@ class Client:
     ) -> CommandHandle:
         """Start a command and return once the gateway has accepted it.
 
-        Without a `deadline` the command may take what its path allows.
+        Without a `deadline`, the time limit of the path applies.
 
         :raises RcpError: it was refused.
         """
@@ -182,7 +186,7 @@ class Client:
         on_feedback: Callable[[Feedback], None] | None = None,
         type: Any = None,  # noqa: A002
     ) -> Any:
-        """Carry out a command and return its result; who stops waiting has it cancelled.
+        """Run a command and return its result; cancelling the call cancels the command.
 
         :raises RcpError: it was refused, failed, or was cancelled.
         """
@@ -232,14 +236,16 @@ class Client:
         idempotency_key: str | None = None,
         on_feedback: Callable[[Feedback], None] | None = None,
     ) -> list[dict[str, Any]]:
-        """Carry out many operations as one, checked whole before the first; return every step.
+        """Run several operations as one plan, checked first; return the state of each step.
 
-        `plan` is a list of steps, a whole body, or a text: what a planner prints, or lines of
-        commands (docs/protocol.md, Plans). Feedback tells of each change of a step. `dry_run`
-        returns what would be sent; who stops waiting has the plan cancelled.
+        `plan` is a list of steps, a complete body, or a text: the output of a planner, or command
+        lines
+        (docs/protocol.md, Plans). Feedback reports each change of a step. `dry_run` returns the
+        requests
+        that would be sent. Cancelling the call cancels the plan.
 
-        :raises RcpError: it was refused (`details["faults"]` says all that is wrong), or a step failed
-            (`details["body"]` has what became of each).
+        :raises RcpError: it was refused (`details["faults"]` lists all faults), or a step failed
+            (`details["body"]` has the state of each step).
         """
         result = await self.execute(
             "/system/plans",
@@ -255,17 +261,17 @@ class Client:
     async def approve(
         self, approval: str, *, reject: bool = False, reason: str | None = None
     ) -> dict[str, Any]:
-        """Decide on what somebody else wants approved (docs/protocol.md, Approvals)."""
+        """Decide on another principal's approval request (docs/protocol.md, Approvals)."""
         decision = "reject" if reject else "approve"
         body = kept({"id": approval, "decision": decision, "reason": reason})
         return await self.execute("/system/approvals", body)
 
     async def approvals(self) -> list[dict[str, Any]]:
-        """List what this principal may decide on, and what it has asked for."""
+        """List the approvals that this principal may decide on or has requested."""
         return await self.read("/system/approvals")
 
     async def cancel(self, command: str) -> list[str]:
-        """Cancel a command by the gateway's id, or whatever runs on a path; return the ids."""
+        """Cancel a command by the gateway's id, or all commands on a path; return the ids."""
         named = "path" if command.startswith("/") else "command"
         reply = await self.channel.ask({"type": "cancel", named: command})
         return (reply.body or {}).get("cancelled", [])
@@ -282,15 +288,19 @@ class Client:
         reason: str | None = None,
         deadline: float | None = None,
     ) -> dict[str, Any]:
-        """Stop every robot that this principal may see, or those in `scope`; or reset the stop.
+        """Stop every robot visible to this principal, or those in `scope`; or reset the stop.
 
-        `scope` is a robot, a group, a backend or a tenant (docs/protocol.md, E-stop). Returns
-        the state of the e-stop when every robot in scope is confirmed at rest, by measurement;
-        `deadline` is how many seconds that may take (the client's own; the gateway waits 60 at
-        most). A reset that a cut interrupts is not tried again.
+        `scope` is a robot, a group, a backend or a tenant (docs/protocol.md, E-stop). Returns the
+        state
+        of the e-stop once every robot in scope is confirmed at rest by measurement; `deadline`
+        limits
+        that time in s (in this client; the gateway waits at most 60 s). A reset is not repeated
+        after a
+        lost connection.
 
-        :raises DeviceTimeout: a robot is not confirmed at rest; `details["robots"]` says which, how far
-            its stop has come and why. It stays latched, and the gateway repeats the stop.
+        :raises DeviceTimeout: a robot is not confirmed at rest; `details["robots"]` has the
+            progress and
+            reason for each. It stays latched, and the gateway repeats the stop.
         """
         body = kept({"reset": reset or None, "scope": scope, "reason": reason})
         envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
@@ -303,10 +313,11 @@ class Client:
     ) -> dict[str, Any]:
         """Bring a robot to rest and end its commands, without an e-stop: the next command moves it.
 
-        `robot` is its name in the session's tenant, or `/tenant/<tenant>/<robot>`; it may be left
-        out where the tenant has one robot without a name. Returns `at_rest` and `detail`.
+        `robot` is its name in the session's tenant, or `/tenant/<tenant>/<robot>`; it can be
+        omitted if
+        the tenant has a single unnamed robot. Returns `at_rest` and `detail`.
 
-        :raises DeviceTimeout: it was told to, and still moves: use the e-stop.
+        :raises DeviceTimeout: the robot was commanded to stop but still moves: use the e-stop.
         :raises UnknownPath: there is no such robot, or it has nothing that moves.
         """
         return await self.execute(hold_path(robot), deadline=deadline)
@@ -319,17 +330,19 @@ class Client:
         take: bool = False,
         reason: str | None = None,
     ) -> Lease:
-        """Make a lease; `async with` acquires, renews and releases it.
+        """Return a lease; `async with` acquires, renews and releases it.
 
         `scope` is a tenant, a robot or a sub-tree (docs/protocol.md, Leases). `take` takes it over
-        from holders of a lower priority, who are told the `reason`. Losing it cancels the block,
-        which then raises `LeaseLost`.
+        from
+        holders with a lower priority, who receive the `reason`. Losing the lease cancels the block,
+        which
+        then raises `LeaseLost`.
         """
-        asked = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
-        return Lease(self.channel, kept(asked))
+        body = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
+        return Lease(self.channel, kept(body))
 
     async def leases(self) -> list[dict[str, Any]]:
-        """List the leases on robots that this principal may see."""
+        """List the leases on robots visible to this principal."""
         return await self.read("/system/leases")
 
     # -- streams -------------------------------------------------------------------------------
@@ -354,11 +367,13 @@ class Client:
         buffer: int = 4096,
         on_notice: Callable[[Notice], None] | None = None,
     ) -> Subscription:
-        """Make a subscription to paths or patterns; iterating, or `async with`, begins it.
+        """Return a subscription to paths or patterns; iterating or `async with` starts it.
 
-        The options are those of the contract (docs/protocol.md, section 7). `reliable` is short for
-        the `qos` of that name: every sample in order, or an `Overrun`. `buffer` is how many updates
-        wait here unread before the oldest gives way (or a reliable subscription ends).
+        For the options see docs/protocol.md, section 7. `reliable` is short for the `qos` of that
+        name:
+        every sample in order, or an `Overrun`. `buffer` is the number of unread updates queued in
+        the
+        client before the oldest is dropped (or a reliable subscription ends).
         """
         wanted = [patterns] if isinstance(patterns, str) else list(patterns)
         if not wanted:
@@ -394,7 +409,7 @@ class Client:
         profile: str | None = None,
         schemas: bool = True,
     ) -> list[ResourceInfo]:
-        """List the resources that match: by path, `kind`, operation, words in `q`, and `profile`."""
+        """List the matching resources: by path, `kind`, operation, words in `q`, and `profile`."""
         found: list[ResourceInfo] = []
         wanted = {"kind": kind, "op": op, "q": q, "profile": profile, "limit": _PAGE}
         body = {**kept(wanted), "schemas": schemas}
@@ -408,7 +423,7 @@ class Client:
         return (await self.channel.ask({"type": "status"})).body
 
     async def ping(self) -> float:
-        """Return the seconds that a request takes there and back."""
+        """Return the round-trip time of a request in s."""
         began = time.perf_counter()
         await self.channel.ask({"type": "ping"})
         return time.perf_counter() - began
@@ -416,7 +431,7 @@ class Client:
     async def batch(self, envelopes: Sequence[dict[str, Any]]) -> list[Reply]:
         """Send several requests as one and return their final replies in the same order.
 
-        A reply that tells of an error does not raise; look at its `status`.
+        A reply with an error does not raise; check its `status`.
         """
         parts = [keyed(envelope) for envelope in envelopes]
         repeat: Repeat = "never" if any(repeat_of(p) == "never" for p in parts) else "keyed"
@@ -424,9 +439,9 @@ class Client:
         return msgspec.convert(reply.body, list[Reply])
 
     async def request(self, envelope: dict[str, Any]) -> Reply:
-        """Send any envelope, `x-…` fields included, and return its final reply.
+        """Send any envelope, including `x-…` fields, and return its final reply.
 
-        :raises RcpError: it tells of an error.
+        :raises RcpError: the reply contains an error.
         """
         whole = keyed({key: item for key, item in envelope.items() if key != "id"})
         return await self.channel.ask(whole, repeat_of(whole))

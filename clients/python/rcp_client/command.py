@@ -1,4 +1,4 @@
-"""A running command, as its caller holds it."""
+"""A running command, as its caller sees it."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from rcp_protocol.wire import FINAL
 
 __all__ = ["CommandHandle", "Feedback"]
 
-_KEPT = 1000  # feedback that nobody has read
+_KEPT = 1000  # unread feedback messages
 
 
 class Feedback(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """One step of a running command."""
+    """A progress message of a running command."""
 
     status: str
     """`accepted`, `pending` or `in_progress`."""
     body: Any = None
     progress: float | None = None
-    """Fraction done, 0…1."""
+    """Completed fraction, 0 to 1."""
     message: str | None = None
     timestamp: str | None = None
     command: str | None = None
@@ -36,9 +36,9 @@ class Feedback(msgspec.Struct, kw_only=True, omit_defaults=True):
 
 
 class CommandHandle:
-    """One execute that the gateway has accepted; iterate over it for its feedback.
+    """A command that the gateway has accepted; iterate over it for its feedback.
 
-    The command goes on when the handle is dropped, and when the connection is lost.
+    The command continues when the handle is dropped, and when the connection is lost.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class CommandHandle:
 
     @property
     def done(self) -> bool:
-        """Whether its final reply is here."""
+        """Whether the final reply has arrived."""
         return self._call.end.done()
 
     def _heard(self, reply: Reply) -> None:
@@ -93,9 +93,9 @@ class CommandHandle:
         safely(self._on_feedback, feedback)
 
     async def accepted(self, limit: float) -> None:
-        """Wait for the first reply, for at most `limit` seconds.
+        """Wait at most `limit` seconds for the first reply.
 
-        :raises RcpError: the command was refused, or nobody answered.
+        :raises RcpError: the command was refused, or no reply came.
         """
         call = self._call
         try:
@@ -111,7 +111,7 @@ class CommandHandle:
                 raise error
 
     async def reply(self) -> Reply:
-        """Wait for the final reply and return it whole.
+        """Wait for the final reply and return it.
 
         :raises RcpError: the command failed, was refused or cancelled, or the client gave up.
         """
@@ -120,13 +120,13 @@ class CommandHandle:
     async def result(self) -> Any:
         """Wait for the end and return the result.
 
-        :raises RcpError: as `reply` does.
+        :raises RcpError: as for `reply`.
         """
         reply = await self.reply()
         return reply.body if self._type is None else self._type.convert(reply.body)
 
     async def __aiter__(self) -> AsyncGenerator[Feedback]:
-        """Iterate over the feedback until the command ends; `result` then says how."""
+        """Iterate over the feedback until the command ends; then see `result`."""
         while True:
             while self._unread:
                 yield self._unread.popleft()
@@ -136,13 +136,13 @@ class CommandHandle:
             await self._wake.wait()
 
     async def cancel(self) -> Reply:
-        """Have the robot told to stop it; how it ends, `result` says."""
+        """Request cancellation; the robot is told to stop. `result` gives the outcome."""
         if self.id is None:
             await self.accepted(self._channel.settings.deadline)
         return await self._channel.ask({"type": "cancel", "command": self.id})
 
     def cancel_soon(self) -> None:
-        """Have it cancelled without waiting for anything, as soon as it has an id."""
+        """Cancel the command as soon as it has an id, without waiting."""
         if self.id is not None:
             self._channel.post({"type": "cancel", "command": self.id})
         elif not self.done:

@@ -1,4 +1,4 @@
-"""How a client is made: from what is given, and the environment for the rest."""
+"""Creation of a client from arguments and the environment."""
 
 from __future__ import annotations
 
@@ -36,19 +36,22 @@ def connect(
     plaintext: bool = False,
     client: str = "rcp-client/python",
 ) -> Client:
-    """Make a client; `async with` connects it.
+    """Create a client; `async with` connects it.
 
-    What is not given comes from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway of this
-    machine, and the token that `rcpd demo` left for this user. Times are in seconds: `deadline` for
-    requests that name none, `connect_timeout` for one attempt, `patience` for coming back after a
-    cut (None never gives up), `heartbeat` for noticing that the other side is gone.
+    Defaults come from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway on this machine,
+    and
+    the token that `rcpd demo` has stored for this user. Times are in seconds: `deadline` for
+    requests
+    without their own, `connect_timeout` for one attempt, `patience` for reconnecting after a lost
+    connection (None never gives up), `heartbeat` for detecting a dead connection.
 
-    Over https the gateway's certificate is checked, against the CA in the file `cacert` if it has one
-    of its own; `cert` and `key` are files of the client's certificate (`RCP_CACERT`, `RCP_CERT`,
-    `RCP_KEY`), and `ssl` is a context instead of the three. A token goes over plain http to another
-    machine only with `plaintext`.
+    For https the gateway's certificate is verified, against the CA in the file `cacert` if given;
+    `cert` and `key` are files of a client certificate (`RCP_CACERT`, `RCP_CERT`, `RCP_KEY`), and
+    `ssl` is a context that replaces all three. A token is sent to another machine over plain http
+    only
+    with `plaintext`.
 
-    :raises ValueError: the address is none, a file does not load, or the token would be readable.
+    :raises ValueError: the address is invalid, a file does not load, or the token would be exposed.
     """
     url = url or os.environ.get("RCP_URL") or DEFAULT_URL
     address = Address.parse(url)

@@ -1,7 +1,8 @@
-"""Which token to show: the caller's, that of the environment, or one left for this user.
+"""The token of a client: from the caller, the environment, or a file of this user.
 
-`rcpd demo` leaves its key in a file that only its user can read, so that `rcpctl` beside it works
-without further ado.
+`rcpd demo` stores its key in a file that only its user can read, so that `rcpctl` on the same
+machine
+needs no configuration.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _ONLY_OWNER = 0o600
 
 
 def token_path(url: str) -> Path:
-    """Return the file in which a gateway of the same user may have left a token for its address."""
+    """Return the file in which a gateway of the same user may have stored a token."""
     address = Address.parse(url)
     host = "127.0.0.1" if address.host == "localhost" else address.host
     base = os.environ.get("XDG_RUNTIME_DIR") or str(Path.home() / ".cache")
@@ -26,7 +27,7 @@ def token_path(url: str) -> Path:
 
 
 def find_token(url: str) -> str | None:
-    """Return the token of `RCP_TOKEN`, else of the token file if it is this user's alone."""
+    """Return the token in `RCP_TOKEN`, or in the token file if only this user can access it."""
     given = os.environ.get("RCP_TOKEN")
     return given or _from_file(token_path(url))
 
@@ -35,8 +36,8 @@ def _from_file(path: Path) -> str | None:
     try:
         with path.open(encoding="utf-8") as file:
             facts = os.fstat(file.fileno())
-            mine = not hasattr(os, "getuid") or facts.st_uid == os.getuid()
-            if not mine or stat.S_IMODE(facts.st_mode) & ~_ONLY_OWNER:
+            is_own = not hasattr(os, "getuid") or facts.st_uid == os.getuid()
+            if not is_own or stat.S_IMODE(facts.st_mode) & ~_ONLY_OWNER:
                 return None
             return file.readline().strip() or None
     except (OSError, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""What a client raises: the kernel's own error classes by their codes, and one of its own."""
+"""The errors raised by a client: those of the protocol by code, and `ConnectionLost`."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ log = logging.getLogger("rcp.client")
 
 
 class ConnectionLost(AdapterUnavailable, ConnectionError):
-    """The gateway cannot be reached, or was lost before it answered.
+    """The gateway cannot be reached, or the connection was lost before its reply.
 
-    A write or execute that ends so may have been carried out: the message says what is known.
+    A write or execute that ends like this may have been executed: the message states what is known.
     """
 
     default_remedy = "Check the address and that `rcpd` is running there, then try again."
@@ -30,31 +30,31 @@ _BY_STATUS: dict[str, type[RcpError]] = {"rejected": Refused, "cancelled": Cance
 
 
 def error_of(reply: Reply) -> RcpError | None:
-    """Turn a reply into the error that it tells of, or None if it tells of none."""
+    """Return the error in a reply, or None if it contains none."""
     if reply.status not in ("failed", "rejected", "cancelled"):
         return None
-    told = reply.error or {}
-    code = told.get("code")
+    body = reply.error or {}
+    code = body.get("code")
     class_ = BY_CODE.get(str(code)) or _BY_STATUS.get(reply.status, Failed)
-    details = told.get("details")
+    details = body.get("details")
     if str(code) not in BY_CODE and code is not None:
         details = {"code": code, **(details or {})}
-    if reply.body is not None:  # a plan's: what became of each step
+    if reply.body is not None:  # of a plan: the state of each step
         details = {**(details or {}), "body": reply.body}
     error = class_(
-        told.get("message") or reply.message or f"the gateway answered '{reply.status}'",
-        path=told.get("path") or reply.path,
-        origin=told.get("origin"),
-        remedy=told.get("remedy"),
-        retry_after=told.get("retry_after"),
+        body.get("message") or reply.message or f"the gateway answered '{reply.status}'",
+        path=body.get("path") or reply.path,
+        origin=body.get("origin"),
+        remedy=body.get("remedy"),
+        retry_after=body.get("retry_after"),
         details=details,
     )
-    error.trace_id = told.get("trace_id")
+    error.trace_id = body.get("trace_id")
     return error
 
 
 def safely(callback: Callable[[T], object] | None, item: T) -> None:
-    """Call a user's callback; what it raises is logged, and must not break the connection."""
+    """Call a user's callback; its exceptions are logged, as they must not break the connection."""
     if callback is None:
         return
     try:

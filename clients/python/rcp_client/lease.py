@@ -1,4 +1,4 @@
-"""Exclusive control of a part of the tree while a block runs, renewed by itself."""
+"""Exclusive control of a part of the tree during a block, renewed automatically."""
 
 from __future__ import annotations
 
@@ -14,46 +14,46 @@ from rcp_protocol.errors import LeaseHeld, LeaseLost, LeaseRequired, RcpError
 __all__ = ["Lease"]
 
 _PATH = "/system/leases"
-_RENEWALS = 3  # in the time that it lasts
+_RENEWALS = 3  # renewals per lifetime
 
 
 class Lease:
-    """A lease that is acquired on entering, renewed while inside, and released on leaving.
+    """A lease: acquired on entering, renewed while inside, and released on leaving.
 
-    Losing it cancels the block, which then raises `LeaseLost` with by whom and why.
+    Losing it cancels the block, which then raises `LeaseLost` with the reason.
     """
 
-    def __init__(self, channel: Channel, asked: dict[str, Any]) -> None:
+    def __init__(self, channel: Channel, body: dict[str, Any]) -> None:
         self._channel = channel
-        self._asked = asked
+        self._asked = body
         self.facts: dict[str, Any] = {}
-        """The lease as the gateway last told it: `lease`, `scope`, `holder`, `expires`, …"""
+        """The last known state of the lease: `lease`, `scope`, `holder`, `expires`, …"""
         self.lost: LeaseLost | None = None
-        """Why it is gone, once it is."""
+        """Why the lease was lost, once it is."""
         self._until = 0.0
-        """When it lapses unless it is renewed, by the loop's own clock."""
+        """When it expires unless it is renewed, event loop time in s."""
         self._keeper: asyncio.Task[None] | None = None
         self._block: asyncio.Task[Any] | None = None
         self._cutting = False
-        """Whether the block was cancelled because of a loss."""
+        """Whether the block was cancelled because the lease was lost."""
 
     async def open(self) -> None:
-        """Acquire it and begin to renew it.
+        """Acquire the lease and start to renew it.
 
-        :raises LeaseHeld: somebody has it who does not give way.
+        :raises LeaseHeld: another client holds it and does not give way.
         """
         self._take_note(await self._ask({"do": "acquire", **self._asked}))
         self._channel.listeners.append(self._noticed)
         self._keeper = asyncio.create_task(self._keep(), name="rcp lease")
 
     async def close(self) -> None:
-        """Release it, if it is still there."""
+        """Release the lease, if it still exists."""
         if self._noticed in self._channel.listeners:
             self._channel.listeners.remove(self._noticed)
         if self._keeper is not None:
             self._keeper.cancel()
         if self.lost is None and self._channel.connected:
-            with suppress(RcpError):  # what cannot be released lapses
+            with suppress(RcpError):  # a lease that cannot be released expires
                 await self._ask({"do": "release", "lease": self.facts["lease"]})
 
     async def __aenter__(self) -> Self:
@@ -68,16 +68,16 @@ class Lease:
             return
         cut = type_ is not None and issubclass(type_, asyncio.CancelledError)
         if self._cutting:
-            if not cut:  # the block ended by itself meanwhile
+            if not cut:  # the block has ended by itself in the meantime
                 with suppress(asyncio.CancelledError):
                     await asyncio.sleep(0)
-            if block.uncancel():  # by somebody else as well
+            if block.uncancel():  # cancelled by the caller as well
                 return
         if type_ is None or (cut and self._cutting):
             raise self.lost
 
     def check(self) -> None:
-        """Make sure that it is still there.
+        """Check that the lease is still held.
 
         :raises LeaseLost: it is not.
         """
@@ -85,7 +85,7 @@ class Lease:
             raise self.lost
 
     async def hand_over(self, to: str) -> dict[str, Any]:
-        """Give it, with the commands that run under it, to a principal or session."""
+        """Hand the lease, with the commands that run under it, over to a principal or session."""
         body = {"do": "hand_over", "lease": self.facts["lease"], "to": to}
         given = (await self._ask(body)).body
         self._lose(LeaseLost(f"the lease was handed over to {given['holder']}"))
@@ -112,7 +112,7 @@ class Lease:
                 self._lose(LeaseLost(error.message, remedy=error.remedy, details=error.details))
             except TimeoutError:
                 self._lose(LeaseLost("the lease expired: the gateway could not be reached in time"))
-            except RcpError:  # a cut, most likely: there may be time for another attempt
+            except RcpError:  # probably a lost connection: there may be time for another attempt
                 if loop.time() >= self._until:
                     self._lose(LeaseLost("the lease expired: it could not be renewed"))
 

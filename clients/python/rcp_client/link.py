@@ -1,4 +1,4 @@
-"""One WebSocket connection: opens, frames, cuts and joins long messages, tells of its end once."""
+"""One WebSocket connection: opens it, splits and joins long messages, reports its end once."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ __all__ = ["Link"]
 
 log = logging.getLogger("rcp.client")
 _MAX_FRAME = 64 * 1024 * 1024  # bytes
-_LIMIT = 256 * 1024 * 1024  # bytes of one message in parts
-_SWEEP = 1.0  # s between looks for parts that stay away
-_PART_WAIT = 3.0  # s without a part after which the missing ones are asked for
+_LIMIT = 256 * 1024 * 1024  # bytes of one segmented message
+_SWEEP = 1.0  # s between two checks for missing segments
+_PART_WAIT = 3.0  # s without a segment after which missing ones are requested again
 
 Received = Callable[[Message, bytes], None]
 
 
 class Link(WSListener):
-    """The client's end of one connection; all on the event loop's thread."""
+    """The client's end of one connection; only for the event loop's thread."""
 
     def __init__(self, codec: Codec, received: Received, lost: Callable[[Link], None]) -> None:
         self._codec = codec
@@ -56,9 +56,9 @@ class Link(WSListener):
         self._tasks: set[asyncio.Task[None]] = set()
         self._names = itertools.count(1)
         self._kept: dict[str, list[bytes]] = {}
-        """Parts of long messages that were sent, should the gateway ask for them again."""
+        """Segments of long messages already sent, in case the gateway requests them again."""
         self.segment_size: int | None = None
-        """Longest frame the gateway takes, once agreed."""
+        """Longest frame the gateway accepts, once agreed."""
         self.closed = False
         self.why = "the connection was closed"
 
@@ -71,14 +71,14 @@ class Link(WSListener):
         received: Received,
         lost: Callable[[Link], None],
         *,
-        timeout: float,  # noqa: ASYNC109 - picows bounds both halves itself
+        timeout: float,  # noqa: ASYNC109 - picows applies it to both phases
         heartbeat: float,
         ssl: SSLContext | None,
     ) -> Link:
         """Connect.
 
-        :raises ConnectionLost: nobody answers there, or it is no gateway.
-        :raises Unauthenticated, Forbidden: the gateway does not let this token in.
+        :raises ConnectionLost: there is no response, or not from a gateway.
+        :raises Unauthenticated, Forbidden: the gateway refuses this token.
         """
         headers = {"Sec-WebSocket-Protocol": codec.subprotocol, "User-Agent": "rcp-client"}
         if token is not None:
@@ -89,7 +89,7 @@ class Link(WSListener):
                     lambda: cls(codec, received, lost),
                     address.ws,
                     ssl_context=ssl,
-                    max_redirects=0,  # the token is for nobody else
+                    max_redirects=0,  # the token is for this gateway only
                     websocket_handshake_timeout=timeout,
                     enable_auto_ping=True,
                     auto_ping_idle_timeout=heartbeat,
@@ -104,7 +104,7 @@ class Link(WSListener):
             reason = tls_reason(error) if isinstance(error, OSError) else None
             reason = reason or (os.strerror(number) if number else str(error) or "no answer")
             raise ConnectionLost(f"cannot reach {address.url}: {reason}") from error
-        if not isinstance(link, cls):  # picows' word for a hang-up in the middle of the handshake
+        if not isinstance(link, cls):  # picows does so if the peer hangs up during the handshake
             raise ConnectionLost(f"{address.url} closed the connection")
         spoken = transport.response.headers.get("Sec-WebSocket-Protocol")
         if spoken != codec.subprotocol:
@@ -112,10 +112,10 @@ class Link(WSListener):
             raise ConnectionLost(f"{address.url} does not support {codec.subprotocol}")
         return link
 
-    # -- out -----------------------------------------------------------------------------------
+    # -- sending -------------------------------------------------------------------------------
 
     def send(self, envelope: dict[str, Any]) -> None:
-        """Send an envelope, in parts if it is long; a closed link swallows it.
+        """Send an envelope, in segments if it is long; does nothing on a closed link.
 
         :raises RcpError: the envelope cannot be encoded.
         """
@@ -123,7 +123,7 @@ class Link(WSListener):
         if self.segment_size is None or len(data) <= self.segment_size:
             self._write(data)
             return
-        # Named after the request, so that the refusal of the transfer is the request's own.
+        # Named after the request, so that a refused transfer is matched to it.
         name = str(envelope.get("id") or f"t{next(self._names)}")
         parts = split(data, name, self.segment_size, text=self._codec.is_text)
         frames = self._kept[name] = [self._codec.encode(part) for part in parts]
@@ -137,7 +137,7 @@ class Link(WSListener):
         task.add_done_callback(self._tasks.discard)
 
     async def _write_all(self, frames: list[bytes]) -> None:
-        """Send the parts as the socket takes them, so that short messages slip in between."""
+        """Send segments only when the socket is ready, so that short messages fit in."""
         for frame in frames:
             await self._room.wait()
             self._write(frame)
@@ -149,19 +149,19 @@ class Link(WSListener):
             self._transport.send(kind, data)
 
     def close(self) -> None:
-        """Say goodbye and close; `lost` is called as for any other end."""
+        """Close the connection; `lost` is called as for any other end."""
         if self._transport is not None and not self.closed:
             self._transport.send_close(WSCloseCode.OK)
             self._transport.disconnect()
 
-    # -- in ------------------------------------------------------------------------------------
+    # -- receiving -----------------------------------------------------------------------------
 
     def on_ws_connected(self, transport: WSTransport) -> None:
-        """Take over the transport."""
+        """Store the transport."""
         self._transport = transport
 
     def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
-        """Take one frame in; picows answers pings by itself."""
+        """Handle one frame; picows answers pings by itself."""
         kind = frame.msg_type
         if kind is WSMsgType.CLOSE:
             reason = frame.get_close_reason()
@@ -186,7 +186,7 @@ class Link(WSListener):
         except ValueError as error:
             log.warning("the gateway sent a malformed envelope: %s", error)
             return
-        if message.type != "segment" or message.status:  # the answer to a transfer is a reply
+        if message.type != "segment" or message.status:  # the reply to a transfer
             self._received(message, data)
         elif message.body is None:
             self._send_again(message, data)
@@ -228,15 +228,15 @@ class Link(WSListener):
         self._spawn([frames[num] for num in missing if 0 <= num < len(frames)])
 
     def pause_writing(self) -> None:
-        """Hold long messages back: the socket is full."""
+        """Pause long messages: the socket buffer is full."""
         self._room.clear()
 
     def resume_writing(self) -> None:
-        """Go on with them."""
+        """Resume long messages."""
         self._room.set()
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
-        """Tell of the end, once."""
+        """Report the end, once."""
         self.closed = True
         if self._sweep is not None:
             self._sweep.cancel()
@@ -246,16 +246,16 @@ class Link(WSListener):
 
 
 def _refusal(error: WSHandshakeError, address: Address) -> RcpError:
-    """Say what an HTTP answer instead of the upgrade means."""
+    """Return the error for an HTTP response instead of the upgrade."""
     response = error.response
     if response is None:
         return ConnectionLost(f"{address.url} does not respond like a gateway: {error}")
     try:
-        told = error_of(json.decode(error.raw_body or response.body or b"", type=Reply))
+        refusal = error_of(json.decode(error.raw_body or response.body or b"", type=Reply))
     except (DecodeError, UnicodeDecodeError):
-        told = None
-    if told is not None:
-        return told
+        refusal = None
+    if refusal is not None:
+        return refusal
     status = int(response.status)
     if status in (401, 403):
         kind = Unauthenticated if status == 401 else Forbidden

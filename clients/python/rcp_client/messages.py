@@ -1,4 +1,4 @@
-"""What the gateway says, as the client's user sees it, and how each encoding is written and read."""
+"""The gateway's messages as the client's user sees them, and their encodings."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class Reply(msgspec.Struct, kw_only=True, omit_defaults=True):
     error: dict[str, Any] | None = None
     command: str | None = None
     progress: float | None = None
-    """Fraction done, 0…1."""
+    """Completed fraction, 0 to 1."""
     seq: int | None = None
     timestamp: str | None = None
     """When the gateway wrote the reply."""
     source_timestamp: str | None = None
     """When the source measured the value of a read."""
     state: str | None = None
-    """`fresh` or `stale`, of the value of a read."""
+    """`fresh` or `stale`, for the value of a read."""
     truncated: bool = False
-    """Whether `body` is not the whole answer; `cursor` leads to the rest."""
+    """Whether `body` is incomplete; `cursor` continues it."""
     cursor: str | None = None
     dry_run: bool = False
 
@@ -55,49 +55,50 @@ class Update(msgspec.Struct, kw_only=True, omit_defaults=True):
 
     path: str
     seq: int
-    """Number of the sample, of its resource: rises by 1."""
+    """Sequence number of the sample within its resource, incremented by 1."""
     timestamp: str
     """When the source measured it."""
     body: Any = None
     dropped: int = 0
-    """Samples of this path that were skipped since the last update, for want of speed."""
+    """Samples of this path skipped since the last update, because the client is too slow."""
     truncated: bool = False
-    """The value is too long to be sent for a pattern: `body` is None. Read the path, or subscribe to it by name."""
+    """Whether the value is too long for a pattern subscription: `body` is None. Read the path, or
+    subscribe to it by name."""
     size: int | None = None
-    """Bytes that a truncated value has in the connection's encoding."""
+    """Size of a truncated value in the connection's encoding, bytes."""
     native_type: str | None = None
     """Name of the backend's own type, in the first update of a native subscription."""
 
 
 class Notice(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """News that nobody asked for: of the gateway, or of the client about its connection."""
+    """An unsolicited message: from the gateway, or from the client about its connection."""
 
     code: str
     """`gap`, `dropped`, `stale`, `disconnected`, `reconnected`, …"""
     message: str | None = None
     path: str | None = None
     id: str | None = None
-    """The subscription that it concerns, if one."""
+    """The subscription concerned, if any."""
     facts: dict[str, Any] = {}
     """The other fields: `lost`, `first`, `last`, `reason`, …"""
 
 
 class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """One resource as the catalogue describes it."""
+    """One resource as in the catalogue."""
 
     path: str
     kind: str
     operations: list[str]
     description: str = ""
     schemas: dict[str, dict[str, Any]] = {}
-    """JSON Schemas: `value`, or `input`, `output`, `feedback` of what is executed."""
+    """JSON Schemas: `value`, or `input`, `output` and `feedback` of an action or service."""
     schema_ids: dict[str, str] = {}
     examples: list[Any] = []
     unit: str | None = None
     state: str | None = None
     backend: str | None = None
     deadline: float | None = None
-    """Seconds after which a value without a successor counts as stale."""
+    """Seconds without an update after which a value counts as stale."""
     timeout: float | None = None
     policy: str | None = None
     max_age: float | None = None
@@ -113,7 +114,7 @@ _ENVELOPE = frozenset(("type", "code", "message", "path", "id", "timestamp"))
 
 
 class Codec:
-    """Envelopes to bytes and back, in one encoding."""
+    """Encodes and decodes envelopes in one encoding."""
 
     def __init__(self, encoding: Encoding) -> None:
         self.encoding = encoding
@@ -123,16 +124,16 @@ class Codec:
         self._msgpack = msgspec.msgpack.Decoder(Message)
 
     def encode(self, envelope: dict[str, Any]) -> bytes:
-        """Write an envelope.
+        """Encode an envelope.
 
-        :raises InvalidValue: its body has an integer that no encoding carries.
+        :raises InvalidValue: its body has an integer that no encoding supports.
         """
         return dump(envelope, self.encoding)
 
     def decode(self, data: bytes) -> Message:
-        """Read an envelope of the gateway.
+        """Decode an envelope of the gateway.
 
-        :raises ValueError: it is not one.
+        :raises ValueError: it is not an envelope.
         """
         if self.encoding is Encoding.MSGPACK:
             return self._msgpack.decode(data)
@@ -144,7 +145,7 @@ class Codec:
             raise ValueError(str(error)) from error
 
     def notice(self, data: bytes) -> Notice:
-        """Read an envelope that is a notice, with all its facts."""
+        """Decode an envelope as a notice, with all its facts."""
         plain = parse(data, self.encoding)
         return Notice(
             code=plain.get("code", "?"),

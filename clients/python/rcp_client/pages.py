@@ -1,4 +1,4 @@
-"""Answers that come in pages: asked for one after the other, within one deadline."""
+"""Paged replies: requested one after the other, within one deadline."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ Ask = Callable[[dict[str, Any]], Awaitable[Reply]]
 async def pages(
     ask: Ask, envelope: dict[str, Any], deadline: float | None = None
 ) -> AsyncGenerator[Reply]:
-    """Ask for the first page of an answer and for every one that follows it.
+    """Request the first page of a reply and all following ones.
 
-    `deadline` is in seconds and for all of them together; without it each has the client's own.
+    `deadline` applies to all pages together, in s; without it, the client's own applies to each.
 
-    :raises DeadlineExceeded: there are more pages than there is time.
-    :raises RcpError: as `ask` does.
+    :raises DeadlineExceeded: not all pages were read in time.
+    :raises RcpError: as for `ask`.
     """
     end = None if deadline is None else time.monotonic() + deadline
     while True:
-        asked = dict(envelope)
+        page_request = dict(envelope)
         if end is not None:
-            asked["deadline"] = end - time.monotonic()
-            if asked["deadline"] <= 0:
+            page_request["deadline"] = end - time.monotonic()
+            if page_request["deadline"] <= 0:
                 raise DeadlineExceeded(
                     f"only part of {envelope.get('path')} was read within {deadline:g} s",
                     path=envelope.get("path"),
                 )
-        reply = await ask(asked)
+        reply = await ask(page_request)
         yield reply
         cursor = reply.cursor
         if cursor is None and isinstance(reply.body, dict):  # discovery of an older gateway
@@ -47,9 +47,9 @@ async def pages(
 
 
 async def joined(ask: Ask, envelope: dict[str, Any], deadline: float | None = None) -> Reply:
-    """Return one reply for all pages of a list.
+    """Return one reply with the items of all pages.
 
-    :raises RcpError: as `pages` does.
+    :raises RcpError: as for `pages`.
     """
     whole: Reply | None = None
     items: list[Any] = []

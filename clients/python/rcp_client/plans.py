@@ -1,4 +1,4 @@
-"""Plans as a caller gives them, in the notation that they are written in."""
+"""Parsing of plans in any notation."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _WHOLE = re.compile(r"\s*[{\[]")
 
 
 def plan_of(given: str | Sequence[Mapping[str, Any]] | Mapping[str, Any]) -> dict[str, Any]:
-    """Return the body of a plan: of steps, of a whole body, or of a text in any notation.
+    """Return the body of a plan, given as steps, as a complete body, or as text.
 
-    A text is JSON (steps, or a whole body), what a planner prints, or lines of commands.
+    A text is JSON (steps, or a complete body), the output of a planner, or command lines.
 
-    :raises BadRequest: the text begins like JSON and is none.
+    :raises BadRequest: the text begins like JSON but is invalid.
     """
     if isinstance(given, Mapping):
         return dict(given)

@@ -1,10 +1,13 @@
-"""What becomes of requests and subscriptions that a cut has left in the air.
+"""Recovery of requests and subscriptions after a lost connection.
 
-Of commands that were accepted a session taken back tells by itself; the others may have been lost on the way.
+A resumed session reports the outcome of accepted commands by itself; other requests may have been
+lost.
 
-A session taken back means that the gateway still knows every idempotency key, be it from its
-store, so that what is sent again happens once. A new session on the same gateway does too. A gateway that was started
-anew does not: there a command's fate is looked up, and nothing is tried again.
+If the session is resumed, the gateway still knows every idempotency key, possibly from its store,
+so
+that a repeated request is executed once. The same holds for a new session on the same gateway. A
+restarted gateway does not know the keys: then the outcome of a command is looked up, and nothing is
+repeated.
 """
 
 from __future__ import annotations
@@ -24,11 +27,11 @@ __all__ = ["Recovery", "Requests"]
 
 
 class Requests(Protocol):
-    """What waits for an answer, and the way to ask again."""
+    """The unanswered requests, and how to send them again."""
 
     @property
     def calls(self) -> Calls:
-        """Requests under way."""
+        """Requests in flight."""
         ...
 
     @property
@@ -37,11 +40,11 @@ class Requests(Protocol):
         ...
 
     def calls_of_before(self) -> list[Call]:
-        """List the calls that were not sent on the present connection."""
+        """List the calls that were not sent on the current connection."""
         ...
 
     def send(self, call: Call, **facts: Any) -> None:
-        """Send a call once more, with further fields."""
+        """Send a call again, with additional fields."""
 
     async def ask(self, envelope: dict[str, Any]) -> Reply:
         """Send a request and return its final reply, within its deadline."""
@@ -49,28 +52,28 @@ class Requests(Protocol):
 
 
 class Recovery:
-    """Brings calls and subscriptions over to a new connection."""
+    """Transfers calls and subscriptions to a new connection."""
 
     def __init__(self, requests: Requests) -> None:
         self._requests = requests
         self._met: int | None = None
-        """When the gateway was last known to be the one it is, ns by its own clock."""
+        """When the gateway was last known to be the same, ns by its own clock."""
         self._offset = 0
-        """The gateway's clock less ours, ns."""
+        """Offset of the gateway's clock from ours, ns."""
         self._doubt = False
-        """A new session was begun, and what that means for what waits is not settled yet."""
+        """A new session has started, and pending calls have not been settled yet."""
 
-    def greeted(self, timestamp: str, asked: int, *, resumed: bool) -> None:
-        """Take note of a greeting: its time there, and when it was asked for here."""
+    def greeted(self, timestamp: str, requested: int, *, resumed: bool) -> None:
+        """Record a handshake: its time there, and when it was requested here."""
         there = parse_time(timestamp)
-        self._offset = there - (asked + now()) // 2
+        self._offset = there - (requested + now()) // 2
         if self._met is None:
             self._met = there
         elif not resumed:
             self._doubt = True
 
     async def restore(self) -> None:
-        """Bring everything over; may be cut short by the next cut, and is then done again."""
+        """Transfer everything; if interrupted by another lost connection, it is repeated."""
         requests = self._requests
         restarted = self._doubt and await self._restarted()
         for subscription in list(requests.subscriptions.values()):
@@ -94,12 +97,12 @@ class Recovery:
         if (deadline := call.envelope.get("deadline")) is not None:
             facts["deadline"] = max(0.1, deadline - (time.monotonic() - call.started))
         if call.envelope["type"] != "batch" and "timestamp" not in call.envelope:
-            # By the gateway's clock, so that a command that never arrived is not run too late.
+            # By the gateway's clock, so that a command that never arrived is not executed too late.
             facts["timestamp"] = iso((call.sent or now()) + self._offset)
         self._requests.send(call, **facts)
 
     async def _restarted(self) -> bool:
-        """Tell whether the gateway was started since this client met it, or may have been."""
+        """Return whether the gateway may have been restarted since the first connection."""
         body = {"fields": ["started"]}
         envelope: dict[str, Any] = {"type": "read", "path": "/system/status", "body": body}
         try:
@@ -110,7 +113,7 @@ class Recovery:
         return self._met is None or started > self._met
 
     async def _look_up(self, lost: list[Call]) -> None:
-        """Find out what became of commands that must not be sent again."""
+        """Look up the outcome of commands that must not be sent again."""
         known: dict[str, dict[str, Any]] = {}
         try:
             reply = await self._requests.ask({"type": "read", "path": "/system/commands"})
@@ -118,7 +121,7 @@ class Recovery:
                 known[item["command"]] = item
                 known.setdefault(item.get("id", ""), item)
         except (RcpError, KeyError, TypeError):
-            pass  # not for this principal's eyes: then nothing is known
+            pass  # not visible to this principal: nothing is known
         for call in lost:
             found = next((known[k] for k in (call.command, *call.ids) if k in known), None)
             if found is not None:
@@ -135,7 +138,7 @@ class Recovery:
 
 
 def _reply_of(command: dict[str, Any]) -> Reply:
-    """Read a command's state in `/system/commands` as the reply that was missed."""
+    """Convert a command's state in `/system/commands` to the missed reply."""
     names = ("path", "status", "body", "message", "error", "command", "progress")
     facts = {name: command[name] for name in names if name in command}
     return Reply(type="execute", timestamp=command.get("updated"), **facts)

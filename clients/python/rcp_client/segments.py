@@ -1,7 +1,7 @@
-"""Messages in pieces: cut what is too long for one frame, and put together what comes in parts.
+"""Segmented messages: split what is too long for one frame, and join received segments.
 
-Parts of several transfers and whole messages come interleaved. A transfer whose parts stay away
-is asked for again, then given up: its end is an error, never silence.
+Segments of several transfers and whole messages arrive interleaved. Missing segments are requested
+again, and finally the transfer ends with an error, never silently.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from rcp_protocol.errors import PayloadTooLarge, SegmentCorrupt, SegmentMissing
 
 __all__ = ["Assembler", "split"]
 
-_HEAD = 512  # bytes left for a segment's own fields
+_HEAD = 512  # bytes reserved for a segment's own fields
 _MAX_TRANSFERS = 64
 _MAX_PARTS = 1_000_000
 
 
 def split(data: bytes, transfer: str, segment_size: int, *, text: bool) -> list[dict[str, Any]]:
-    """Cut a message into segment envelopes, each of at most `segment_size` bytes when encoded."""
+    """Split a message into segment envelopes, each of at most `segment_size` bytes when encoded."""
     room = max(256, segment_size - _HEAD)
-    step = room // 4 * 3 if text else room  # base64 makes four characters of three bytes
+    step = room // 4 * 3 if text else room  # base64 encodes three bytes as four characters
     parts = [data[at : at + step] for at in range(0, len(data), step)]
     digest = hashlib.sha256(data).hexdigest()
     return [
@@ -58,13 +58,13 @@ class _Transfer:
 
 
 class Assembler:
-    """The transfers that come in on one connection."""
+    """The incoming transfers of one connection."""
 
     def __init__(self, limit: int, *, patience: float, tries: int = 3) -> None:
         self._limit = limit
-        """Bytes that one whole message may have."""
+        """Maximum size of a whole message, bytes."""
         self._patience = patience
-        """Seconds without a part after which the missing ones are asked for."""
+        """Seconds without a segment after which missing ones are requested."""
         self._tries = tries
         self._open: dict[str, _Transfer] = {}
 
@@ -72,25 +72,25 @@ class Assembler:
         return len(self._open)
 
     def add(self, segment: Message) -> bytes | None:
-        """Take one part in; return the whole message if it was the last.
+        """Add a segment; return the whole message if it was the last one.
 
-        :raises PayloadTooLarge: the whole is longer than the limit, or too many are under way.
-        :raises SegmentCorrupt: the part does not belong, or the whole does not match its hash;
-            `details.missing` lists what to ask for again, if that may help.
+        :raises PayloadTooLarge: the message exceeds the limit, or there are too many transfers.
+        :raises SegmentCorrupt: the segment does not fit, or the message does not match its hash;
+            `details.missing` lists the segments to request again, if that may help.
         """
         name = segment.id or ""
         transfer = self._open.get(name) or self._begin(name, segment)
         num, body = segment.num, _bytes(segment.body)
         same = segment.total == transfer.total and segment.sha256 == transfer.sha256
         if num is None or not 0 <= num < transfer.total or body is None or not same:
-            raise SegmentCorrupt(f"a part of transfer '{name}' does not belong to it")
+            raise SegmentCorrupt(f"a segment of transfer '{name}' does not fit its header")
         transfer.heard = time.monotonic()
         if num not in transfer.parts:
             transfer.parts[num] = body
             transfer.have += len(body)
         if transfer.have > transfer.size:
             del self._open[name]
-            raise SegmentCorrupt(f"transfer '{name}' is longer than it said")
+            raise SegmentCorrupt(f"transfer '{name}' is longer than announced")
         if len(transfer.parts) < transfer.total:
             return None
         return self._finish(name, transfer)
@@ -128,9 +128,9 @@ class Assembler:
         )
 
     def overdue(self) -> dict[str, list[int]]:
-        """Return what to ask for again, by transfer.
+        """Return the segments to request again, by transfer.
 
-        :raises SegmentMissing: a transfer was asked for often enough and is given up.
+        :raises SegmentMissing: a transfer has been requested too often and is given up.
         """
         moment = time.monotonic()
         wanted: dict[str, list[int]] = {}
@@ -139,7 +139,7 @@ class Assembler:
                 continue
             if transfer.asked >= self._tries:
                 del self._open[name]
-                raise SegmentMissing(f"parts of transfer '{name}' did not arrive")
+                raise SegmentMissing(f"segments of transfer '{name}' did not arrive")
             transfer.asked += 1
             transfer.heard = moment
             wanted[name] = transfer.missing()

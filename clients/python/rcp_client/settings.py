@@ -1,4 +1,4 @@
-"""How a client connects and how patient it is."""
+"""Connection settings of a client."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from rcp_protocol.values import Encoding
 
 __all__ = ["MARGIN", "Settings"]
 
-MARGIN = 2.0  # s that the gateway's own answer is given beyond the deadline
+MARGIN = 2.0  # s beyond the deadline to wait for the gateway's own reply
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How a client connects and how patient it is."""
+    """Connection settings of a client; times in s."""
 
     address: Address
     token: str | None = None
     tenant: str | None = None
     encoding: Encoding = Encoding.MSGPACK
     deadline: float = 10.0
-    """Seconds for a request that names no deadline."""
+    """For requests without their own deadline."""
     connect_timeout: float = 5.0
-    """Seconds for one attempt."""
+    """For one connection attempt."""
     patience: float | None = 120.0
-    """Seconds to try to come back; None never gives up."""
+    """For reconnecting; None never gives up."""
     first_pause: float = 0.1
-    """Seconds before the second attempt to come back; doubles up to `longest_pause`."""
+    """Before the second attempt to reconnect; doubles up to `longest_pause`."""
     longest_pause: float = 5.0
     heartbeat: float = 5.0
-    """Seconds of silence before a ping, and again before the connection counts as dead."""
+    """Silence before a ping, and again before the connection counts as dead."""
     client: str = "rcp-client/python"
     ssl: SSLContext | None = None
     on_notice: Callable[[Notice], None] | None = None

@@ -1,4 +1,4 @@
-"""What a channel needs to know of a subscription."""
+"""The interface between a channel and its subscriptions."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class Subscriber(Protocol):
     """Receives the updates and notices of one subscription."""
 
     seen: dict[str, int]
-    """Number of the last sample of each path."""
+    """Sequence number of the last sample of each path."""
 
     def take(self, message: Message) -> None:
-        """Take an update."""
+        """Handle an update."""
 
     def note(self, notice: Notice) -> None:
-        """Take a notice."""
+        """Handle a notice."""
 
     def fail(self, error: RcpError) -> None:
         """End with an error."""
 
     def restore(self, *, restarted: bool) -> None:
-        """Make sure that the subscription stands on a new connection."""
+        """Re-establish the subscription on a new connection."""

@@ -1,7 +1,7 @@
-"""A standing request for samples, as something to iterate over.
+"""A subscription, as an asynchronous iterator.
 
-Numbers of samples make it whole: what was had already is dropped, so that a replay after a cut
-joins without a seam, and what is missing is told of by a `gap` notice.
+Sequence numbers ensure continuity: duplicates are dropped, so that a replay after a lost connection
+joins seamlessly, and missing samples are reported by a `gap` notice.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ from rcp_protocol.values import value_type
 __all__ = ["Subscription"]
 
 _FILTERS = ("rate", "deadband", "where")
-_PAGE = 1000  # paths asked for at once
+_PAGE = 1000  # paths requested at once
 
 
 class Subscription:
-    """Updates of one or more paths; `async for` over it, or over `events()` for notices as well.
+    """Updates of one or more paths; use `async for` on it, or on `events()` to include notices.
 
-    Best used by `async with`: the subscription then stands when the block is entered, and ends
-    with it. A bare `async for` subscribes at its start and ends the subscription when it is left.
-    It ends by itself after `count` or `duration`, and raises what ended it otherwise.
+    Best used with `async with`: the subscription then exists for the duration of the block. A bare
+    `async for` subscribes at its start and unsubscribes when it is left. It ends by itself after
+    `count`
+    or `duration`, and otherwise raises the error that ended it.
     """
 
     def __init__(
@@ -53,11 +54,11 @@ class Subscription:
         self.id = channel.new_id()
         self.patterns = tuple(patterns)
         self.paths: list[str] = []
-        """What the patterns matched at the start."""
+        """The paths that the patterns matched at the start."""
         self.seen: dict[str, int] = {}
-        """Number of the last sample of each path."""
+        """Sequence number of the last sample of each path."""
         self.duplicates = 0
-        """Updates that came twice and were dropped."""
+        """Number of dropped duplicates."""
         self._channel = channel
         self._options = {key: item for key, item in options.items() if item is not None}
         self._type = None if type_ is None else value_type(type_)
@@ -66,8 +67,8 @@ class Subscription:
         self._reliable = self._options.get("qos", {}).get("reliability") == "reliable"
         on_change = self._options.get("on") == "change"
         self._whole = self._reliable and not on_change and self._options.keys().isdisjoint(_FILTERS)
-        """Every sample of a path must come, so a number left out is a gap."""
-        # Counted and timed here: the gateway would count what a cut keeps from arriving.
+        """Whether every sample must arrive, so that a skipped number is a gap."""
+        # Counted here: the gateway would count updates that a lost connection swallows.
         self._left: int | None = self._options.pop("count", None)
         self._duration: float | None = self._options.pop("duration", None)
         self._timer: asyncio.TimerHandle | None = None
@@ -76,12 +77,12 @@ class Subscription:
         self._wake = asyncio.Event()
         self._standing = False
         self._waiting = False
-        """It was told that the subscription is refused for now, and asked for again."""
+        """Whether a temporary refusal has been reported."""
         self._finished = False
         self._error: RcpError | None = None
         self._renewal: asyncio.Task[None] | None = None
 
-    # -- begin and end -------------------------------------------------------------------------
+    # -- start and end -------------------------------------------------------------------------
 
     async def __aenter__(self) -> Self:
         await self._begin()
@@ -94,7 +95,7 @@ class Subscription:
         self._channel.subscriptions[self.id] = self
         try:
             reply = await self._first()
-            while reply is None:  # with its first reply the first values may have been lost
+            while reply is None:  # the first values may have been lost with the first reply
                 self._drop()
                 self.id = self._channel.new_id()
                 self._channel.subscriptions[self.id] = self
@@ -110,7 +111,7 @@ class Subscription:
             self.paths = sorted({*self.paths, *await self._rest(reply.cursor)})
 
     async def _first(self) -> Reply | None:
-        """Ask for it for the first time, again and again while its robot may yet come up."""
+        """Subscribe for the first time; retries while the robot may still come up."""
         self._waiting = False
         tries = Tries(self._channel.settings.patience)
         while True:
@@ -129,7 +130,7 @@ class Subscription:
             self._channel.tell(Notice(code="waiting", id=self.id, message=error.message))
 
     async def _rest(self, cursor: str) -> list[str]:
-        """List the paths that the reply had no room for."""
+        """Return the paths that did not fit in the reply."""
         found: list[str] = []
         body = {"op": "subscribe", "limit": _PAGE, "schemas": False, "cursor": cursor}
         for pattern in self.patterns:
@@ -139,7 +140,7 @@ class Subscription:
         return found
 
     async def _subscribe(self) -> Reply | None:
-        """Ask for it; None says that the gateway has it already, from before a cut."""
+        """Subscribe; None means that the gateway still has the subscription."""
         channel = self._channel
         body = {**self._options, "paths": self.patterns[1:]}
         envelope = {"type": "subscribe", "path": self.patterns[0], "body": body}
@@ -152,7 +153,7 @@ class Subscription:
             return None
 
     def close(self) -> None:
-        """End it; the gateway is told and not waited for."""
+        """End the subscription; notifies the gateway without waiting."""
         if not self._finished:
             self._drop()
         self._finish()
@@ -162,7 +163,7 @@ class Subscription:
             self._channel.post({"type": "unsubscribe", "body": {"subscription": self.id}})
 
     def fail(self, error: RcpError) -> None:
-        """End it with an error, which iteration raises after what came before it."""
+        """End the subscription with an error, raised after the queued updates."""
         if not self._finished:
             self._error = error
         self._finish()
@@ -188,12 +189,12 @@ class Subscription:
                 yield item
 
     async def events(self) -> AsyncGenerator[Update | Notice]:
-        """Iterate over updates and notices in the order in which they came.
+        """Iterate over updates and notices in the order of arrival.
 
-        :raises RcpError: what ended the subscription, if it was an error.
+        :raises RcpError: the error that ended the subscription, if any.
         """
-        mine = not self._standing and not self._finished
-        if mine:
+        started_here = not self._standing and not self._finished
+        if started_here:
             await self._begin()
         try:
             while True:
@@ -204,7 +205,7 @@ class Subscription:
                 self._wake.clear()
                 await self._wake.wait()
         finally:
-            if mine:
+            if started_here:
                 self.close()
         if self._error is not None:
             raise self._error
@@ -217,7 +218,7 @@ class Subscription:
     # -- from the channel ----------------------------------------------------------------------
 
     def take(self, message: Message) -> None:
-        """Queue an update; one that was had before is dropped."""
+        """Queue an update; a duplicate is dropped."""
         path, seq = message.path or "", message.seq or 0
         last = self.seen.get(path, 0)
         if seq <= last:
@@ -252,7 +253,7 @@ class Subscription:
                 self.close()
 
     def _skip(self) -> None:
-        """Let the oldest go: the newest value wins, and the next update says how many it cost."""
+        """Drop the oldest update; the next one reports the number of dropped ones."""
         old = self._queue.popleft()
         if isinstance(old, Update):
             self._skipped[old.path] = self._skipped.get(old.path, 0) + 1 + old.dropped
@@ -266,7 +267,7 @@ class Subscription:
         )
 
     def note(self, notice: Notice) -> None:
-        """Queue a notice, and heed it."""
+        """Queue a notice, and react to it."""
         safely(self._on_notice, notice)
         if len(self._queue) < 2 * self._buffer:
             self._queue.append(notice)
@@ -274,31 +275,31 @@ class Subscription:
         if notice.id != self.id:
             return
         if notice.code == "gap" and notice.facts.get("reason") == "restart":
-            self.seen.clear()  # numbers begin again
+            self.seen.clear()  # numbers start again
         elif notice.code == "gap" and notice.path is not None:
             last = notice.facts.get("last", 0)
             self.seen[notice.path] = max(last, self.seen.get(notice.path, 0))
         elif notice.code == "subscription_ended":
             self._finish()
-        elif (told := notice.facts.get("error")) is not None:
-            class_ = BY_CODE.get(told.get("code"), Overrun)
-            facts = {key: told.get(key) for key in ("path", "remedy", "details")}
-            self.fail(class_(told.get("message", notice.code), **facts))
+        elif (error := notice.facts.get("error")) is not None:
+            class_ = BY_CODE.get(error.get("code"), Overrun)
+            facts = {key: error.get(key) for key in ("path", "remedy", "details")}
+            self.fail(class_(error.get("message", notice.code), **facts))
 
-    # -- after a cut ---------------------------------------------------------------------------
+    # -- after a lost connection ---------------------------------------------------------------
 
     def restore(self, *, restarted: bool) -> None:
-        """Make sure that the subscription stands on a new connection."""
-        if restarted:  # numbers begin again
+        """Re-establish the subscription on a new connection."""
+        if restarted:  # numbers start again
             self.seen.clear()
         if not self._standing:
-            return  # its `subscribe` is under way, and sent again
+            return  # its `subscribe` is pending and will be sent again
         if self._renewal is not None:
             self._renewal.cancel()
         self._renewal = asyncio.create_task(self._renew())
 
     async def _renew(self) -> None:
-        """Subscribe under the same id: that it is taken shows that the subscription is there."""
+        """Subscribe again under the same id; a refusal as duplicate means it still exists."""
         self._waiting = False
         tries = Tries(self._channel.settings.patience)
         while True:
@@ -306,10 +307,10 @@ class Subscription:
                 reply = await self._subscribe()
                 break
             except ConnectionLost:
-                return  # begun again with the next connection
+                return  # repeated with the next connection
             except RcpError as error:
-                # After a restart the robot may come up later than the gateway, and a path that was
-                # there may be found again later still.
+                # After a restart the robot may come up later than the gateway, so that a known path
+                # may only appear later.
                 hopeful = error.retryable or isinstance(error, UnknownPath)
                 if hopeful:
                     self._tell_waiting(error)

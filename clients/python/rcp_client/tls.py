@@ -1,4 +1,4 @@
-"""Whom the client trusts, what it shows of itself, and when it would rather say nothing."""
+"""TLS settings of a client, and protection of the token."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["check_secrecy", "secured", "tls_reason"]
 def secured(
     address: Address, cacert: str | None, cert: str | None, key: str | None
 ) -> ssl.SSLContext | None:
-    """Make what an https address is reached with; certificate and name of the gateway are checked.
+    """Return the TLS context for an https address, which verifies certificate and host name.
 
-    What is not given comes from `RCP_CACERT`, `RCP_CERT` and `RCP_KEY`; None for http.
+    Defaults come from `RCP_CACERT`, `RCP_CERT` and `RCP_KEY`; None for http.
 
     :raises ValueError: a file does not load.
     """
@@ -45,9 +45,9 @@ def secured(
 
 
 def check_secrecy(address: Address, token: str | None, *, plaintext: bool) -> None:
-    """Refuse to send a token where others can read it.
+    """Refuse to send a token unencrypted.
 
-    :raises ValueError: it would cross a network over plain http, and nobody said that it may.
+    :raises ValueError: it would cross a network over plain http without permission.
     """
     if token is None or address.secure or plaintext or _is_loopback(address.host):
         return
@@ -58,7 +58,7 @@ def check_secrecy(address: Address, token: str | None, *, plaintext: bool) -> No
 
 
 def tls_reason(error: OSError) -> str | None:
-    """Say why there is no TLS connection; None if that was not the trouble."""
+    """Return why TLS failed; None for another error."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return (
             f"its certificate is not trusted: {error.verify_message} "

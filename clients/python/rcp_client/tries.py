@@ -1,4 +1,4 @@
-"""How long, and how often, something is asked for again that is not there yet."""
+"""Retries with growing pauses."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _LONGEST = 5.0  # s
 
 
 class Tries:
-    """Pauses between tries, growing, until patience ends."""
+    """Growing pauses between attempts, until patience ends."""
 
     def __init__(self, patience: float | None) -> None:
         self._patience = patience
-        """Seconds in all; None never ends."""
+        """Total time in s; None never ends."""
         self._began = time.monotonic()
         self._pause = _FIRST
 
     async def again(self, error: RcpError) -> bool:
-        """Wait until the next try, as long as the refusal asks for at least; False: no more."""
+        """Wait for the next attempt, at least `error.retry_after`; False if patience ended."""
         passed = time.monotonic() - self._began
         if self._patience is not None and passed > self._patience:
             return False

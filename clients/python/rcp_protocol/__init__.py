@@ -1,1 +1,1 @@
-"""The contract between a gateway and its clients: envelopes, values, types, the model and the errors."""
+"""The protocol shared by gateway and clients: envelopes, values, types, model, errors."""

@@ -1,4 +1,4 @@
-"""Long bytes on their way into JSON: msgspec's own base64 is sixty times slower than pybase64's."""
+"""Fast base64 for long bytes in JSON: pybase64 is sixty times faster than msgspec."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from msgspec.structs import replace
 
 __all__ = ["lifted"]
 
-_LONG = 2048  # bytes from which it pays
+_LONG = 2048  # bytes from which it is faster
 
 
 def lifted(value: Any, fields: tuple[str, ...]) -> Any:
-    """Put base64 in the place of long bytes: of these fields, or without any of the value itself."""
+    """Replace long bytes by base64: in these fields, or the value itself if none are given."""
     if not fields:
         return _in_base64(value) if _is_long(value) else value
     long: dict[str, Any] = {}
@@ -30,5 +30,5 @@ def _is_long(value: Any) -> TypeGuard[bytes]:
 
 
 def _in_base64(blob: bytes) -> Raw:
-    # Joined: formatting and adding may take twenty times as long.
+    # Join: formatting and adding may take twenty times as long.
     return Raw(b"".join((b'"', pybase64.b64encode(blob), b'"')))

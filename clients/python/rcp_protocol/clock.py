@@ -1,4 +1,4 @@
-"""Times of the wire: ns since the epoch inside, ISO 8601 in UTC outside."""
+"""Times on the wire: ns since the epoch internally, ISO 8601 in UTC externally."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ now = time.time_ns
 _LAST_SECOND = 253_402_300_799  # of the year 9999
 
 _seconds: dict[int, str] = {}
-_MAX_SECONDS = 256  # cached texts: messages of a few seconds' range are under way at once
+_MAX_SECONDS = 256  # cached texts: messages in flight span only a few seconds
 
 
 def iso(ns: int) -> str:
-    """Write ns since the epoch as ISO 8601 in UTC with nanoseconds."""
+    """Format ns since the epoch as ISO 8601 in UTC with nanoseconds."""
     second = ns // 1_000_000_000
     text = _seconds.get(second)
     if text is None:
         if len(_seconds) >= _MAX_SECONDS:
             _seconds.clear()
-        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.%%09dZ", time.gmtime(second))
-    return text % (ns - second * 1_000_000_000)
+        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
+    # A billion more keeps the leading zeros, in half the time that `%09d` takes.
+    return f"{text}{str(ns - second * 1_000_000_000 + 1_000_000_000)[1:]}Z"
 
 
 def parse_time(value: str | float) -> int:
-    """Read the contract's `timestamp`: ISO 8601 UTC or epoch seconds; return ns since the epoch.
+    """Parse a `timestamp`, ISO 8601 in UTC or epoch seconds; return ns since the epoch.
 
     :raises BadRequest: it is neither.
     """

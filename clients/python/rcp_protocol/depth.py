@@ -1,4 +1,4 @@
-"""How deep lists and maps stand in each other, told without a call for each value."""
+"""Nesting depth of values, determined without a call per value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NESTS = frozenset((list, dict))
 
 
 def is_deep_json(data: bytes, limit: int) -> bool:
-    """Tell by its brackets, without those in texts, whether JSON is deeper than a limit."""
+    """Return whether JSON is nested deeper than `limit`, by its brackets outside of strings."""
     if b"\\" in data:
         data = data.replace(b"\\\\", b"").replace(b'\\"', b"")
     marks = data.translate(_MAPS_AS_LISTS, _DROPPED)
@@ -28,7 +28,7 @@ def is_deep_json(data: bytes, limit: int) -> bool:
 
 
 def is_deep(value: Any, limit: int) -> bool:
-    """Tell whether plain data is deeper than a limit."""
+    """Return whether plain data is nested deeper than `limit`."""
     level: list[Any] = [value]
     for _ in range(limit):
         level = [child for item in level for child in _nests(item)]

@@ -1,6 +1,6 @@
-"""The words of the contract as data: paths, patterns, kinds, operations, resources, samples.
+"""The protocol's model: paths, patterns, kinds, operations, resources, samples.
 
-A path is a plain `str` wherever speed counts; the functions here make sure it is a good one.
+A path is a plain `str` for speed; the functions here validate it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = [
     "tenant_of",
 ]
 
-MAX_PATH = 512  # characters: longer texts are refused unread
+MAX_PATH = 512  # characters: longer texts are refused unparsed
 MAX_DEEP = 3  # `**` in one pattern
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
 _PATH = re.compile(r"(?:/[A-Za-z0-9_.-]+)+\Z")
@@ -38,7 +38,7 @@ Policy = Literal["reject", "queue", "preempt", "parallel"]
 
 
 class Kind(StrEnum):
-    """What a resource is; for tenants' resources the same word as the branch of its path."""
+    """The kind of a resource; for tenants' resources also the branch of its path."""
 
     SENSOR = "sensor"
     ACTUATOR = "actuator"
@@ -49,7 +49,7 @@ class Kind(StrEnum):
 
 
 class Operation(IntFlag):
-    """What may be done with a resource; `DISCOVER` is a right, never an offer of a resource."""
+    """The operations on a resource; `DISCOVER` is only a right."""
 
     NONE = 0
     READ = 1
@@ -67,10 +67,10 @@ BRANCHES: dict[Kind, Operation] = {
     Kind.SERVICE: Operation.EXECUTE,
     Kind.EVENT: Operation.READ | Operation.SUBSCRIBE,
 }
-"""Each branch with the operations its resources offer unless they declare fewer."""
+"""The operations of each branch, unless a resource declares fewer."""
 
 MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
-"""Kinds that move something unless their resource says otherwise."""
+"""Kinds that move something unless the resource declares otherwise."""
 
 _ORDER = (
     Operation.READ,
@@ -82,14 +82,14 @@ _ORDER = (
 
 
 def operation_names(operations: Operation) -> list[str]:
-    """List the operations in the contract's order and spelling."""
+    """List the operations in the protocol's order and spelling."""
     return [op.name.lower() for op in _ORDER if op in operations and op.name]
 
 
 def parse_path(text: str, tenant: str | None) -> str:
-    """Return the full path that `text` means for a session of `tenant`.
+    """Resolve a path for a session of `tenant`.
 
-    :raises InvalidPath: for anything that is not a path of the tree.
+    :raises InvalidPath: it is not a valid path.
     """
     if len(text) > MAX_PATH or not _PATH.match(text):
         raise _bad(text)
@@ -116,21 +116,21 @@ def _bad(text: str) -> InvalidPath:
 
 
 def full_path(tenant: str, robot: str | None, name: str) -> str:
-    """Place a backend's own `name` (`sensor/pose`) in the tree, under its robot if it has one."""
+    """Return the path of a backend's `name` (`sensor/pose`), below its robot if it has one."""
     branch, _, rest = name.partition("/")
     return f"/tenant/{tenant}/{branch}/{robot}/{rest}" if robot else f"/tenant/{tenant}/{name}"
 
 
 def tenant_of(path: str) -> str | None:
-    """Return the tenant of a full path, or None for the gateway's own branch."""
+    """Return the tenant of a full path, or None for `/system`."""
     parts = path.split("/", 3)
     return parts[2] if parts[1] == "tenant" and len(parts) > 2 else None
 
 
 def kind_of(name: str) -> Kind:
-    """Return the kind that the first segment of a resource's own name says.
+    """Return the kind given by the first segment of a resource's name.
 
-    :raises InvalidPath: if the name is not `<branch>/<segment>[/<segment>…]`.
+    :raises InvalidPath: the name is not `<branch>/<segment>[/<segment>…]`.
     """
     branch, _, rest = name.partition("/")
     if branch not in BRANCHES or not rest or not _PATH.match("/" + name) or len(name) > MAX_PATH:
@@ -142,9 +142,9 @@ def kind_of(name: str) -> Kind:
 
 
 class Pattern:
-    """A path in which `*` stands for one segment and `**` for any number, none included.
+    """A path in which `*` matches one segment and `**` any number, including none.
 
-    :raises InvalidPath: if the text is neither a path nor a pattern.
+    :raises InvalidPath: the text is neither a path nor a pattern.
     """
 
     __slots__ = ("_match", "literal", "prefix", "text")
@@ -161,13 +161,13 @@ class Pattern:
                 raise _bad(text)
             segments = ["tenant", tenant, *segments]
         self.text = "/" + "/".join(segments)
-        """The pattern with its tenant written out."""
+        """The full pattern, including the tenant."""
         wild = next((i for i, s in enumerate(segments) if s in ("*", "**")), None)
         self.literal = wild is None
         """Whether the pattern is a plain path."""
         self.prefix = self.text if wild is None else "".join("/" + s for s in segments[:wild])
-        """The longest run of leading segments without a wildcard."""
-        if segments.count("**") > MAX_DEEP:  # each one multiplies the ways to match a path
+        """The longest prefix of segments without a wildcard."""
+        if segments.count("**") > MAX_DEEP:  # each multiplies the possible matches of a path
             raise InvalidPath(
                 f"{text[:80]!r} has more than {MAX_DEEP} '**'",
                 remedy=f"Use at most {MAX_DEEP} '**' in one pattern, or several patterns.",
@@ -175,7 +175,7 @@ class Pattern:
         self._match = re.compile("".join(map(_expression, segments)) + r"\Z").match
 
     def matches(self, path: str) -> bool:
-        """Tell whether a full path is one of those the pattern stands for."""
+        """Return whether a full path matches."""
         return self._match(path) is not None
 
     def __repr__(self) -> str:
@@ -189,56 +189,59 @@ def _expression(segment: str) -> str:
 
 
 class Resource(msgspec.Struct, frozen=True, kw_only=True):
-    """One addressable thing of a robot, as its backend declares it."""
+    """One addressable resource of a robot, as its backend declares it."""
 
     name: str
     """Branch and name below the tenant, without a leading slash: `sensor/pose`."""
     description: str
-    """One sentence for a person or a model, ending in a full stop."""
+    """One sentence for people and models, ending in a full stop."""
     value: Any = None
-    """Type of the value of a sensor, actuator, param or event: anything msgspec decodes.
+    """Value type of a sensor, actuator, param or event: any type that msgspec decodes.
 
-    Numbers carry their unit: `Annotated[float, Meta(ge=0, extra_json_schema={"unit": "m/s"})]`,
-    or `types.quantity("m/s", ge=0)` for short; `"1"` is the unit of a ratio or a count."""
+    Numbers carry their unit: `Annotated[float, Meta(ge=0, extra_json_schema={"unit": "m/s"})]`, or
+    `types.quantity("m/s", ge=0)` for short; `"1"` is the unit of a ratio or a count.
+    """
     input: Any = None
-    """Type of the input of an action or service; None takes no input."""
+    """Input type of an action or service; None takes no input."""
     output: Any = None
-    """Type of the result of an action or service; None has no result."""
+    """Result type of an action or service; None has no result."""
     feedback: Any = None
-    """Type of the feedback of an action; None reports progress only."""
+    """Feedback type of an action; None reports progress only."""
     robot: str | None = None
-    """Which robot it is part of, where a backend fronts several and can halt each alone
+    """The robot it belongs to, if a backend has several and can halt each separately
     (`Backend.halt_robot`): the segment after the branch."""
     operations: Operation | None = None
-    """Fewer operations than the branch offers (a read-only param); None offers them all."""
+    """Fewer operations than the branch offers (a read-only param); None offers all."""
     examples: tuple[Any, ...] = ()
-    """Good values (or inputs), as plain JSON-like data; each is checked against the type."""
+    """Valid values (or inputs) as plain JSON-like data; each is checked against the type."""
     live: bool = False
-    """The backend publishes every change by itself, watched or not; reads are then answered from
-    the latest sample."""
+    """Whether the backend publishes every change even without subscribers; reads then return the
+    latest
+    sample."""
     deadline: float | None = None
-    """Seconds after which a value without a successor counts as stale."""
+    """Seconds without an update after which a value counts as stale."""
     timeout: float | None = None
-    """Seconds a read, write or execute may take; None takes the gateway's default for its kind."""
+    """Seconds a read, write or execute may take; None uses the gateway's default for the kind."""
     policy: Policy | None = None
-    """What an execute does while another one runs; None: actions reject, services run beside."""
+    """What an execute does while another runs; None: actions reject, services run concurrently."""
     outlives: bool = True
-    """A command goes on when the session that sent it ends."""
+    """Whether a command continues when the session that sent it ends."""
     max_age: float | None = None
-    """Seconds; an older `timestamp` on a command is refused as `stale_command`."""
+    """Maximum age in s of a command's `timestamp`; older ones are refused as `stale_command`."""
     valid_for: float | None = None
-    """Seconds a write stands before the dead-man writes `safe`; None has no dead-man."""
+    """Validity of a write in s, after which the dead-man writes `safe`; None has no dead-man."""
     safe: Any = None
     """Value that brings the actuator to rest."""
     moves: bool | None = None
-    """Whether it may move something: refused under a latched e-stop. None: actuators and actions
-    do, the rest does not."""
+    """Whether it may move something and is refused during an e-stop. None: actuators and actions
+    do,
+    others do not."""
     energises: bool = False
-    """Whether it arms the robot or gives its motors torque: refused under a latched e-stop."""
+    """Whether it arms the robot or applies torque; refused during an e-stop."""
     history: int = 128
-    """Samples kept for `history` and for resume while somebody may want them."""
+    """Samples kept for `history` and for resuming subscriptions."""
     native: str | None = None
-    """Name of the backend's own serialised type (`nav_msgs/msg/Odometry`), where it has one."""
+    """Name of the backend's own serialized type (`nav_msgs/msg/Odometry`), if it has one."""
     meta: dict[str, Any] = {}
     """Further facts for discovery: the topic, node or register behind the path."""
     profiles: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Long values of no declared type as JSON, in steps of a few thousand values each."""
+"""JSON encoding of long values without a declared type, in steps of a few thousand values."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from rcp_protocol.plain import is_map, is_sequence
 
 __all__ = ["is_long", "pieces"]
 
-_PIECE = 4096  # values that are written in one step
-_PARTS = 16  # that a list is divided into where a piece of it has more
+_PIECE = 4096  # values encoded per step
+_PARTS = 16  # parts into which a long list is divided
 _TEXT = 64  # characters or bytes that count as one value
 _to_json = msgspec.json.Encoder()
 
 Write = Callable[[Any], bytes]
-"""Writes a short value as JSON."""
+"""Encodes a short value as JSON."""
 
 
 def is_long(value: Any) -> bool:
-    """Tell whether a value takes longer to write than one step."""
+    """Return whether encoding a value takes more than one step."""
     return _weight(value, _PIECE) > _PIECE
 
 
 def pieces(value: Any, write: Write) -> Generator[None, None, bytes]:
-    """Write a value in steps: by `write` whatever is short, and what a long one consists of."""
+    """Encode a value in steps; `write` encodes the short parts."""
     if isinstance(value, str):
-        return _to_json.encode(value)  # there is no number in it to look for
+        return _to_json.encode(value)  # it contains no number that needs special treatment
     if not is_long(value):
         return write(value)
     if is_sequence(value):
@@ -76,7 +76,7 @@ def _divided(values: Any) -> Generator[Any]:
 
 
 def _weight(value: Any, most: int) -> int:
-    """Count what is in a value, no further than to a little more than `most`."""
+    """Count the values in `value`, but only up to slightly more than `most`."""
     if isinstance(value, (str, bytes)):
         return 1 + len(value) // _TEXT
     if is_map(value):

@@ -1,4 +1,4 @@
-"""What the published schema of a type says of the forms that JSON gives its values."""
+"""Additions to published schemas for JSON's alternative spellings of numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BASE64 = "^([A-Za-z0-9+/]{4})*([A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"
 
 
 def published(node: Any) -> Any:
-    """Write out in the schema what the wire allows: spelled non-finite and long integers."""
+    """Add the spellings that the wire allows: non-finite and long integers as strings."""
     if is_list(node):
         return [published(item) for item in node]
     if not is_map(node):
@@ -36,7 +36,7 @@ def published(node: Any) -> Any:
 
 
 def _narrowed(node: dict[str, Any]) -> dict[str, Any]:
-    """Bound the numbers of a wide integer by what JSON carries as such; the rest are texts."""
+    """Restrict a wide integer to the range that JSON carries exactly; others are strings."""
     out = dict(node)
     for side, limit in (("inimum", -SAFE_INTEGER), ("aximum", SAFE_INTEGER)):
         own = out.get("m" + side, out.get("exclusiveM" + side))
@@ -47,7 +47,7 @@ def _narrowed(node: dict[str, Any]) -> dict[str, Any]:
 
 
 def _digits(node: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a wide integer's text: sign and length are as near as a pattern comes to its bounds."""
+    """Return the schema of a wide integer as a string; its pattern only approximates the bounds."""
     low = node.get("minimum", node.get("exclusiveMinimum", -(2**63)))
     high = node.get("maximum", node.get("exclusiveMaximum", 2**63 - 1))
     sign, longest = "-?" if low < 0 else "", len(str(max(abs(low), abs(high))))

@@ -1,8 +1,9 @@
-"""Where in a type the numbers stand that JSON cannot carry as they are.
+"""The positions in a type of numbers that JSON cannot represent exactly.
 
-msgspec validates; what it leaves open is compiled here into a tree beside the type: floats that
-may be non-finite, integers past 2^53, and the names of fields. It is walked only when a value
-holds such a number, never for an ordinary one.
+msgspec validates; what it does not cover is compiled here into a tree parallel to the type: floats
+that may be non-finite, integers beyond 2^53, and field names. The tree is walked only for values
+that
+contain such numbers.
 """
 
 from __future__ import annotations
@@ -26,19 +27,20 @@ _USUAL = _REALS | _NEVER_ODD
 _NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 Node = Callable[[Any, str], Any]
-"""Rebuild a builtin value found at a JSON Pointer; `ValueError(pointer, why)` if it is not legal."""
+"""Converts a builtin value at a JSON Pointer; raises `ValueError(pointer, why)` if it is
+invalid."""
 
 
 Quick = Callable[[set[type], Any], bool]
-"""Tell of a list of numbers, by the types in it first, that none of them is odd."""
+"""Returns whether no number in a list needs conversion, by the set of element types first."""
 
 
 class Beyond(ValueError):
-    """An integer lies outside the bits of its type: `(pointer, why, bound)`."""
+    """An integer exceeds the bits of its type: `(pointer, why, bound)`."""
 
 
 class Shape:
-    """What msgspec's type information says about the numbers and fields of one type."""
+    """msgspec's type information about the numbers and fields of one type."""
 
     def __init__(self, type_: Any) -> None:
         self._out: dict[type, Node] = {}
@@ -51,16 +53,17 @@ class Shape:
         self.open = False
         """Whether some part may be of any type."""
         self.endless = False
-        """Whether a value may hold one of its own type."""
+        """Whether the type is recursive."""
         self._within: list[type] = []
         self._info = mi.type_info(type_)
         self.blobs = _blobs(self._info)
-        """The fields of a struct that hold bytes, or none of bytes themselves; None: no bytes."""
+        """The struct fields that contain bytes, an empty tuple for bytes themselves; None: no
+        bytes."""
         self.outward = self._node(self._info, self._out, outward=True)
         self.inward = self._node(self._info, self._in, outward=False)
 
     def has_field(self, dotted: str) -> bool:
-        """Tell whether `position.x` leads to a part of the type."""
+        """Return whether `position.x` is a part of the type."""
         found = [self._info]
         for name in dotted.split("."):
             found = [child for info in found for child in children(info, name)]
@@ -122,7 +125,7 @@ class Shape:
         if low is not None and high is not None and low >= -SAFE_INTEGER and high <= SAFE_INTEGER:
             return _same if outward else _whole
         self.has_wide_int = True
-        if not outward:  # its own bounds are checked by msgspec, which knows what to say
+        if not outward:  # msgspec checks its declared bounds, with a better message
             top = extra.get("maximum", 2**63 - 1)
             return self._noted(_int_node(-(2**63), top, outward=False))
         top = extra.get("maximum", high if high is not None else 2**63 - 1)
@@ -151,7 +154,7 @@ class Shape:
 
     def _union_node(self, info: mi.UnionType, memo: dict[type, Node], *, outward: bool) -> Node:
         nodes = [(option, self._node(option, memo, outward=outward)) for option in info.types]
-        # A number may be of either type: what one forbids, another must not let through unseen.
+        # If a number may be of either type, the checks of both must apply.
         number = _chain([node for option, node in nodes if _is_number(option)])
         others = [node for option, node in nodes if not _is_number(option)]
         live = [node for node in (number, *others) if node is not _same]
@@ -164,7 +167,7 @@ class Shape:
 
 
 def children(info: mi.Type, name: str) -> list[mi.Type]:
-    """Return the types that the field of a name, or the element at a place, may have."""
+    """Return the possible types of a named field, or of the element at an index."""
     match info:
         case mi.Metadata():
             return children(info.type, name)
@@ -195,7 +198,7 @@ def _blobs(info: mi.Type) -> tuple[str, ...] | None:
 
 
 def _is_free_float(info: mi.Type) -> bool:
-    """Tell whether a type is nothing but a float that may be NaN or infinite."""
+    """Return whether a type is just a float that may be NaN or infinite."""
     free = isinstance(info, mi.Metadata) and bool(facts_of(info).get(NONFINITE))
     return free and isinstance(_bare(info), mi.FloatType)
 
@@ -211,7 +214,7 @@ def _is_number(info: mi.Type) -> bool:
 
 
 def _unless_text(node: Node) -> Node:
-    """Leave a text alone that is one by its type: `"123"` is no number where texts are legal."""
+    """Leave strings alone where the type allows them: there, `"123"` is not a number."""
 
     def checked(value: Any, pointer: str) -> Any:
         return value if isinstance(value, str) else node(value, pointer)
@@ -224,24 +227,24 @@ def _escaped(key: Any) -> str:
 
 
 def unescaped(step: str) -> str:
-    """Return the key that a step of a JSON Pointer stands for."""
+    """Return the key of a JSON Pointer segment."""
     return step.replace("~1", "/").replace("~0", "~")
 
 
 def facts_of(info: mi.Type) -> dict[str, Any]:
-    """Return what a type says of itself beyond its kind, such as its unit."""
+    """Return the additional facts of a type, such as its unit."""
     return getattr(info, "extra_json_schema", None) or {}
 
 
 def _are_finite(numbers: Any) -> bool:
     try:
         return all(map(math.isfinite, numbers))
-    except OverflowError:  # an integer beyond all floats
+    except OverflowError:  # an integer beyond the range of floats
         return False
 
 
 def _are_usual(kinds: set[type], value: Any) -> bool:
-    """Tell whether all of a list are values that JSON carries as they are."""
+    """Return whether JSON represents all elements of a list exactly."""
     if _NEVER_ODD.issuperset(kinds):
         return True
     if not _USUAL.issuperset(kinds):
@@ -280,7 +283,7 @@ def _float_node(*, free: bool, outward: bool) -> tuple[Node, Quick]:
 
 
 def _float_list_node(value: Any, _pointer: str) -> Any:
-    """Spell a list of readings: the ranges of a laser scan are too many for a call each."""
+    """Convert a list of readings in one call: laser scans are too long for a call per element."""
     if is_sequence(value):
         return [_spelled(v) if isinstance(v, float) and not math.isfinite(v) else v for v in value]
     return value
@@ -318,21 +321,21 @@ def _int_node(bottom: int, top: int, *, outward: bool) -> tuple[Node, Quick]:
 
 
 def _whole(value: Any, _pointer: str) -> Any:
-    """Take 54.0 for 54, as JSON Schema does."""
+    """Convert 54.0 to 54, as JSON Schema allows."""
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value
 
 
 def _whole_list_node(value: Any, pointer: str) -> Any:
-    """Look at a list of small integers only where it has another: they may be millions."""
+    """Convert integral floats in a list of integers, if there are any: lists may be very long."""
     if is_sequence(value) and float in set(map(type, value)):
         return [_whole(v, pointer) for v in value]
     return value
 
 
 def _chain(nodes: list[Node]) -> Node:
-    """Apply one after the other."""
+    """Apply several conversions in sequence."""
     live = [node for node in nodes if node is not _same]
     if len(live) < 2:
         return live[0] if live else _same
@@ -423,7 +426,7 @@ def _any_node(value: Any, pointer: str) -> Any:
 
 
 def _any_list(value: Any, pointer: str) -> Any:
-    """Write a list; of a million numbers, a call for each would take too long."""
+    """Convert a list; a call per element would be too slow for a million numbers."""
     kinds = set(map(type, value))
     if _are_usual(kinds, value):
         return value

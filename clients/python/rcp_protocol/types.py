@@ -1,8 +1,10 @@
-"""The value types every robot shares: quantities, geometry, time. Metres, radians, seconds.
+"""Common value types: quantities, geometry, time. Metres, radians, seconds.
 
 Frames follow REP-103 (x forward, y left, z up; right-handed), quaternions are x, y, z, w. Values
-are msgspec Structs; a `ValueType` (see `values.py`) derives validator, encoders and schema from
-them, so that there is no second truth about a type.
+are
+msgspec Structs; a `ValueType` (see `values.py`) derives validator, encoders and schema from them,
+so
+that each type has a single definition.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ __all__ = [
 ]
 
 NONFINITE = "x-rcp-nonfinite"
-"""Schema mark of a float that may be NaN or infinite; the published schema spells it out."""
+"""Schema marker of a float that may be NaN or infinite; the published schema lists the
+spellings."""
 
 
 def quantity(
@@ -50,9 +53,9 @@ def quantity(
     description: str | None = None,
     may_be_nonfinite: bool = False,
 ) -> Any:
-    """Make the type of a number with a unit (UCUM spelling: `m/s`, `rad`, `Cel`, `1`) and bounds.
+    """Return the type of a number with a unit (UCUM: `m/s`, `rad`, `Cel`, `1`) and bounds.
 
-    `may_be_nonfinite` lets NaN and ±Infinity through, for a reading that may be missing.
+    `may_be_nonfinite` allows NaN and ±Infinity, for a reading that may be missing.
     """
     extra: Any = {"unit": unit}
     if may_be_nonfinite:
@@ -62,7 +65,7 @@ def quantity(
 
 
 def nonfinite(unit: str) -> Any:
-    """Make the type of a reading that may be NaN or infinite: no return, not measured."""
+    """Return the type of a reading that may be NaN or infinite: no return, not measured."""
     return quantity(unit, may_be_nonfinite=True)
 
 
@@ -71,10 +74,10 @@ Radians = Annotated[float, Meta(extra_json_schema={"unit": "rad"})]
 Seconds = Annotated[float, Meta(extra_json_schema={"unit": "s"})]
 Ratio = Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})]
 Real = Annotated[float, Meta(extra_json_schema={NONFINITE: True})]
-"""A float of unknown unit that may be NaN or infinite: what robots send by their own types."""
+"""A float of unknown unit that may be NaN or infinite, as in robots' own types."""
 Int64 = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 UInt64 = Annotated[int, Meta(ge=0, extra_json_schema={"maximum": 2**64 - 1})]
-"""Its upper bound is checked by `values.py`: msgspec's own bounds end with int64."""
+"""Its upper bound is checked by `values.py`: msgspec's own bounds end at int64."""
 Time = Annotated[
     str,
     Meta(
@@ -92,7 +95,7 @@ _UNIT = Annotated[float, Meta(ge=-1.000001, le=1.000001, extra_json_schema={"uni
 
 
 class Vector3(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vector whose unit the field that holds it gives."""
+    """A vector; the field that contains it defines its unit."""
 
     x: Annotated[float, Meta(extra_json_schema={"unit": "1"})] = 0.0
     y: Annotated[float, Meta(extra_json_schema={"unit": "1"})] = 0.0
@@ -124,7 +127,7 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PoseStamped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A pose in a named frame at a time: the paper's example of a value."""
+    """A pose in a named frame at a time."""
 
     position: Point
     orientation: Quaternion = Quaternion()
@@ -179,7 +182,7 @@ class Accel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Transform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where `child_frame_id` stands in `frame_id`."""
+    """The pose of `child_frame_id` in `frame_id`."""
 
     translation: Point
     rotation: Quaternion

@@ -1,6 +1,6 @@
-"""What msgspec says of a value that it refuses: a text, and nothing else, so it is read here alone.
+"""Parser of msgspec's validation messages, which have no structured form.
 
-`tests/test_private_apis.py` holds the texts against the versions that are allowed.
+`tests/test_private_apis.py` checks the message texts of the supported versions.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ class Fault(NamedTuple):
     """Why a value does not fit its type."""
 
     what: str
-    """The fault, without its place."""
+    """The fault, without its location."""
     place: str
-    """As msgspec writes it: `.a[0].b`, `[...]` for a key that it does not name; empty for the value itself."""
+    """Location as msgspec writes it: `.a[0].b`, `[...]` for an unnamed key; empty for the value
+    itself."""
     in_key: bool
-    """It is not the value at the place that does not fit, but a key in it."""
+    """Whether a key at the location is invalid, rather than its value."""
     bound: tuple[str, str] | None
-    """The comparison that does not hold, and the bound."""
+    """The violated comparison and its bound."""
     missing: str | None
-    """The field that is required."""
+    """The missing required field."""
     unknown: str | None
-    """The field that is not known."""
+    """The unknown field."""
 
 
 def fault_of(error: msgspec.ValidationError) -> Fault:
-    """Read what an error says."""
+    """Parse a validation error."""
     whole = _WHOLE.match(str(error))
     assert whole  # it matches any text
     what = whole["what"]

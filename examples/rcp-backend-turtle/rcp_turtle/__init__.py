@@ -72,9 +72,9 @@ class Turtle(BaseBackend):
         self.host, self.half = host, config.half
         self.pose, self.velocity, self.pen, self.ink = Pose(), Velocity(), "down", 0.0
 
-    def ahead(self, way: float) -> Pose:
-        x = self.pose.x + way * math.cos(self.pose.heading)
-        y = self.pose.y + way * math.sin(self.pose.heading)
+    def ahead(self, distance: float) -> Pose:
+        x = self.pose.x + distance * math.cos(self.pose.heading)
+        y = self.pose.y + distance * math.sin(self.pose.heading)
         return Pose(x, y, self.pose.heading)
 
     def inside(self, pose: Pose) -> bool:
@@ -82,10 +82,10 @@ class Turtle(BaseBackend):
 
     async def live(self) -> None:
         while True:
-            way = self.velocity.forward * TICK
-            if self.inside(self.ahead(way)):
-                self.pose = self.ahead(way)
-                self.ink += abs(way) if self.pen == "down" else 0.0
+            distance = self.velocity.forward * TICK
+            if self.inside(self.ahead(distance)):
+                self.pose = self.ahead(distance)
+                self.ink += abs(distance) if self.pen == "down" else 0.0
             heading = math.remainder(self.pose.heading + self.velocity.turn * TICK, math.tau)
             self.pose = Pose(self.pose.x, self.pose.y, heading)
             self.host.publish("sensor/pose", self.pose)

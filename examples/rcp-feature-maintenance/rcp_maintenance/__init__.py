@@ -78,23 +78,23 @@ class Maintenance:
         tenants = session.principal.tenants
         return [to_builtins(w) for w in self.work.values() if {"*", w.tenant} & set(tenants)]
 
-    def execute(self, session: Session, asked: Request, *, dry_run: bool) -> Work | None:
-        tenant, who = session.tenant or "", session.principal
-        key, work = (tenant, asked.robot), self.work.get((tenant, asked.robot))
-        if asked.do == "begin":
-            work = Work(tenant, asked.robot, who.name, asked.reason, iso(now()))
+    def execute(self, session: Session, request: Request, *, dry_run: bool) -> Work | None:
+        tenant, principal = session.tenant or "", session.principal
+        key, work = (tenant, request.robot), self.work.get((tenant, request.robot))
+        if request.do == "begin":
+            work = Work(tenant, request.robot, principal.name, request.reason, iso(now()))
         elif work is None:
             raise PreconditionFailed("nobody works on this robot", path=PATH)
         if dry_run:
             return None
-        if asked.do == "begin":
+        if request.do == "begin":
             self.work[key] = work
         else:
             del self.work[key]
-        self.kept.put(f"{tenant}/{asked.robot or ''}", to_builtins(self.work.get(key)))
-        note = {"do": asked.do, "robot": asked.robot, "reason": asked.reason or None}
+        self.kept.put(f"{tenant}/{request.robot or ''}", to_builtins(self.work.get(key)))
+        note = {"do": request.do, "robot": request.robot, "reason": request.reason or None}
         self.host.note(
-            "maintenance", principal=who, session=session, tenant=tenant, path=PATH, **note
+            "maintenance", principal=principal, session=session, tenant=tenant, path=PATH, **note
         )
         self.host.changed(PATH)
         return work

@@ -54,8 +54,8 @@ class CommandTests(BackendTests):
     async def test_a_goal_can_be_cancelled_and_the_robot_rests(self, robot: Robot) -> None:
         for name in self.actions():
             id_ = await self.begin(name)
-            told = await robot.ask("cancel", name)
-            assert told["body"]["cancelled"], f"{name} had ended already: give Goal.long"
+            reply = await robot.ask("cancel", name)
+            assert reply["body"]["cancelled"], f"{name} had ended already: give Goal.long"
             final = await robot.client.final(id_, self.cancel_within)
             assert final["status"] == "cancelled", final
             await self.comes_to_rest(f"{name} was cancelled")

@@ -49,14 +49,14 @@ class GuardTests(FeatureRig):
     async def test_it_keeps_nobody_from_bringing_a_robot_to_rest(
         self, guarded: FeatureGateway
     ) -> None:
-        ways: tuple[tuple[str, str, Any], ...] = (
+        stops: tuple[tuple[str, str, Any], ...] = (
             ("write", DRIVE, 0.0),
             ("execute", "/service/hold", {}),
             ("execute", "/system/estop", {}),
         )
         guards = guarded.served.server.kernel.features.guards
         controls = any(guard.slot is Slot.LEASE for guard in guards)
-        for type_, path, body in ways[controls:]:
+        for type_, path, body in stops[controls:]:
             moving = await guarded.operator.request("write", DRIVE, body=0.5)
             assert moving["status"] == "completed", moving
             await self.engage(guarded)

@@ -73,9 +73,9 @@ class StopSuite(InterleavingTests):
 
     async def _stop(self, case: Situation, robot: Robot, scope: str) -> Message:
         """Request the stop; `completed` may only be said of a device that is at rest."""
-        asked = SCOPES[scope]
+        scopes = SCOPES[scope]
         body = {
-            "scope": robot.served.supervisor.name if asked == "robot" else asked,
+            "scope": robot.served.supervisor.name if scopes == "robot" else scopes,
             "reason": "suite",
         }
         admin = self.admin()

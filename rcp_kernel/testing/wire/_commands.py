@@ -87,8 +87,8 @@ class Commands(Wire):
     async def test_a_cancel_by_path_reaches_the_robot(self, world: World) -> None:
         client, other = await world.client(), await world.client()
         begun = await _begun(client)
-        told = await other.request("cancel", "/action/go")
-        assert (told["status"], told["body"]) == ("completed", {"cancelled": [begun["command"]]})
+        reply = await other.request("cancel", "/action/go")
+        assert (reply["status"], reply["body"]) == ("completed", {"cancelled": [begun["command"]]})
         final = await client.final(begun["id"])
         assert (final["status"], final["error"]["code"]) == ("cancelled", "cancelled")
         assert world.robot().stopped == ["action/go"]
@@ -102,8 +102,8 @@ class Commands(Wire):
             cancel: Message = {"command": id_}
             if named == "body":
                 cancel = {"body": cancel}
-            told = await client.final(await client.send(cancel, type="cancel"))
-            assert told["status"] == "completed"
+            reply = await client.final(await client.send(cancel, type="cancel"))
+            assert reply["status"] == "completed"
             assert (await client.final(second["id"]))["status"] == "cancelled"
             world.robot().release.set()
             assert (await client.final(first["id"]))["status"] == "completed"
@@ -137,8 +137,8 @@ class Commands(Wire):
         begun = await _begun(client)
         second = await client.request("execute", "/action/go", body=WAIT)
         assert (second["status"], second["error"]["code"]) == ("rejected", "already_running")
-        told = f"action '{GO}' is currently in progress; rejecting duplicate request"
-        assert second["message"] == told
+        message = f"action '{GO}' is currently in progress; rejecting duplicate request"
+        assert second["message"] == message
         assert second["error"]["details"]["command"] == begun["command"]
         assert len(world.robot().ran) == 1
         world.robot().release.set()
@@ -234,12 +234,12 @@ class Commands(Wire):
         bad = await client.request("execute", GO, body={"distance": 4, "mode": "stumble"})
         listed = (await client.request("read", "/system/commands"))["body"]
         assert [c["command"] for c in listed] == [bad["command"], good["command"]]
-        told = listed[1]
-        assert (told["path"], told["principal"], told["id"]) == (GO, "operator", "g")
-        assert [step["status"] for step in told["history"]] == [
+        command = listed[1]
+        assert (command["path"], command["principal"], command["id"]) == (GO, "operator", "g")
+        assert [step["status"] for step in command["history"]] == [
             "accepted",
             "in_progress",
             "completed",
         ]
-        assert (told["input"]["distance"], told["body"]) == (4.0, 4.0)
+        assert (command["input"]["distance"], command["body"]) == (4.0, 4.0)
         assert listed[0]["error"]["code"] == "device_rejected"

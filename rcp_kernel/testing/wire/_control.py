@@ -89,8 +89,12 @@ class Control(Wire):
         loser, chief = await world.client(OPERATOR), await world.client(ADMIN)
         held = (await lease(loser))["body"]
         await lease(chief, take=True, reason="by hand")
-        told = await loser.notice("lease_lost")
-        assert (told["lease"], told["by"], told["reason"]) == (held["lease"], "admin", "by hand")
+        notice = await loser.notice("lease_lost")
+        assert (notice["lease"], notice["by"], notice["reason"]) == (
+            held["lease"],
+            "admin",
+            "by hand",
+        )
 
     @proves("control.age-in-queue")
     async def test_what_grows_old_in_a_queue_is_refused_at_its_turn(self, world: World) -> None:
@@ -114,14 +118,14 @@ class Control(Wire):
     async def test_an_estop_holds_a_robot_a_tenant_or_all(self, world: World) -> None:
         person, admin = await world.client(LOCAL), await world.client(ADMIN)
         alpha = {"main", "drone", "ghost"}
-        for asker, scope, held in (
+        for client, scope, held in (
             (person, {"scope": "drone"}, {"drone"}),
             (person, {"scope": "/tenant/alpha/drone1"}, {"drone"}),
             (admin, {"scope": "/tenant/beta"}, {"other"}),
             (admin, {"scope": "/tenant/alpha"}, alpha),
             (admin, {}, alpha | {"other"}),
         ):
-            await estop(asker, **scope)
+            await estop(client, **scope)
             seen = (await admin.request("read", "/system/estop"))["body"]
             assert set(seen["robots"]) == held
             moves = "estop_active" if "main" in held else "completed"

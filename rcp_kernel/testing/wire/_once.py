@@ -94,9 +94,9 @@ class Once(Wire):
             ),
             (client, write | {"path": "/sensor/level"}, "unsupported_operation"),
         ]
-        for who, request, code in refusals:
-            dry = await who.final(await who.send(request, dry_run=True))
-            real = await who.final(await who.send(request))
+        for principal, request, code in refusals:
+            dry = await principal.final(await principal.send(request, dry_run=True))
+            real = await principal.final(await principal.send(request))
             assert dry["error"]["code"] == real["error"]["code"] == code
 
     @proves("envelope.batch")

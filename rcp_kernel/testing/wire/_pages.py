@@ -37,8 +37,8 @@ async def _pages(
     found: list[Message] = []
     cursor: Message = {}
     while True:
-        asked = {**(body or {}), **cursor}
-        reply = await client.request(type_, pattern, body=asked, deadline=BOUND)
+        options = {**(body or {}), **cursor}
+        reply = await client.request(type_, pattern, body=options, deadline=BOUND)
         assert reply["status"] == "completed", reply.get("error")
         found.append(reply)
         assert reply.get("truncated", False) is ("cursor" in reply)
@@ -149,8 +149,8 @@ class Pages(Wire):
         read: Message = {"type": "read", "path": name}
         reply = await client.request("batch", body=[read] * 8)
         assert len(dump(reply["body"], Encoding.JSON)) <= 2 * longest
-        told = [part["status"] for part in reply["body"]]
-        assert told == ["completed"] * 3 + ["rejected"] * 5
+        statuses = [part["status"] for part in reply["body"]]
+        assert statuses == ["completed"] * 3 + ["rejected"] * 5
         assert {part["error"]["code"] for part in reply["body"][3:]} == {"payload_too_large"}
         assert len((await client.request("read", name))["body"]) == longest // 4
 

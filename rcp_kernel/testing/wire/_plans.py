@@ -159,36 +159,43 @@ class Planning(Wire):
 
     @proves("approval.asked", "approval.once")
     async def test_what_is_approved_passes_once(self, world: World) -> None:
-        asker, admin, robot = await world.client(ASKING), await world.client(ADMIN), world.robot()
-        reply = await asker.request("execute", _NOTHING)
+        requester, admin, robot = (
+            await world.client(ASKING),
+            await world.client(ADMIN),
+            world.robot(),
+        )
+        reply = await requester.request("execute", _NOTHING)
         assert (reply["status"], code(reply)) == ("rejected", "approval_required")
         id_ = reply["error"]["details"]["approval"]
         (listed,) = (await admin.request("read", "/system/approvals"))["body"]
         assert (listed["approval"], listed["status"]) == (id_, "pending")
         decision = {"id": id_, "decision": "approve", "reason": "nobody is near"}
         await admin.request("execute", "/system/approvals", body=decision)
-        assert code(await asker.request("execute", _NOTHING, approval=id_)) == "completed"
-        assert code(await asker.request("execute", _NOTHING, approval=id_)) == "forbidden"
+        assert code(await requester.request("execute", _NOTHING, approval=id_)) == "completed"
+        assert code(await requester.request("execute", _NOTHING, approval=id_)) == "forbidden"
         assert [name for name, _ in robot.ran] == ["service/nothing"]
 
     @proves("approval.others")
     async def test_nobody_approves_their_own(self, world: World) -> None:
-        asker, other = await world.client(ASKING), await world.client(LOCAL)
-        reply = await asker.request("execute", _NOTHING)
+        requester, other = await world.client(ASKING), await world.client(LOCAL)
+        reply = await requester.request("execute", _NOTHING)
         decision = {"id": reply["error"]["details"]["approval"], "decision": "approve"}
-        for client, told in ((asker, ("forbidden", "unknown_path")), (other, ("unknown_path",))):
+        for client, codes in (
+            (requester, ("forbidden", "unknown_path")),
+            (other, ("unknown_path",)),
+        ):
             reply = await client.request("execute", "/system/approvals", body=decision)
-            assert code(reply) in told
+            assert code(reply) in codes
 
     @proves("approval.plan")
     async def test_a_plan_wants_one_approval(self, world: World) -> None:
-        asker, admin = await world.client(ASKING), await world.client(ADMIN)
+        requester, admin = await world.client(ASKING), await world.client(ADMIN)
         steps = [limit(1.0), {"do": "execute", "path": _NOTHING, "id": "careful"}]
-        reply = await run(asker, *steps)
+        reply = await run(requester, *steps)
         details = reply["error"]["details"]
         assert (code(reply), details["steps"]) == ("approval_required", ["careful"])
         assert world.robot().writes == []
         decision = {"id": details["approval"], "decision": "approve"}
         await admin.request("execute", "/system/approvals", body=decision)
-        reply = await run(asker, *steps, approval=details["approval"])
+        reply = await run(requester, *steps, approval=details["approval"])
         assert states(reply) == ["completed", "completed"]

@@ -51,8 +51,8 @@ class Quality(Wire):
         qos = {"reliability": "reliable", "depth": 5}
         id_ = await client.subscribe(LEVEL, qos=qos, initial=False)
         world.publish("sensor/level", *map(float, range(20)))
-        told = await client.notice("overrun")
-        assert (told["id"], told["error"]["code"]) == (id_, "overrun")
+        notice = await client.notice("overrun")
+        assert (notice["id"], notice["error"]["code"]) == (id_, "overrun")
         assert world.server.kernel.hub.subscriptions == set()
 
     @proves("stream.deadline", "stream.stale")
@@ -61,8 +61,8 @@ class Quality(Wire):
         client = await world.client()
         id_ = await client.subscribe(LEVEL, qos={"deadline": 0.05})
         for code in ("deadline_missed", "stale"):
-            told = await client.notice(code)
-            assert (told["id"], told["path"]) == (id_, LEVEL)
+            notice = await client.notice(code)
+            assert (notice["id"], notice["path"]) == (id_, LEVEL)
 
     @proves("stream.lifespan")
     async def test_a_sample_older_than_its_lifespan_is_not_delivered(self, world: World) -> None:
@@ -135,8 +135,8 @@ class Quality(Wire):
                     name="sensor/new/thing", description="New.", value=quantity("1"), live=True
                 )
             )
-            told = await client.notice("resource_added")
-            assert (told["id"], told["path"]) == (id_, path)
+            notice = await client.notice("resource_added")
+            assert (notice["id"], notice["path"]) == (id_, path)
             world.publish("sensor/new/thing", 5.0)
             assert (await client.update(id_))["path"] == path
             world.robot().host.withdraw("sensor/new/thing")

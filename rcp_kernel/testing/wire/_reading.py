@@ -131,12 +131,12 @@ class Reading(Wire):
         async def at_rest() -> bool:
             return robot.writes[-1] == ("actuator/drive", Twist())
 
-        async def told() -> bool:
+        async def is_reported() -> bool:
             return (await client.request("read", DRIVE))["body"]["linear"]["x"] == 0.0
 
         await eventually(at_rest, "the safe value is written")
         assert len(robot.writes) == 2
-        await eventually(told, "it is read back")
+        await eventually(is_reported, "it is read back")
 
     @proves("write.valid-for")
     async def test_valid_for_without_a_safe_value_is_refused(self, world: World) -> None:

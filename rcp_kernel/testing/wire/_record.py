@@ -44,10 +44,10 @@ class Records(Wire):
         auditor, client = MemoryClient(world.server.client_api, ADMIN), await world.client()
         records = await auditor.subscribe(AUDIT, **RELIABLE)
         reply = await client.request("execute", "/action/go", body={"distance": 3.0})
-        told = await auditor.until(
+        entry = await auditor.until(
             lambda m: m.get("id") == records and m["body"]["what"] == "command"
         )
-        record = told["body"]
+        record = entry["body"]
         assert (record["command"], record["status"]) == (reply["command"], "completed")
         assert record["value"] == 3.0
         await auditor.close()

@@ -119,10 +119,10 @@ class Sessions(Wire):
         world.publish("sensor/level", *map(float, range(200)))
         client = await world.client()
         await _hello(client, session=facts["session"])
-        told = await client.notice("gap")
-        assert (told["path"], told["first"], told["lost"]) == (LEVEL, 1, 136)
+        notice = await client.notice("gap")
+        assert (notice["path"], notice["first"], notice["lost"]) == (LEVEL, 1, 136)
         first = await client.update("s")
-        assert first["seq"] == told["last"] + 1 == 137
+        assert first["seq"] == notice["last"] + 1 == 137
 
     @proves("session.command")
     async def test_a_command_that_ended_meanwhile_is_told_on_return(self, world: World) -> None:

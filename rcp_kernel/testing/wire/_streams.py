@@ -75,8 +75,8 @@ class Streams(Wire):
             by_name = await client.subscribe("/event/note", paths=["/event/*"], qos=DEEP)
             world.publish("event/note", text, "short")
             found = [await client.update(by_pattern) for _ in range(3)]
-            told = [(u.get("truncated"), u.get("body")) for u in found]
-            assert told == [(True, None), (True, None), (None, "short")]
+            received = [(u.get("truncated"), u.get("body")) for u in found]
+            assert received == [(True, None), (True, None), (None, "short")]
             assert "body" not in found[0]
             assert 300_000 <= found[0]["size"] <= 300_010
             assert [u["seq"] for u in found] == list(range(found[0]["seq"], found[2]["seq"] + 1))
@@ -191,15 +191,15 @@ class Streams(Wire):
         id_ = await client.subscribe(LEVEL, count=2, initial=False, qos=DEEP)
         world.publish("sensor/level", 1.0, 2.0, 3.0)
         assert await bodies(client, id_, 2) == [1.0, 2.0]
-        told = await client.notice("subscription_ended")
-        assert (told["id"], told["reason"]) == (id_, "count")
+        notice = await client.notice("subscription_ended")
+        assert (notice["id"], notice["reason"]) == (id_, "count")
 
     @proves("stream.duration")
     async def test_a_duration_ends_the_subscription(self, world: World) -> None:
         client = await world.client()
         id_ = await client.subscribe(LEVEL, duration=0.05)
-        told = await client.notice("subscription_ended")
-        assert (told["id"], told["reason"]) == (id_, "duration")
+        notice = await client.notice("subscription_ended")
+        assert (notice["id"], notice["reason"]) == (id_, "duration")
 
     @proves("stream.refused")
     async def test_an_option_that_makes_no_sense_is_refused(self, world: World) -> None:
@@ -218,9 +218,9 @@ class Streams(Wire):
             ({"speed": 3}, "invalid_value"),
         ):
             reply = await client.request("subscribe", LEVEL, body=options)
-            told = reply["error"]["code"]
+            error_code = reply["error"]["code"]
             assert reply["status"] == "rejected"
-            assert told in (code, "bad_request"), options  # a query may be wrong as such
+            assert error_code in (code, "bad_request"), options  # a query may be wrong as such
         assert world.server.kernel.hub.subscriptions == set()
 
     @proves("stream.unsubscribe")
@@ -243,9 +243,9 @@ class Streams(Wire):
             await client.send(type="unsubscribe", id="s")
         await client.send(type="subscribe", id="s", path=LEVEL, body={"initial": False})
         replies = [await client.final("s") for _ in range(11)]
-        told = [(reply["type"], reply["status"]) for reply in replies]
+        received = [(reply["type"], reply["status"]) for reply in replies]
         pair = [("subscribe", "completed"), ("unsubscribe", "completed")]
-        assert told == pair * 5 + pair[:1]
+        assert received == pair * 5 + pair[:1]
         client.inbox = [m for m in client.inbox if m["type"] != "update"]
         world.publish("sensor/level", 6.0)
         update = await client.update("s")
@@ -255,14 +255,14 @@ class Streams(Wire):
     @proves("stream.which")
     async def test_a_subscription_is_ended_by_any_of_its_names(self, world: World) -> None:
         client = await world.client()
-        ways: tuple[Message, ...] = (
+        endings: tuple[Message, ...] = (
             {"body": {"subscription": "s"}},
             {"id": "s"},
             {"path": "/sensor/level"},
         )
-        for way in ways:
+        for ending in endings:
             await client.request("subscribe", LEVEL, id="s")
-            done = await client.final(await client.send(way, type="unsubscribe"))
+            done = await client.final(await client.send(ending, type="unsubscribe"))
             assert done["body"] == {"subscriptions": ["s"]}, done
-            gone = await client.final(await client.send(way, type="unsubscribe"))
+            gone = await client.final(await client.send(ending, type="unsubscribe"))
             assert gone["error"]["code"] == "unknown_path"

@@ -139,8 +139,8 @@ class Values(Wire):
             for number in WIDE:
                 for sent in (number, str(number)):
                     body = await _written(client, i64=sent, table={"n": sent})
-                    told = str(number) if encoding is Encoding.JSON else number
-                    assert body["i64"] == body["table"]["n"] == told
+                    expected = str(number) if encoding is Encoding.JSON else number
+                    assert body["i64"] == body["table"]["n"] == expected
             top = await _written(client, u64=str(2**64 - 1))
             assert int(top["u64"]) == 2**64 - 1
             small = await _written(client, i64=str(2**53 - 1))

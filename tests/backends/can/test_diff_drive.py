@@ -11,7 +11,7 @@ import pytest
 
 from backends.can.rig import Rig, channel, opened
 from rcp_can import CanConfig
-from rcp_kernel.errors import InvalidValue, ModeForbids, OutOfRange
+from rcp_kernel.errors import ModeForbids, OutOfRange
 
 CMD = "actuator/base/cmd_vel"
 
@@ -42,9 +42,11 @@ async def test_a_twist_turns_the_wheels_by_track_and_radius() -> None:
         await settled(rig, 3.0, 7.0)
         await rig.write(CMD, {})
         await settled(rig, 0.0, 0.0)
-        with pytest.raises(OutOfRange, match="wheel 'l'"):
+        with pytest.raises(OutOfRange, match=r"linear\.x"):
             await rig.write(CMD, {"linear": {"x": 1.5}})
-        with pytest.raises(InvalidValue):
+        with pytest.raises(OutOfRange, match="wheel 'r'"):
+            await rig.write(CMD, {"linear": {"x": 0.9}, "angular": {"z": 1.0}})
+        with pytest.raises(OutOfRange):
             await rig.write(CMD, {"linear": {"y": 0.1}})
 
 

@@ -190,7 +190,7 @@ async def test_a_stop_of_the_joints_ends_the_move() -> None:
         moving = rig.moving(pan=5.0, roll=-5.0)
         await rig.until(lambda: rig.twins["pan"].plant.velocity > 1.0)
         await rig.write(JOINTS, {})
-        with pytest.raises(ModeForbids, match="a stop of the joints"):
+        with pytest.raises(ModeForbids, match="a stop of 'arm'"):
             await asyncio.wait_for(moving, 20)
         assert rig.still()
 

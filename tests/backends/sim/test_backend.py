@@ -255,6 +255,18 @@ async def test_move_to_takes_a_heading_in_either_way(rig: Any) -> None:
         await rig.execute("action/move_to", {**HERE, "orientation": turned, "yaw": 1.0})
 
 
+async def test_a_goal_in_another_frame_is_refused(rig: Any) -> None:
+    with pytest.raises(InvalidValue, match="no frame 'odom'") as caught:
+        await rig.execute("action/move_to", {**HERE, "frame": "odom"})
+    assert caught.value.details == {"pointer": "/frame"}
+    assert rig.host.last("event/task").state == "idle"
+
+
+async def test_a_null_tolerance_is_the_rovers_own(rig: Any) -> None:
+    await rig.settle(rig.execute("action/move_to", {**HERE, "tolerance": None}))
+    assert math.dist((rig.sim.rover.x, rig.sim.rover.y), (2.0, 1.0)) <= 0.1
+
+
 async def test_a_goal_in_a_wall_is_rejected_with_the_reason(rig: Any) -> None:
     with pytest.raises(DeviceRejected, match=r"goal \(100, 0\) is inside or behind"):
         await rig.execute("action/move_to", {"position": {"x": 100.0, "y": 0.0}})

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from kernel.world import BOUND, World
 from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.clock import Clock
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 from rcp_kernel.tree.entry import Entry
@@ -110,7 +111,7 @@ def test_what_is_wrong_with_a_condition_is_told_with_its_text(text: str, why: st
 
 async def test_the_clock_is_the_gateways_own(world: World, entry: Entry) -> None:
     noon = datetime(2026, 5, 31, 12, 30).astimezone()  # a Sunday
-    told = Conditions(world.server.kernel.hub, lambda: noon)
+    told = Conditions(world.server.kernel.hub, Clock(now=lambda: int(noon.timestamp() * 1e9)))
     text = "time.hour == 12 && time.minute == 30 && time.weekday == 6"
     assert told.holds(Condition(text), entry) is True
     system = world.server.kernel.registry.entries["/system/status"]
@@ -162,11 +163,9 @@ async def test_what_a_condition_names_is_watched_while_it_is_configured(
     await until(lambda: world.robot.watched == [("sensor/lazy", 5.0)])
     assert conditions(world).holds(fits, entry) is True
 
-    world.robot.host.withdraw("sensor/lazy")
+    world.robot.remove("sensor/lazy")
     assert conditions(world).holds(fits, entry) is None
-    world.robot.host.declare(
-        Resource(name="sensor/lazy", description="Again.", value=quantity("m"))
-    )
+    world.robot.add(Resource(name="sensor/lazy", description="Again.", value=quantity("m")))
     await until(lambda: len(world.robot.watched) == 2)
 
     conditions(world).use("test", [])

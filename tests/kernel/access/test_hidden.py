@@ -39,7 +39,7 @@ HIDDEN, GIVEN = "/tenant/alpha/service/secret", "/tenant/alpha/service/echo"
 async def world() -> AsyncGenerator[World]:
     """A robot, and somebody who may see everything of it but a few paths."""
     async with world_of(RULES) as made:
-        made.robot.host.declare(
+        made.robot.add(
             Resource(name="service/secret", description="Answers.", input=str, output=str),
             Resource(name="actuator/secret/arm", description="An arm.", value=float),
             Resource(name="sensor/hush", description="Quiet.", value=float, deadline=1.0),

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.anyio
 
 
 async def test_a_change_takes_its_time(clock: Clock) -> None:
-    async with fenced(GENTLE) as world:
+    async with fenced(GENTLE, clock.clock) as world:
         client = world.client(AGENT)
         refusal = await drive(client, 0.5)
         assert refusal["error"]["code"] == "out_of_range"
@@ -41,7 +41,8 @@ async def test_a_long_pause_is_no_licence_for_a_jump(clock: Clock) -> None:
         GENTLE.replace("/actuator/drive", "/actuator/raw")
         .replace("linear.x", "")
         .replace('"angular.z" = { max = 1 }', "")
-        .replace("5 }, ", "5 } ")
+        .replace("5 }, ", "5 } "),
+        clock.clock,
     ) as world:
         client = world.client(AGENT)
         assert code(await client.ask(type="write", path="/actuator/raw", body=0.0)) == "completed"
@@ -53,7 +54,7 @@ async def test_a_long_pause_is_no_licence_for_a_jump(clock: Clock) -> None:
 
 
 async def test_a_change_is_measured_from_whoever_wrote_last(clock: Clock) -> None:
-    async with fenced(GENTLE) as world:
+    async with fenced(GENTLE, clock.clock) as world:
         assert code(await drive(world.client(OPERATOR), 3.0)) == "completed"
         clock.now += 0.5
         agent = world.client(AGENT)
@@ -62,7 +63,7 @@ async def test_a_change_is_measured_from_whoever_wrote_last(clock: Clock) -> Non
 
 
 async def test_after_a_stop_a_change_is_measured_from_the_safe_value(clock: Clock) -> None:
-    async with fenced(GENTLE) as world:
+    async with fenced(GENTLE, clock.clock) as world:
         agent, admin = world.client(AGENT), world.client("admin-admin-admin")
         assert code(await drive(world.client(OPERATOR), 3.0)) == "completed"
         assert code(await admin.ask(type="execute", path="/system/estop", body={})) == "completed"
@@ -73,7 +74,7 @@ async def test_after_a_stop_a_change_is_measured_from_the_safe_value(clock: Cloc
 
 
 async def test_after_the_dead_man_a_change_is_measured_from_the_safe_value(clock: Clock) -> None:
-    async with fenced(GENTLE) as world:
+    async with fenced(GENTLE, clock.clock) as world:
         watcher = world.client(OPERATOR)
         id_ = watcher.send(type="subscribe", path="/actuator/drive")
         assert code(await drive(world.client(OPERATOR), 3.0, valid_for=0.05)) == "completed"
@@ -86,7 +87,7 @@ async def test_after_the_dead_man_a_change_is_measured_from_the_safe_value(clock
 
 
 async def test_writes_that_are_under_way_count_already(clock: Clock) -> None:
-    async with fenced(GENTLE) as world:
+    async with fenced(GENTLE, clock.clock) as world:
         answered, robot = asyncio.Event(), world.robot
 
         async def write(name: str, value: Any) -> None:
@@ -107,7 +108,8 @@ async def test_a_write_that_the_robot_refused_changed_nothing(clock: Clock) -> N
         GENTLE.replace("drive", "raw")
         .replace("linear.x", "")
         .replace('"angular.z" = { max = 1 }', "")
-        .replace("5 }, ", "5 } ")
+        .replace("5 }, ", "5 } "),
+        clock.clock,
     ) as world:
         client, robot = world.client(AGENT), world.robot
         outcomes: list[Exception | None] = [None, DeviceRejected("no"), DeviceTimeout("?"), None]
@@ -131,7 +133,7 @@ async def test_a_write_that_the_robot_refused_changed_nothing(clock: Clock) -> N
 
 async def test_the_first_value_of_a_path_without_a_safe_one_is_free(clock: Clock) -> None:
     table = '[[envelopes]]\nname = "e"\npaths = ["/actuator/speeds"]\nrate = { "*" = 1.0 }\n'
-    async with fenced(table) as world:
+    async with fenced(table, clock.clock) as world:
         client = world.client()
         for body, wanted in [
             ([5.0, -5.0], "completed"),

@@ -51,9 +51,7 @@ def mode(world: World, name: str) -> None:
 async def world() -> AsyncGenerator[World]:
     """A robot with a mode, and a driver who may drive while it is `auto`."""
     async with world_of(rules(ALLOW)) as made:
-        made.robot.host.declare(
-            Resource(name="sensor/mode", description="A mode.", value=str, live=True)
-        )
+        made.robot.add(Resource(name="sensor/mode", description="A mode.", value=str, live=True))
         yield made
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.features import Scope
@@ -41,7 +42,7 @@ class Tree:
     """A tree, and what is asked of it."""
 
     def __init__(self, *names: str, robot: str = "robot") -> None:
-        self.registry = Registry()
+        self.registry = Registry(SYSTEM_CLOCK)
         self.scopes = ScopeRights(self.registry)
         self.owner = Owner(robot)
         for name in names:

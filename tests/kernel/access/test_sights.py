@@ -34,10 +34,10 @@ class Many(Robot):
     def declare(self) -> None:
         """Put them into the tree."""
         for number in range(PATHS):
-            self.host.declare(level(number))
+            self.add(level(number))
 
     def change(self, number: int) -> None:
-        self.host.declare(level(number, "Another level."))
+        self.add(level(number, "Another level."))
 
 
 def level(number: int, description: str = "A level.") -> Resource:
@@ -103,13 +103,13 @@ async def test_the_generation_rises_for_what_is_seen_and_not_for_what_is_hidden(
         await _looked(world, rights_of(world))
         began = api.generation(session)
         robot.change(1)
-        robot.host.withdraw("param/level-00003")
+        robot.remove("param/level-00003")
         assert api.generation(session) == began
-        robot.host.withdraw("sensor/level-00004")
+        robot.remove("sensor/level-00004")
         risen = api.generation(session)
         assert risen > began
         for number in range(1, PATHS, 2):  # more hidden ones than are looked at in one step
-            robot.host.declare(level(number, "Yet another level."))
+            robot.add(level(number, "Yet another level."))
         robot.change(0)
         async with asyncio.timeout(BOUND):
             while api.generation(session) == risen:  # noqa: ASYNC110 - it has no event
@@ -123,9 +123,9 @@ async def test_what_is_counted_is_what_there_is_however_the_tree_has_changed() -
             for _ in range(3000):  # more changes than are kept
                 number = dice.randrange(PATHS)
                 if dice.random() < 0.5:
-                    robot.host.withdraw(level(number).name)
+                    robot.remove(level(number).name)
                 else:
-                    robot.host.declare(level(number, f"Level {dice.randrange(3)}."))
+                    robot.add(level(number, f"Level {dice.randrange(3)}."))
             sight = await _looked(world, rights)
             there = world.server.kernel.registry.entries.values()
             assert sight.visible == sum(1 for e in there if rights.mask(e.path))
@@ -152,7 +152,7 @@ async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
         sights = world.server.kernel.status._sights
         await _looked(world, rights)
         for number in range(1, 1001):  # more than are looked at in one step
-            robot.host.declare(level(number, "A new level."))
+            robot.add(level(number, "A new level."))
         sight = sights.look(rights)
         assert not sight.whole("alpha")
         assert sight.names_hidden("alpha", "robot", "anything")

@@ -90,9 +90,7 @@ async def test_what_appears_while_a_client_is_away_reaches_it_once_on_return(wor
     facts = await greeted(client)
     id_ = await subscribed(client, "/sensor/*", qos={"depth": 10})
     client.connection.close()
-    world.robot.host.declare(
-        Resource(name="sensor/new", description="New.", value=quantity("m"), live=True)
-    )
+    world.robot.add(Resource(name="sensor/new", description="New.", value=quantity("m"), live=True))
     world.robot.host.publish("sensor/new", 1.0)
     back = world.client()
     await greeted(back, session=facts["session"], resume_token=facts["resume_token"])
@@ -109,7 +107,7 @@ async def test_a_resource_declared_anew_is_not_stale_while_it_publishes(world: W
     await client.update(id_)
     entries = world.server.kernel.registry.entries
     old = entries["/tenant/alpha/sensor/level"]
-    world.robot.host.declare(
+    world.robot.add(
         Resource(
             name="sensor/level",
             description="A level, described anew.",

@@ -52,9 +52,7 @@ async def test_an_overrun_costs_the_next_listener_no_sample(world: World) -> Non
 
 
 async def test_a_field_asked_for_with_the_whole_around_it_is_there_once(world: World) -> None:
-    world.robot.host.declare(
-        Resource(name="sensor/any", description="Anything.", value=dict[str, Any])
-    )
+    world.robot.add(Resource(name="sensor/any", description="Anything.", value=dict[str, Any]))
     client, other = world.client(), world.client()
     id_ = await subscribed(client, "/sensor/any", fields=["a", "a.b"])
     level = await subscribed(other)
@@ -68,7 +66,7 @@ async def test_a_field_asked_for_with_the_whole_around_it_is_there_once(world: W
 async def test_a_place_that_no_list_has_is_a_field_that_is_not_there(
     world: World, index: str
 ) -> None:
-    world.robot.host.declare(
+    world.robot.add(
         Resource(name="sensor/pair", description="Two.", value=tuple[float, float], live=True)
     )
     client = world.client()
@@ -81,7 +79,7 @@ async def test_a_place_that_no_list_has_is_a_field_that_is_not_there(
 
 
 async def test_a_text_that_cannot_be_written_is_the_robots_fault_alone(world: World) -> None:
-    world.robot.host.declare(Resource(name="sensor/text", description="A text.", value=str))
+    world.robot.add(Resource(name="sensor/text", description="A text.", value=str))
     client, other = world.client(), world.client()
     id_ = await subscribed(client, "/sensor/text")
     level = await subscribed(other)
@@ -100,7 +98,7 @@ async def test_a_time_that_no_calendar_has_becomes_that_of_receipt(world: World)
 
 
 async def test_feedback_that_cannot_be_written_goes_without_its_body(world: World) -> None:
-    world.robot.host.declare(Resource(name="action/talk", description="Talks.", feedback=str))
+    world.robot.add(Resource(name="action/talk", description="Talks.", feedback=str))
     go_on = asyncio.Event()
 
     async def talk(_name: str, _value: Any, progress: Progress) -> None:
@@ -132,9 +130,7 @@ async def test_an_integer_of_any_length_neither_ends_nor_blocks_its_command(
     tmp_path: Path,
 ) -> None:
     async with world_of(CONFIG + f'[store]\npath = "{tmp_path}/commands.db"\n') as world:
-        world.robot.host.declare(
-            Resource(name="service/any", description="Takes anything.", input=Any)
-        )
+        world.robot.add(Resource(name="service/any", description="Takes anything.", input=Any))
 
         async def nothing(_name: str, _value: Any, _progress: Progress) -> None:
             return None
@@ -158,7 +154,7 @@ async def test_a_history_longer_than_all_time_is_all_there_is(world: World) -> N
 
 
 async def test_a_count_is_of_the_whole_subscription_not_of_each_path(world: World) -> None:
-    world.robot.host.declare(
+    world.robot.add(
         Resource(name="sensor/other", description="Another.", value=quantity("m"), live=True)
     )
     world.robot.host.publish("sensor/level", 1.0)

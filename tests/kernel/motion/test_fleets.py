@@ -34,13 +34,13 @@ class Yard(Robot):
     def declare(self) -> None:
         self.halted: list[str] = []
         self.alone = asyncio.Event()
-        self.host.declare(Resource(name="sensor/weather", description="It.", value=quantity("K")))
+        self.add(Resource(name="sensor/weather", description="It.", value=quantity("K")))
         for name in ("r1", "r2"):
             self.appear(name)
 
     def appear(self, name: str) -> None:
         """Put one of the robots into the tree."""
-        self.host.declare(
+        self.add(
             Resource(
                 name=f"sensor/{name}/level", robot=name, description="It.", value=quantity("m")
             ),

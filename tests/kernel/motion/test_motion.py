@@ -125,7 +125,7 @@ async def test_a_backend_that_leaves_the_configuration_is_halted_first(world: Wo
     await client.until(lambda m: m.get("status") == "in_progress")
     without = CONFIG.replace('[[backends]]\nuse = "robot"\ntenant = "alpha"\n', "")
     await apply(world.server, prepared(parse(without, "test"), []))
-    assert (robot.halts, robot.stopped) == (1, 1)
+    assert (robot.halts, robot.stopped.qsize()) == (1, 1)
     assert (await client.final(id_))["error"]["code"] == "adapter_unavailable"
 
 

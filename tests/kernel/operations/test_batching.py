@@ -21,7 +21,7 @@ TEXT = Resource(name="sensor/text", description="A text.", value=str, live=True)
 async def test_reads_beyond_the_room_of_a_batch_are_referred_to_requests_of_their_own() -> None:
     async with world_of() as world:
         client = world.client()
-        world.robot.host.declare(TEXT)
+        world.robot.add(TEXT)
         world.robot.host.publish("sensor/text", LONG)
         reads = [{"type": "read", "path": "/sensor/text", "id": f"r{n}"} for n in range(20)]
         reply = await client.ask(type="batch", body=reads)
@@ -37,7 +37,7 @@ async def test_reads_beyond_the_room_of_a_batch_are_referred_to_requests_of_thei
 
 async def test_the_first_answer_of_a_batch_is_told_however_long_it_is() -> None:
     async with world_of() as world:
-        world.robot.host.declare(TEXT)
+        world.robot.add(TEXT)
         world.robot.host.publish("sensor/text", LONG * 10)
         read = {"type": "read", "path": "/sensor/text"}
         reply = await world.client().ask(type="batch", body=[read, read])

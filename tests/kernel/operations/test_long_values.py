@@ -37,7 +37,7 @@ class Taking(Robot):
     """A robot that takes everything, and gives it back."""
 
     def declare(self) -> None:
-        self.host.declare(
+        self.add(
             Resource(name="service/any", description="Echo.", input=Any, output=Any),
             Resource(name="param/any", description="Anything.", value=Any),
         )

@@ -86,7 +86,7 @@ async def test_withdrawing_a_path_ends_its_command(world: World) -> None:
     client = world.client()
     id_ = client.send(type="execute", path="/action/go", body=1)
     await world.robot.started.get()
-    world.robot.host.withdraw("action/go")
+    world.robot.remove("action/go")
     assert (await client.final(id_))["error"]["code"] == "adapter_unavailable"
     assert (await client.ask(type="execute", path="/action/go", body=1))["error"][
         "code"

@@ -178,3 +178,20 @@ async def test_a_full_disk_is_waited_out(store: DiskStore, monkeypatch: pytest.M
         await settled(store)
     assert store.trouble is None
     assert len(store.rows(100)) == 40
+
+
+async def test_a_key_that_cannot_be_read_runs_nothing_again(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    limit = {"type": "write", "path": "/param/limit", "body": 1.0}
+    for spoil in ("x'c1'", "x'80'"):  # no msgpack, and without what a key has
+        key = {"idempotency_key": spoil}
+        async with world_of(kept_in(path)) as world:
+            assert (await world.client().ask(**limit, **key))["status"] == "completed"
+        with closing(sqlite3.connect(path)) as base, base:
+            base.execute(f"UPDATE kept SET value = {spoil} WHERE place = 'keys'")
+        async with world_of(kept_in(path)) as world:
+            reply = await world.client().ask(**limit, **key)
+            assert (reply["status"], reply["error"]["code"]) == ("failed", "internal")
+            assert "not sent again" in reply["error"]["message"]
+            assert world.robot.writes == []
+            assert (await world.client().ask(**limit))["status"] == "completed"

@@ -10,9 +10,8 @@ from typing import Any
 
 from kernel.motion.test_latches import HEAD
 from kernel.world import BOUND, Client, Robot, World, kept_in, world_of
-from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import MotionState, Progress, Watchdog, check_fence
+from rcp_kernel.spi import Host, MotionState, Progress, Watchdog, check_fence
 from rcp_kernel.types import quantity
 
 ESTOP = "/system/estop"
@@ -24,12 +23,11 @@ FAST = {"linear": {"x": 1.0}}
 
 
 class Scripted(Robot):
-    """Measures what the test says, and notes what it is sent, in order."""
+    """Says of its motion what the test says, and notes what it is sent, in order."""
 
-    def script(self) -> None:
-        """Begin at rest, reachable, with nothing sent."""
+    def __init__(self, host: Host) -> None:
+        super().__init__(host)
         self.state: MotionState | None = MotionState(at_rest=True)
-        self.reachable = True
         self.sent: list[str] = []
         self.recovered = asyncio.Event()
         self.asserted = asyncio.Event()
@@ -40,9 +38,8 @@ class Scripted(Robot):
         self.on_loss = "land"
 
     def declare(self) -> None:
-        self.script()
         super().declare()
-        self.host.declare(
+        self.add(
             Resource(
                 name="service/enable",
                 description="Gives torque.",
@@ -52,19 +49,15 @@ class Scripted(Robot):
             Resource(name="service/dock", description="Docks.", moves=True),
         )
 
-    def _reach(self) -> None:
-        if not self.reachable:
-            raise AdapterUnavailable("the link is cut")
-
     async def write(self, name: str, value: Any) -> Any:
-        self._reach()
+        await self.reach()
         check_fence()
         self.sent.append(f"write {value.linear.x:g}" if "drive" in name else f"write {name}")
         self.asserted.set()
         return await super().write(name, value)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        self._reach()
+        await self.reach()
         self.sent.append(f"execute {name}")
         try:
             return await super().execute(name, value, progress)
@@ -75,27 +68,27 @@ class Scripted(Robot):
 
     async def halt(self) -> None:
         self.halts += 1
-        self._reach()
+        await self.reach()
         self.sent.append("halt")
         self.asserted.set()
 
     async def hold(self, robot: str | None) -> None:
-        self._reach()
+        await self.reach()
         self.sent.append("hold")
         self.holding.set()
         await self.rests.wait()
         self.asserted.set()
 
     def motion(self, robot: str | None) -> MotionState | None:
-        return self.state if self.reachable else MotionState(None, "the link is cut")
+        return MotionState(None, self.lost) if self.lost else self.state
 
     def hold_stop(self, robot: str | None) -> None:
         self.asserted.set()
-        if self.reachable:
+        if not self.lost:
             self.sent.append("hold_stop")
 
     async def recover(self, robot: str | None) -> str:
-        self._reach()
+        await self.reach()
         self.sent.append("recover")
         self.recovered.set()
         return "landed"

@@ -114,6 +114,6 @@ async def test_it_is_there_for_as_long_as_something_moves(world: World) -> None:
 
 async def test_a_gateway_without_a_link_does_not_say_that_it_holds(world: World) -> None:
     robot = scripted(world)
-    robot.reachable = False
+    robot.lost = "the link is cut"
     held = await world.client().ask(type="execute", path=HOLD)
     assert (held["status"], held["error"]["code"]) == ("failed", "adapter_unavailable")

@@ -28,7 +28,7 @@ async def lose(world: World, admin: Client) -> None:
     go = admin.send(type="execute", path=GO, body=1)
     async with asyncio.timeout(BOUND):
         await robot.started.get()
-    robot.reachable = False
+    robot.lost = "the link is cut"
     robot.host.report("the link is cut", down=True)
     final = await admin.final(go)
     assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
@@ -40,7 +40,7 @@ async def lose(world: World, admin: Client) -> None:
 
 def back(robot: Scripted) -> None:
     """Have the link return."""
-    robot.reachable = True
+    robot.lost = ""
     robot.host.link_restored()
     robot.host.report(None)
 
@@ -83,7 +83,7 @@ async def test_a_latched_robot_is_stopped_and_not_recovered(world: World) -> Non
 async def test_a_new_command_takes_the_place_of_the_recovery(world: World) -> None:
     robot, admin = scripted(world), world.client(ADMIN)
     await lose(world, admin)
-    robot.reachable = True
+    robot.lost = ""
     robot.host.report(None)
     go = admin.send(type="execute", path="/tenant/alpha/action/r1/cut_in", body=1)
     async with asyncio.timeout(BOUND):
@@ -99,7 +99,7 @@ async def test_a_recovery_that_fails_is_tried_again(world: World) -> None:
     await lose(world, admin)
     robot.host.link_restored()  # heard, and lost again at once
     robot.host.report(None)
-    robot.reachable = True
+    robot.lost = ""
     async with asyncio.timeout(BOUND):
         await robot.recovered.wait()
 

@@ -26,8 +26,7 @@ class Torso(Scripted):
     """The robot's other backend."""
 
     def declare(self) -> None:
-        self.script()
-        self.host.declare(
+        self.add(
             Resource(
                 name="actuator/torso",
                 description="Turns.",
@@ -77,7 +76,7 @@ async def test_a_stop_of_one_backend_stops_and_holds_the_whole_robot(parts: Part
 
 async def test_a_robot_is_not_confirmed_while_one_of_its_backends_is_not(parts: Parts) -> None:
     world, base, _, _ = parts
-    base.reachable = False
+    base.lost = "the link is cut"
     answer = await estop(world.client(ADMIN), scope="torso", deadline=0.2)
     assert answer["error"]["code"] == "device_timeout"
     assert set(answer["error"]["details"]["robots"]) == {"base"}
@@ -89,10 +88,10 @@ async def test_a_lapsed_velocity_that_cannot_be_stopped_halts_the_other_backends
     world, base, torso, other = parts
     admin = world.client(ADMIN)
     await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=0.05)
-    base.reachable = False
+    base.lost = "the link is cut"
     await until_sent(torso, "halt")
     assert other.halts == 0
-    base.reachable = True
+    base.lost = ""
     await until_sent(base, "write 0")
     halts = torso.halts
     assert (await admin.ask(type="write", path=TORSO, body=1.0))["status"] == "completed"

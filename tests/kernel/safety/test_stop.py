@@ -68,12 +68,12 @@ async def test_a_robot_that_goes_on_is_named_and_the_stop_is_repeated(world: Wor
 
 async def test_a_robot_that_cannot_be_reached_is_not_confirmed_until_it_can(world: World) -> None:
     robot, admin = scripted(world), world.client(ADMIN)
-    robot.reachable = False
+    robot.lost = "the link is cut"
     answer = await estop(admin, deadline=SHORT)
     assert answer["error"]["code"] == "device_timeout"
     assert answer["error"]["details"]["robots"]["r1"]["state"] == "requested"
     assert "the link is cut" in answer["error"]["message"]
-    robot.reachable = True
+    robot.lost = ""
     robot.host.link_restored()
     assert robot.sent == ["hold_stop"], "the stop is not what reached it first"
     assert (await shows(admin, lambda r: r["state"] == "confirmed"))["detail"] is None
@@ -84,11 +84,11 @@ async def test_a_link_that_is_down_gets_the_stop_from_within_the_call_that_resto
     world: World,
 ) -> None:
     robot, admin = scripted(world), world.client(ADMIN)
-    robot.reachable = False
+    robot.lost = "the link is cut"
     robot.host.report("the link is cut", down=True)
     answer = await estop(admin, deadline=SHORT)
     assert answer["error"]["details"]["robots"]["r1"]["state"] == "requested"
-    robot.reachable = True
+    robot.lost = ""
     robot.host.link_restored()
     assert robot.sent == ["hold_stop"]
     robot.host.report(None)
@@ -98,10 +98,10 @@ async def test_a_link_that_is_down_gets_the_stop_from_within_the_call_that_resto
 async def test_a_confirmed_robot_whose_link_is_lost_is_confirmed_no_longer(world: World) -> None:
     robot, admin = scripted(world), world.client(ADMIN)
     assert (await estop(admin))["status"] == "completed"
-    robot.reachable = False
+    robot.lost = "the link is cut"
     told = await shows(admin, lambda r: r["state"] != "confirmed")
     assert (told["detail"], told["alarm"]) == ("the link is cut", False)
-    robot.reachable = True
+    robot.lost = ""
     await shows(admin, lambda r: r["state"] == "confirmed")
 
 

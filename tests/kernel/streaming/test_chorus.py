@@ -189,7 +189,7 @@ class Frame:
 
 
 async def test_native_bytes_are_shared_too_and_named_once(world: World) -> None:
-    world.robot.host.declare(
+    world.robot.add(
         Resource(name="sensor/frame", description="A frame.", value=str, native="frame", live=True)
     )
     path = "/tenant/alpha/sensor/frame"

@@ -8,9 +8,8 @@ import msgspec
 import pytest
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BaseBackend, Host, Progress
-from rcp_kernel.testing import OPERATOR, serve_backend
-from rcp_kernel.testing._client import MemoryClient
+from rcp_kernel.spi import Host, Progress
+from rcp_kernel.testing import OPERATOR, MemoryClient, ScriptedRobot, serve_backend
 from rcp_kernel.values import DEPTH, Encoding
 
 pytestmark = pytest.mark.anyio
@@ -23,27 +22,23 @@ class Node(msgspec.Struct):
     under: list[Node] = []
 
 
-class Anything(BaseBackend):
-    """Takes what it is given."""
-
-    async def write(self, name: str, value: Any) -> Any:
-        return None
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        return value
+async def echo(value: Any, progress: Progress) -> Any:
+    return value
 
 
 @asynccontextmanager
-async def anything(_config: msgspec.Struct, host: Host) -> AsyncGenerator[Anything]:
-    host.declare(
+async def anything(_config: msgspec.Struct, host: Host) -> AsyncGenerator[ScriptedRobot]:
+    robot = ScriptedRobot(
+        host,
         Resource(name="param/any", description="Anything.", value=Any),
         Resource(name="param/map", description="A map.", value=dict[str, Any]),
         Resource(name="param/node", description="A tree.", value=Node),
         Resource(name="sensor/x", description="A number.", value=float, live=True),
         Resource(name="service/echo", description="Echoes.", input=Any, output=Any),
+        behaviours={"service/echo": echo},
     )
-    host.publish("sensor/x", 1.0)
-    yield Anything()
+    robot.measure("sensor/x", 1.0)
+    yield robot
 
 
 def nested(encoding: Encoding, kind: str, depth: int) -> bytes:

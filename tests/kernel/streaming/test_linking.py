@@ -29,7 +29,7 @@ class Many(Robot):
     def declare(self) -> None:
         """Put them into the tree, each with a value."""
         for name in self.names():
-            self.host.declare(Resource(name=name, description="A level.", value=int, live=True))
+            self.add(Resource(name=name, description="A level.", value=int, live=True))
             self.host.publish(name, 1)
 
     def names(self) -> list[str]:
@@ -253,7 +253,7 @@ async def test_what_goes_from_the_tree_meanwhile_is_told_of() -> None:
         client = listening(world)
         await client.final(client.send(type="subscribe", id="some", path="/sensor/**"))
         last = f"sensor/level-{PATHS - 1:05}"
-        robot_of(world).host.withdraw(last)
+        robot_of(world).remove(last)
         told = await client.notice("resource_removed")
         assert told["path"].endswith(last)
         host = robot_of(world).host

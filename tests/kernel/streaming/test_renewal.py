@@ -36,7 +36,7 @@ class Many(Robot):
         """Put them into the tree."""
         for number in range(PATHS):
             name = f"sensor/{'odd' if number % 2 else 'even'}/level-{number:05}"
-            self.host.declare(Resource(name=name, description="A level.", value=int, live=True))
+            self.add(Resource(name=name, description="A level.", value=int, live=True))
 
 
 def linked(world: World) -> set[str]:

@@ -160,14 +160,14 @@ async def test_a_duration_ends_the_subscription_by_itself(world: World) -> None:
 async def test_a_pattern_takes_in_what_appears_later_and_tells_of_both(world: World) -> None:
     client = world.client()
     id_ = await subscribed(client, "/sensor/**")
-    world.robot.host.declare(
+    world.robot.add(
         Resource(name="sensor/new/thing", description="New.", value=quantity("1"), live=True)
     )
     assert (await client.notice("resource_added"))["path"] == "/tenant/alpha/sensor/new/thing"
     world.robot.host.publish("sensor/new/thing", 5.0)
     update = await client.until(lambda m: m["type"] == "update" and m["path"].endswith("thing"))
     assert (update["id"], update["body"]) == (id_, 5.0)
-    world.robot.host.withdraw("sensor/new/thing")
+    world.robot.remove("sensor/new/thing")
     assert (await client.notice("resource_removed"))["path"] == "/tenant/alpha/sensor/new/thing"
 
 

@@ -110,7 +110,7 @@ async def begun(client: httpx.AsyncClient, site: Site, params: dict[str, Any]) -
     configuration["returnImmediately"] = True
     id_ = (await sent(client, params))["id"]
     async with asyncio.timeout(BOUND):
-        await site.robot.started.wait()
+        await site.robot.started.get()
     return id_
 
 
@@ -204,7 +204,7 @@ async def test_a_dry_run_tells_what_would_be_sent_and_moves_nothing(
     assert state(task) == "COMPLETED"
     (check,) = task["artifacts"]
     assert check["parts"][0]["data"]["steps"][0]["path"] == "/tenant/alpha/action/go"
-    assert not gateway.robot.started.is_set()
+    assert gateway.robot.started.empty()
 
 
 async def test_a_plan_with_faults_is_rejected_with_all_of_them(
@@ -224,14 +224,14 @@ async def test_a_plan_with_faults_is_rejected_with_all_of_them(
         ("2", "unknown_path"),
         ("3", "out_of_range"),
     ]
-    assert not gateway.robot.started.is_set()
+    assert gateway.robot.started.empty()
 
 
 async def test_who_may_only_look_is_refused_by_a_rejected_task(gateway: Site) -> None:
     async with caller(gateway, None) as client:
         task = await sent(client, text(GO))
         assert state(task) == "REJECTED"
-        assert not gateway.robot.started.is_set()
+        assert gateway.robot.started.empty()
 
 
 async def test_a_plan_never_leaves_the_tenants_of_its_sender(gateway: Site) -> None:
@@ -260,7 +260,7 @@ async def test_a_stream_ends_with_the_cancel_of_another_connection(
 ) -> None:
     async with streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream:
         id_ = (await stream.until("WORKING"))["taskId"]
-        await gateway.robot.started.wait()
+        await gateway.robot.started.get()
         answer = await rpc(client, "CancelTask", id=id_)
         assert state(answer["result"]) == "CANCELED"
         await stream.until("CANCELED")
@@ -272,7 +272,7 @@ async def test_a_task_goes_on_without_its_client_and_is_followed_again(
 ) -> None:
     async with streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream:
         id_ = (await stream.until("WORKING"))["taskId"]
-    await gateway.robot.started.wait()
+    await gateway.robot.started.get()
     async with streamed(client, "GET", f"/a2a/tasks/{id_}:subscribe") as stream:
         first = await stream.next()
         assert first is not None
@@ -298,7 +298,7 @@ async def test_a_stop_of_the_gateway_ends_streams_and_tells_why() -> None:
             streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream,
         ):
             await stream.until("WORKING")
-            await site.robot.started.wait()
+            await site.robot.started.get()
             async with asyncio.timeout(BOUND):
                 ending = asyncio.ensure_future(stack.aclose())
                 await stream.rest()
@@ -393,7 +393,7 @@ async def test_an_approval_is_asked_for_and_given_by_the_client_where_a_rule_let
         task = await sent(client, text(GO))
         assert state(task) == "INPUT_REQUIRED"
         assert facts(task)["question"] == "approval"
-        assert not careful.robot.started.is_set()
+        assert careful.robot.started.empty()
         useless = await sent(client, data({"decision": "perhaps"}, taskId=task["id"]))
         assert state(useless) == "INPUT_REQUIRED"
         done = await sent(client, data({"decision": "approve"}, taskId=task["id"]))
@@ -405,7 +405,7 @@ async def test_a_client_never_approves_its_own_without_such_a_rule(careful: Site
         task = await sent(client, text(GO))
         again = await sent(client, text("approve", taskId=task["id"]))
         assert state(again) == "INPUT_REQUIRED"
-        assert not careful.robot.started.is_set()
+        assert careful.robot.started.empty()
         decided = await boss.post(
             "/rcp/v1/context/system/approvals?wait=5",
             json={"id": facts(task)["approval"], "decision": "approve"},
@@ -422,7 +422,7 @@ async def test_a_rejected_approval_ends_the_task_with_the_reason(careful: Site) 
         over = await sent(client, data(no, taskId=task["id"]))
         assert state(over) == "REJECTED"
         assert "people are near" in said(over)
-        assert not careful.robot.started.is_set()
+        assert careful.robot.started.empty()
 
 
 async def test_nothing_of_a_run_is_left_behind(gateway: Site, client: httpx.AsyncClient) -> None:

@@ -8,7 +8,6 @@ import pytest
 
 from plugins.a2a.agent import agent, caller, data, rpc, sent, text
 from plugins.a2a.test_runs import said, state
-from rcp_kernel.errors import AdapterUnavailable
 from transports.robot import until
 
 pytestmark = pytest.mark.anyio
@@ -81,15 +80,9 @@ async def test_a_robot_is_held_without_a_latch() -> None:
         assert told.json()["body"]["active"] is False
 
 
-async def test_a_stop_that_nobody_confirms_fails_and_names_the_robot(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_stop_that_nobody_confirms_fails_and_names_the_robot() -> None:
     async with agent() as site, caller(site) as client:
-
-        async def unreachable() -> None:
-            raise AdapterUnavailable("no heartbeat for 4 s")
-
-        monkeypatch.setattr(site.robot, "halt", unreachable)
+        site.robot.lose("no heartbeat for 4 s")
         task = await sent(client, text('execute /system/estop {"scope": "/tenant/alpha"}'))
         assert state(task) == "FAILED"
         written = json.dumps(task)

@@ -18,7 +18,7 @@ from rcp_a2a.callers import CALLER, Caller
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.tasks import Tasks
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.clock import now
+from rcp_kernel.clock import SYSTEM_CLOCK, now
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.disk_store import DiskStore
@@ -41,7 +41,9 @@ async def kept(path: Path, **config: Any) -> AsyncGenerator[Tasks]:
 
 
 def called_by(name: str, tenant: str = "alpha") -> ServerCallContext:
-    session = Session(Principal(name, (("*", ())), "key"), Rights((), {}), tenant, "a2a")
+    session = Session(
+        Principal(name, (("*", ())), "key"), Rights((), {}), tenant, "a2a", clock=SYSTEM_CLOCK
+    )
     return ServerCallContext(state={CALLER: Caller(session, "http://here")})
 
 

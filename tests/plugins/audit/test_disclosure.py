@@ -101,7 +101,7 @@ class Talking(Robot):
 
     def declare(self) -> None:
         super().declare()
-        self.host.declare(
+        self.add(
             Resource(name="service/secret", description="Answers.", input=str, output=str),
             Resource(name="sensor/hush", description="Quiet.", value=float, live=True),
         )

@@ -15,7 +15,8 @@ from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.spi import BackendKind, Host, Progress
+from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import value_type
 
@@ -61,92 +62,68 @@ class NoOptions(msgspec.Struct):
     """There is nothing to configure."""
 
 
-class Robot(BaseBackend):
-    """Publishes, waits and answers as its test wants."""
+RESOURCES = (
+    Resource(
+        name="sensor/count",
+        description="Counts up.",
+        value=quantity("1", int),
+        live=True,
+        history=1000,
+    ),
+    Resource(name="sensor/point", description="A point.", value=Point, live=True),
+    Resource(name="sensor/blob", description="Many bytes.", value=bytes, live=True),
+    Resource(name="event/alarm", description="An alarm.", value=str, live=True),
+    Resource(
+        name="param/limit",
+        description="A limit.",
+        value=quantity("m/s", ge=0, le=2.5),
+        examples=(1.0,),
+    ),
+    Resource(name="param/label", description="A label.", value=str),
+    Resource(
+        name="actuator/drive",
+        description="A drive.",
+        value=Twist,
+        valid_for=5.0,
+        safe=Twist(),
+        max_age=2.0,
+    ),
+    Resource(
+        name="action/go",
+        description="Goes.",
+        input=Point,
+        output=Point,
+        feedback=quantity("m"),
+        policy="parallel",
+    ),
+    Resource(name="service/echo", description="Answers.", input=bytes, output=bytes),
+)
+
+
+class Robot(ScriptedRobot):
+    """Counts as its test wants; its action goes on until released."""
 
     def __init__(self, host: Host) -> None:
-        self._host = host
-        self.values: dict[str, Any] = {"param/limit": 1.5, "param/label": "crate"}
-        self.writes: list[Any] = []
-        self.started: list[Any] = []
-        self.go = asyncio.Event()
-        """Lets commands go to their end."""
-        self.moving = asyncio.Event()
-        """A command has begun."""
-        self.stopped = asyncio.Event()
-        """A command was cancelled."""
+        super().__init__(host, *RESOURCES, values={"param/limit": 1.5, "param/label": "crate"})
+        self.behaviours |= {"action/go": self.go, "service/echo": echo}
         self.published = 0
-
-    def declare(self) -> None:
-        self._host.declare(
-            Resource(
-                name="sensor/count",
-                description="Counts up.",
-                value=quantity("1", int),
-                live=True,
-                history=1000,
-            ),
-            Resource(name="sensor/point", description="A point.", value=Point, live=True),
-            Resource(name="sensor/blob", description="Many bytes.", value=bytes, live=True),
-            Resource(name="event/alarm", description="An alarm.", value=str, live=True),
-            Resource(
-                name="param/limit",
-                description="A limit.",
-                value=quantity("m/s", ge=0, le=2.5),
-                examples=(1.0,),
-            ),
-            Resource(name="param/label", description="A label.", value=str),
-            Resource(
-                name="actuator/drive",
-                description="A drive.",
-                value=Twist,
-                valid_for=5.0,
-                safe=Twist(),
-                max_age=2.0,
-            ),
-            Resource(
-                name="action/go",
-                description="Goes.",
-                input=Point,
-                output=Point,
-                feedback=quantity("m"),
-                policy="parallel",
-            ),
-            Resource(name="service/echo", description="Answers.", input=bytes, output=bytes),
-        )
 
     def publish(self, times: int = 1) -> None:
         """Publish the next numbers of `sensor/count`."""
         for _ in range(times):
             self.published += 1
-            self._host.publish("sensor/count", self.published)
+            self.host.publish("sensor/count", self.published)
 
     def say(self, name: str, value: Any) -> None:
-        self._host.publish(name, value)
+        self.host.publish(name, value)
 
-    async def read(self, name: str) -> Any:
-        return self.values[name]
-
-    async def write(self, name: str, value: Any) -> Any:
-        self.writes.append(value)
-        if name in self.values:
-            self.values[name] = value
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        self.started.append(value)
-        if name == "service/echo":
-            return value
+    async def go(self, value: Point, progress: Progress) -> Any:
         progress(value.x / 2, fraction=0.5)
-        self.moving.set()
-        try:
-            await self.go.wait()
-        except asyncio.CancelledError:
-            self.stopped.set()
-            raise
-        return value
+        return await self.wait(value, progress)
 
-    async def halt(self) -> None:
-        pass
+
+async def echo(value: Any, progress: Progress) -> Any:
+    return value
 
 
 class Gateway:
@@ -204,9 +181,8 @@ class Gateway:
     @asynccontextmanager
     async def _open(self, _config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
         await self.opens.wait()
-        robot = self.robots[host.tenant] = Robot(host)
-        robot.declare()
-        yield robot
+        self.robots[host.tenant] = Robot(host)
+        yield self.robots[host.tenant]
 
     async def __aenter__(self) -> Self:
         await self.start()

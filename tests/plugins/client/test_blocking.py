@@ -85,7 +85,7 @@ def test_a_command_is_followed_or_cancelled(running: Running, robot: Robot) -> N
     assert robot.cancel(handle.id or "") == [handle.id]
     with pytest.raises(Cancelled):
         handle.result()
-    running.do(running.gateway.robot.go.set)
+    running.do(running.gateway.robot.release.set)
     assert robot.execute("/action/go", {"x": 2.0}) == {"x": 2.0, "y": 0.0}
     handle = robot.start("/action/go", {"x": 3.0})
     assert [item.status for item in handle][-1] == "in_progress"

@@ -98,13 +98,13 @@ async def test_a_dry_run_changes_nothing(gateway: Gateway, connect: Connect) -> 
         assert await client.execute("/action/go", {"x": 1.0}, dry_run=True) is not None
         with pytest.raises(OutOfRange):
             await client.write("/param/limit", 9, dry_run=True)
-        assert (gateway.robot.writes, gateway.robot.started) == ([], [])
+        assert (gateway.robot.writes, gateway.robot.ran) == ([], [])
 
 
 async def test_structs_are_sent_as_they_are(gateway: Gateway, connect: Connect) -> None:
     async with asyncio.timeout(BOUND), connect(gateway) as client:
         await client.write("/actuator/drive", Twist(), valid_for=1.0)
-        assert gateway.robot.writes == [Twist()]
+        assert gateway.robot.writes == [("actuator/drive", Twist())]
 
 
 async def test_a_command_tells_of_its_course(
@@ -114,8 +114,8 @@ async def test_a_command_tells_of_its_course(
     async with asyncio.timeout(BOUND), connect(gateway, encoding=encoding) as client:
         handle = await client.start("/action/go", {"x": 4.0}, on_feedback=heard.append, type=Point)
         assert handle.id is not None
-        await gateway.robot.moving.wait()
-        gateway.robot.go.set()
+        await gateway.robot.started.get()
+        gateway.robot.release.set()
         steps = [(item.status, item.body, item.progress) async for item in handle]
         assert steps == [("accepted", None, None), ("in_progress", 2.0, 0.5)]
         assert await handle.result() == Point(4.0)
@@ -145,11 +145,11 @@ async def test_who_stops_waiting_has_the_command_cancelled(
 ) -> None:
     async with asyncio.timeout(BOUND), connect(gateway) as client:
         running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
-        await gateway.robot.moving.wait()
+        await gateway.robot.started.get()
         running.cancel()
         with pytest.raises(asyncio.CancelledError):
             await running
-        await gateway.robot.stopped.wait()
+        await gateway.robot.stopped.get()
 
 
 async def test_who_stops_waiting_before_the_answer_has_it_cancelled_too(
@@ -161,7 +161,7 @@ async def test_who_stops_waiting_before_the_answer_has_it_cancelled_too(
         running.cancel()
         with pytest.raises(asyncio.CancelledError):
             await running
-        await gateway.robot.stopped.wait()
+        await gateway.robot.stopped.get()
 
 
 async def test_a_command_keeps_to_its_deadline(gateway: Gateway, connect: Connect) -> None:
@@ -174,11 +174,11 @@ async def test_a_key_that_was_used_gives_the_first_outcome(
     gateway: Gateway, connect: Connect
 ) -> None:
     async with asyncio.timeout(BOUND), connect(gateway) as client:
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         for _ in range(2):
             assert await client.execute("/action/go", {"x": 1.0}, idempotency_key="k") is not None
             await client.write("/param/limit", 1.0, idempotency_key="w")
-        assert len(gateway.robot.started) == 1
+        assert len(gateway.robot.ran) == 1
         assert len(gateway.robot.writes) == 1
 
 
@@ -236,7 +236,7 @@ async def test_relative_paths_mean_the_chosen_tenant(gateway: Gateway, connect: 
     async with asyncio.timeout(BOUND), connect(gateway, tenant="beta") as client:
         assert client.greeting["tenant"] == "beta"
         await client.write("/param/limit", 0.25)
-        assert gateway.robots["beta"].writes == [0.25]
+        assert gateway.robots["beta"].writes == [("param/limit", 0.25)]
     with pytest.raises(Forbidden):
         async with connect(gateway, tenant="gamma"):
             pass
@@ -325,7 +325,7 @@ async def test_a_closed_client_says_so(gateway: Gateway, connect: Connect) -> No
         await client.ping()
     with pytest.raises(ConnectionLost, match="closed"):
         await handle.result()
-    gateway.robot.go.set()
+    gateway.robot.release.set()
 
 
 @pytest.mark.parametrize("text", ["ftp://here", "http://", "http://here:port", ""])

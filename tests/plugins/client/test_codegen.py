@@ -144,7 +144,7 @@ async def test_a_python_client_runs_and_passes_pyright(
         alpha, system = module.Alpha(client), module.System(client)
         assert await alpha.read_limit() == 1.5
         assert await alpha.write_limit(0.5) == 0.5
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         assert await alpha.execute_go({"x": 2.0}) == {"x": 2.0, "y": 0.0}
         handle = await alpha.start_go({"x": 3.0})
         assert await handle.result() == {"x": 3.0, "y": 0.0}
@@ -191,7 +191,7 @@ async def test_a_typescript_client_runs(tmp_path: Path, connect: Callable[..., C
         async with connect(gateway) as client:
             text = generate("typescript", await client.discover("/**"), gateway.url)
         (tmp_path / "generated.ts").write_text(text + _USE)
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         gateway.robot.say("sensor/point", Point(7.0))
         env = {"URL": gateway.url, "TOKEN": OPERATOR}
         shown = await asyncio.to_thread(run_node, tmp_path / "generated.ts", **env)

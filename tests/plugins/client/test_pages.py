@@ -24,7 +24,7 @@ def names(gateway: Gateway) -> list[str]:
     """As many parameters as an ArduCopter has, by their paths."""
     found = [f"param/many/p{number:04}" for number in range(1348)]
     robot = gateway.robot
-    robot._host.declare(
+    robot.add(
         *(Resource(name=name, description="One of many.", value=float, live=True) for name in found)
     )
     for name in found:

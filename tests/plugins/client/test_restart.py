@@ -50,16 +50,16 @@ async def test_a_command_is_found_again_from_a_new_session() -> None:
         connect(proxy.url, token=OPERATOR, on_notice=heard) as client,
     ):
         running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
-        await gateway.robot.moving.wait()
+        await gateway.robot.started.get()
         gone = _sessions_that_end(gateway)
         proxy.refuse = True
         proxy.cut()
         await gone.wait()
         proxy.refuse = False
         await heard.until("reconnected")
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         assert await running == {"x": 1.0, "y": 0.0}
-        assert gateway.robot.started == [Point(1.0)]
+        assert gateway.robot.ran == [("action/go", Point(1.0))]
 
 
 def _sessions_that_end(gateway: Gateway) -> asyncio.Event:
@@ -103,7 +103,7 @@ async def test_a_command_of_an_earlier_life_is_never_run_again() -> None:
         connect(proxy.url, token=OPERATOR, on_notice=heard) as client,
     ):
         running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
-        await gateway.robot.moving.wait()
+        await gateway.robot.started.get()
         proxy.mute = "down"  # whatever the gateway says of its end
         await gateway.stop()
         await heard.until("disconnected")
@@ -111,7 +111,7 @@ async def test_a_command_of_an_earlier_life_is_never_run_again() -> None:
         await gateway.start()
         with pytest.raises(ConnectionLost, match="is unknown whether"):
             await running
-        assert gateway.robot.started == []
+        assert gateway.robot.ran == []
 
 
 async def test_what_a_restarted_gateway_remembers_of_a_command_is_its_outcome(
@@ -126,16 +126,16 @@ async def test_what_a_restarted_gateway_remembers_of_a_command_is_its_outcome(
         connect(proxy.url, token=OPERATOR, on_notice=heard) as client,
     ):
         running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
-        await gateway.robot.moving.wait()
+        await gateway.robot.started.get()
         proxy.mute = "down"
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         await proxy.swallowed.wait()
         await gateway.stop()
         await heard.until("disconnected")
         proxy.mute = None
         await gateway.start()
         assert await running == {"x": 1.0, "y": 0.0}
-        assert gateway.robot.started == []
+        assert gateway.robot.ran == []
 
 
 async def test_a_session_outlives_its_gateway_and_its_subscription_goes_on(

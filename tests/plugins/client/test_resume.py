@@ -113,12 +113,12 @@ async def test_a_command_goes_on_while_its_client_is_away(
     heard = Heard()
     async with asyncio.timeout(BOUND), connect(proxy, on_notice=heard) as client:
         running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}, type=Point))
-        await gateway.robot.moving.wait()
+        await gateway.robot.started.get()
         proxy.cut()
         await heard.until("reconnected")
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         assert await running == Point(1.0)
-    assert gateway.robot.started == [Point(1.0)]
+    assert gateway.robot.ran == [("action/go", Point(1.0))]
 
 
 async def test_commands_that_were_accepted_are_not_sent_again_to_the_session_that_tells_of_them(
@@ -137,7 +137,7 @@ async def test_commands_that_were_accepted_are_not_sent_again_to_the_session_tha
             proxy.cut()
             await heard.until("reconnected", cut)
             await client.ping()  # whatever was sent before is answered
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         assert [(await command.result())["x"] for command in running] == [0.0, 1.0, 2.0, 3.0]
 
 
@@ -150,7 +150,7 @@ async def test_a_result_that_came_while_away_is_heard_on_return(
         proxy.refuse = True
         proxy.cut()
         await heard.until("disconnected")
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         proxy.refuse = False
         assert await handle.result() == {"x": 2.0, "y": 0.0}
         assert len(await client.commands()) == 1
@@ -162,13 +162,13 @@ async def test_an_execute_without_an_answer_is_sent_again_and_run_once(
 ) -> None:
     """Whether the request or the answer to it was lost on the way."""
     async with asyncio.timeout(BOUND), connect(proxy) as client:
-        gateway.robot.go.set()
+        gateway.robot.release.set()
         proxy.mute = lost
         running = asyncio.create_task(client.execute("/action/go", {"x": 3.0}))
         await proxy.swallowed.wait()
         proxy.cut()
         assert await running == {"x": 3.0, "y": 0.0}
-    assert gateway.robot.started == [Point(3.0)]
+    assert gateway.robot.ran == [("action/go", Point(3.0))]
 
 
 @pytest.mark.parametrize("lost", ["up", "down"])
@@ -181,7 +181,7 @@ async def test_a_write_without_an_answer_is_sent_again_and_done_once(
         await proxy.swallowed.wait()
         proxy.cut()
         assert await writing == 0.5
-    assert gateway.robot.writes == [0.5]
+    assert gateway.robot.writes == [("param/limit", 0.5)]
 
 
 @pytest.mark.parametrize("lost", ["up", "down"])

@@ -88,9 +88,9 @@ async def test_a_hold_brings_a_robot_to_rest_and_latches_nothing(
 ) -> None:
     async with asyncio.timeout(BOUND), connect(gateway, tenant="alpha") as client:
         handle = await client.start("/action/go", {"x": 4.0})
-        await gateway.robot.moving.wait()
+        await gateway.robot.started.get()
         assert (await client.hold())["at_rest"] is True
-        assert gateway.robot.stopped.is_set()
+        assert gateway.robot.stopped.qsize()
         with pytest.raises(Exception, match="hold"):
             await handle.result()
         assert (await client.hold("/tenant/alpha"))["at_rest"] is True

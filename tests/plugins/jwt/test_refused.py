@@ -20,6 +20,7 @@ from rcp_jwt.config import JwtConfig
 from rcp_jwt.issuers import Issuers
 from rcp_jwt.webtokens import read_token, verify
 from rcp_kernel.app.server import prepare
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import (
     ConfigError,
@@ -169,14 +170,14 @@ _GOOD = jwt.encode(
 )
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_text_does_more_than_be_refused(text: str) -> None:
-    found = Issuers([_CONFIG], ["t"])
+    found = Issuers([_CONFIG], ["t"], SYSTEM_CLOCK)
     with pytest.raises(Unauthenticated):
         found.find("eyJ" + text, "digest")
 
 
 @given(st.integers(0, len(_GOOD) - 1), st.integers(1, 127))
 def test_no_token_stays_good_that_was_changed(place: int, flip: int) -> None:
-    found = Issuers([_CONFIG], ["t"])
+    found = Issuers([_CONFIG], ["t"], SYSTEM_CLOCK)
     changed = _GOOD[:place] + chr(ord(_GOOD[place]) ^ flip) + _GOOD[place + 1 :]
     try:
         principal: Any = found.find(changed, "digest")
@@ -205,7 +206,7 @@ def test_whatever_a_signed_claim_holds_it_is_told_by_an_error_of_the_contract(va
         tenant_claim="t",
         max_age=1e9,
     )
-    found = Issuers([config], ["t"])
+    found = Issuers([config], ["t"], SYSTEM_CLOCK)
     for claim in ("exp", "iat", "nbf", "aud", "sub", "r", "t"):
         claims = {"iss": "i", "aud": "a", "sub": "s", "exp": 4_000_000_000, "iat": 1_700_000_000}
         head, body = (
@@ -272,5 +273,5 @@ def test_a_private_key_is_refused_and_not_shown() -> None:
 
     pem = _KEY.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
     with pytest.raises(ConfigError, match="private key") as refused:
-        Issuers([JwtConfig(issuer="i", audience="a", keys=pem, role="viewer")], [])
+        Issuers([JwtConfig(issuer="i", audience="a", keys=pem, role="viewer")], [], SYSTEM_CLOCK)
     assert pem.splitlines()[1] not in str(refused.value)

@@ -63,7 +63,7 @@ async def test_the_person_at_the_client_is_asked_and_lets_it_pass(
     question = asked["inputRequests"]["approval"]
     assert question["method"] == "elicitation/create"
     assert '/tenant/alpha/action/go with {"x":1}' in question["params"]["message"]
-    assert not made.robot.started.is_set()
+    assert made.robot.started.empty()
     done = await agent.ask(
         "tools/call", **GO, inputResponses={"approval": YES}, requestState=asked["requestState"]
     )
@@ -105,7 +105,7 @@ async def test_anything_but_a_yes_is_a_no(
         "tools/call", **GO, inputResponses={"approval": answer}, requestState=asked["requestState"]
     )
     assert code(done) == "forbidden"
-    assert not made.robot.started.is_set()
+    assert made.robot.started.empty()
     assert code(await agent.ask("tools/call", **GO)) == "forbidden"
 
 
@@ -122,7 +122,7 @@ async def test_an_answer_counts_for_what_was_asked_only(made: Site, agent: Calle
     async with caller(made, CAREFUL, elicitation={}) as stranger:
         stolen = await stranger.send("tools/call", **GO, inputResponses=answers, requestState=state)
         assert stolen["error"]["code"] == -32602
-    assert not made.robot.started.is_set()
+    assert made.robot.started.empty()
 
 
 async def test_where_the_rules_want_another_person_nobody_is_asked_here(made: Site) -> None:

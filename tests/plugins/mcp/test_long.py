@@ -15,7 +15,7 @@ PROGRESS = {"progressToken": "p"}
 async def started(made: Site) -> None:
     """Wait until the robot goes."""
     async with asyncio.timeout(BOUND):
-        await made.robot.started.wait()
+        await made.robot.started.get()
 
 
 async def test_feedback_is_progress_that_rises_and_the_result_is_structured(
@@ -51,13 +51,13 @@ async def test_after_the_patience_there_is_a_command_to_ask_about_and_to_cancel(
     ended = await operator.call("cancel", command=facts["command"])
     assert ended["structuredContent"]["cancelled"] == [facts["command"]]
     async with asyncio.timeout(BOUND):
-        await gateway.robot.stopped.wait()
+        await gateway.robot.stopped.get()
 
 
 async def test_a_deadline_ends_the_action(gateway: Site, operator: Caller) -> None:
     result = await operator.call("action-go", x=4, deadline=0.2)
     assert result["structuredContent"]["error"]["code"] == "deadline_exceeded"
-    assert gateway.robot.stopped.is_set()
+    assert gateway.robot.stopped.qsize()
 
 
 async def leave(made: Caller, tool: str, **arguments: Any) -> None:
@@ -77,7 +77,7 @@ async def test_who_cancels_the_call_stops_the_robot(gateway: Site, operator: Cal
     assert "Cancelling the call stops the robot." in tool["description"]
     await leave(operator, "action-go", x=4)
     async with asyncio.timeout(BOUND):
-        await gateway.robot.stopped.wait()
+        await gateway.robot.stopped.get()
 
 
 async def test_an_action_keeps_going_by_rule_and_its_tool_says_so() -> None:
@@ -90,5 +90,5 @@ async def test_an_action_keeps_going_by_rule_and_its_tool_says_so() -> None:
         await leave(client, "action-go", x=4)
         running = (await client.call("status"))["structuredContent"]["running"]
         assert len(running) == 1
-        assert not made.robot.stopped.is_set()
+        assert made.robot.stopped.empty()
         made.robot.release.set()

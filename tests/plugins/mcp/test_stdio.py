@@ -94,12 +94,12 @@ async def test_a_newer_client_calls_and_cancels(gateway: Site, key: str) -> None
         params = {"name": "action-go", "arguments": {"x": 2}, "meta": {"progressToken": 7}}
         one.say(writer.body("tools/call", params) | {"id": 5})
         async with asyncio.timeout(BOUND):
-            await gateway.robot.started.wait()
+            await gateway.robot.started.get()
         assert (await one.hear())["method"] == "notifications/progress"
         cancelled = {"requestId": 5, "reason": "enough"}
         one.say({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": cancelled})
         async with asyncio.timeout(BOUND):
-            await gateway.robot.stopped.wait()
+            await gateway.robot.stopped.get()
 
 
 async def test_a_gateway_that_is_away_is_told_and_found_again_later(unused_tcp_port: int) -> None:

@@ -73,7 +73,7 @@ async def test_cancelling_a_task_stops_the_robot(gateway: Site, client: Client) 
     answer = await client.task("cancel", made["taskId"])
     assert answer["result"]["resultType"] == "complete"
     assert (await client.ended(made["taskId"]))["status"] == "cancelled"
-    assert gateway.robot.stopped.is_set()
+    assert gateway.robot.stopped.qsize()
     assert "result" in await client.task("cancel", made["taskId"])
 
 

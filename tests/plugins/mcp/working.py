@@ -40,7 +40,7 @@ class Worker(Robot):
 
     def __init__(self, host: Host) -> None:
         super().__init__(host)
-        host.declare(
+        self.add(
             Resource(
                 name="action/slow_compute",
                 description="Takes a while.",

@@ -270,6 +270,6 @@ async def test_a_reload_of_envelopes_acts_at_once() -> None:
 async def test_a_resource_that_is_declared_anew_is_bound_anew() -> None:
     async with fenced(SLOW) as world:
         client, robot = world.client(AGENT), world.robot
-        robot.host.withdraw("actuator/drive")
+        robot.remove("actuator/drive")
         robot.declare()
         assert code(await drive(client, 0.9)) == "out_of_range"

@@ -33,9 +33,7 @@ class Large(Robot):
     def declare(self) -> None:
         super().declare()
         for number in range(MANY):
-            self.host.declare(
-                Resource(name=f"param/p{number}", description="A number.", value=float)
-            )
+            self.add(Resource(name=f"param/p{number}", description="A number.", value=float))
 
 
 @contextmanager

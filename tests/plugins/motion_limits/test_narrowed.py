@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from kernel.fenced import AGENT, BLIND, OPERATOR, fenced, reconfigured
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.errors import InvalidValue, OutOfRange
 from rcp_kernel.model import Resource
 from rcp_kernel.tree.registry import Registry
@@ -79,14 +80,16 @@ def let_through(type_: Any, bounds: dict[str, Bound], plain: Any) -> bool:
     """Ask the type and the envelope themselves."""
     owner: Any = SimpleNamespace(name="o", unit=lambda _: None)
     resource = Resource(name="actuator/it", description="It.", value=type_)
-    entry = Registry().declare(owner, resource, tenant="t")
+    entry = Registry(SYSTEM_CLOCK).declare(owner, resource, tenant="t")
     table = EnvelopeConfig(name="e", paths=("/**",), bounds=bounds)
     nobody: Any = None
     robots: Any = SimpleNamespace(conditions=None)
     envelope = MotionLimit(table, entry, robots)
     assert envelope.fault is None
     try:
-        envelope.check(nobody, value_type(type_).convert(plain), CommandedValues())
+        envelope.check(
+            nobody, value_type(type_).convert(plain), CommandedValues(SYSTEM_CLOCK.monotonic)
+        )
     except (InvalidValue, OutOfRange):
         return False
     return True

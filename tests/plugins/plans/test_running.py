@@ -30,7 +30,7 @@ async def test_steps_follow_each_other_and_later_ones_use_results_of_earlier_one
 async def test_a_step_that_reads_more_than_a_page_says_so_and_a_later_one_reads_on() -> None:
     async with world_of() as world:
         names = [f"param/many/p{number:04}" for number in range(1348)]
-        world.robot.host.declare(
+        world.robot.add(
             *(Resource(name=n, description="One of many.", value=float, live=True) for n in names)
         )
         for name in names:
@@ -151,7 +151,7 @@ async def test_a_parallel_runs_no_more_at_once_than_its_limit() -> None:
         world.robot.release.set()
         assert await begun(world) == 6
         assert (await client.final(id_))["status"] == "completed"
-        assert world.robot.stopped == 0
+        assert world.robot.stopped.qsize() == 0
 
 
 async def test_the_first_failure_of_a_parallel_stops_the_others() -> None:
@@ -161,7 +161,7 @@ async def test_the_first_failure_of_a_parallel_stops_the_others() -> None:
         assert code(reply) == "device_rejected"
         assert states(reply)["1.1"] == "cancelled"
         assert states(reply)["2"] == "skipped"
-        assert world.robot.stopped == 1
+        assert world.robot.stopped.qsize() == 1
 
 
 async def test_a_parallel_that_needs_any_ends_with_the_first_that_completes() -> None:
@@ -172,7 +172,7 @@ async def test_a_parallel_that_needs_any_ends_with_the_first_that_completes() ->
         )
         assert reply["status"] == "completed"
         assert (states(reply)["1.1"], states(reply)["2"]) == ("cancelled", "completed")
-        assert world.robot.stopped == 1
+        assert world.robot.stopped.qsize() == 1
 
 
 async def test_a_parallel_that_needs_any_fails_when_all_have() -> None:
@@ -212,7 +212,7 @@ async def test_cancel_stops_a_step_whose_first_reply_waits_for_its_record(tmp_pa
         await begun(world)  # before the store has committed that the step was accepted
         await client.ask(type="cancel", path="/system/plans")
         assert (await client.final(id_))["status"] == "cancelled"
-        assert world.robot.stopped == 1
+        assert world.robot.stopped.qsize() == 1
 
 
 async def test_a_step_whose_condition_does_not_hold_is_skipped() -> None:
@@ -258,7 +258,7 @@ async def test_a_step_that_takes_longer_than_its_deadline_is_stopped(group: bool
             late = {"do": "sequence", "steps": [go(2.0)], "deadline": 0.1}
         reply = await run(world.client(), late)
         assert (reply["status"], code(reply)) == ("failed", "deadline_exceeded")
-        assert world.robot.stopped == 1
+        assert world.robot.stopped.qsize() == 1
 
 
 async def test_the_deadline_of_the_request_ends_the_plan() -> None:
@@ -267,7 +267,7 @@ async def test_the_deadline_of_the_request_ends_the_plan() -> None:
         reply = await run(client, go(2.0), echo(), deadline=0.1)
         assert (reply["status"], code(reply)) == ("failed", "deadline_exceeded")
         assert states(reply) == {"1": "cancelled", "2": "skipped"}
-    assert world.robot.stopped == 1
+    assert world.robot.stopped.qsize() == 1
 
 
 async def test_cancel_stops_what_runs_and_begins_nothing_more() -> None:
@@ -280,7 +280,7 @@ async def test_cancel_stops_what_runs_and_begins_nothing_more() -> None:
         reply = await client.final(id_)
         assert reply["status"] == "cancelled"
         assert states(reply) == {"1": "cancelled", "1.fallback.1": "skipped", "2": "skipped"}
-        assert world.robot.stopped == 1
+        assert world.robot.stopped.qsize() == 1
 
 
 async def test_an_estop_ends_plans_and_no_fallback_runs() -> None:

@@ -159,7 +159,7 @@ def _misspelt() -> Iterator[dict[str, Any]]:
 async def test_the_check_of_a_plan_takes_many_turns(made: Any) -> None:
     async with world_of() as world:
         names = (f"sensor/of-many/level-number-{number:04}" for number in range(1900))
-        world.robot.host.declare(
+        world.robot.add(
             *(Resource(name=n, description="One of many.", value=float, live=True) for n in names)
         )
         client, turns = world.client(), Turns()

@@ -1,4 +1,4 @@
-"""Typed clients written from what discovery says."""
+"""Typed clients generated from discovery."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ _WRITERS = {"python": write_python, "typescript": write_typescript}
 
 
 def generate(language: str, resources: list[ResourceInfo], url: str) -> str:
-    """Write a module of a language, `python` or `typescript`, for these resources."""
+    """Generate a module in `python` or `typescript` for these resources."""
     return _WRITERS[language](resources, url)

@@ -1,4 +1,4 @@
-"""A Python module: a TypedDict for each type, a class for each tenant, a method for each use."""
+"""Python output: a TypedDict per type, a class per tenant, a method per operation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RESERVED = (
 
 
 def write_python(resources: list[ResourceInfo], url: str) -> str:
-    """Write the module."""
+    """Generate the module."""
     types = Types()
     for word in _RESERVED:
         types.take_name(word)
@@ -84,7 +84,7 @@ def _record(record: Record) -> str:
 
 
 def _functional(record: Record) -> str:
-    """Write a record that has a field which is no name in Python."""
+    """Generate a record with field names that are not Python identifiers."""
     fields = ", ".join(f"{field.name!r}: {_field(field)!r}" for field in record.fields)
     return f"{record.name} = TypedDict({record.name!r}, {{{fields}}})"
 

@@ -1,6 +1,6 @@
-"""The types behind a catalogue: JSON Schemas boiled down to what languages have in common.
+"""The types of a catalogue: JSON Schemas reduced to what the target languages have in common.
 
-What the gateway sends has every field; what it takes may leave out those with a default. A type
+Values sent by the gateway have every field; values it accepts may omit those with a default. A type
 with such fields therefore has two forms, `Pose` and `PoseIn`.
 """
 
@@ -24,14 +24,14 @@ _ODD_FLOATS = {"NaN", "Infinity", "-Infinity"}
 
 @dataclass(frozen=True)
 class Shape:
-    """A type, whatever the language calls it."""
+    """A type, independent of the language."""
 
     kind: str
     """any, null, bool, int, float, str, bytes, literal, list, map, name, or union."""
     parts: tuple[Shape, ...] = ()
-    """Of a list or map its items, of a union its options."""
+    """Item type of a list or map, options of a union."""
     values: tuple[Any, ...] = ()
-    """Of a literal."""
+    """Values of a literal."""
     name: str = ""
 
 
@@ -47,7 +47,7 @@ class Field:
     shape: Shape
     optional: bool
     note: str
-    """Unit and description, in one line."""
+    """Unit and description, on one line."""
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Record:
 
 
 class Types:
-    """Every record of a catalogue, each under a name of its own."""
+    """All records of a catalogue, each with a unique name."""
 
     def __init__(self) -> None:
         self.records: dict[str, Record] = {}
@@ -68,7 +68,7 @@ class Types:
         self._taken: set[str] = set()
 
     def take_name(self, wanted: str) -> str:
-        """Reserve a name, with a number behind it if it is taken."""
+        """Reserve a name; append a number if it is taken."""
         name, count = wanted, 1
         while name in self._taken:
             count += 1
@@ -77,7 +77,7 @@ class Types:
         return name
 
     def shape(self, schema: dict[str, Any] | None, *, inward: bool) -> Shape:
-        """Return the type of a schema, as the gateway takes it (`inward`) or sends it."""
+        """Return the type of a schema, as the gateway accepts it (`inward`) or sends it."""
         if schema is None:
             return NULL
         return self._shape(schema, schema.get("$defs", {}), inward=inward)
@@ -114,7 +114,7 @@ class Types:
         for option in options:
             spelled = set(option.get("enum", ())) == _ODD_FLOATS
             digits = option.get("pattern", "").startswith(("^-?[0-9]{1,", "^[0-9]{1,"))
-            if spelled or digits:  # JSON's way of writing a number that it has no form for
+            if spelled or digits:  # alternative JSON spellings of numbers
                 continue
             shape = self._shape(option, defs, inward=inward)
             if shape not in found:
@@ -149,7 +149,7 @@ def _has_optional(node: dict[str, Any]) -> bool:
 
 
 def _reach(name: str, defs: dict[str, Any]) -> set[str]:
-    """Return the names that a definition is made of, its own included."""
+    """Return the names that a definition refers to, including itself."""
     found, waiting = set[str](), [name]
     while waiting:
         current = waiting.pop()
@@ -172,7 +172,7 @@ def _references(node: Any) -> Iterator[str]:
 
 
 def _digest(name: str, defs: dict[str, Any]) -> str:
-    """Tell definitions of one name apart by all that they are made of."""
+    """Return a digest that distinguishes definitions with the same name."""
     whole = {known: defs[known] for known in sorted(_reach(name, defs))}
     return hashlib.sha256(msgspec.json.encode(whole, order="sorted")).hexdigest()
 
@@ -185,26 +185,26 @@ def _note(node: dict[str, Any]) -> str:
 
 
 def one_line(text: str) -> str:
-    """Make a text safe for a comment: one line, nothing that could end it."""
+    """Make a text safe for a comment: one line, without comment delimiters."""
     plain = re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\s]+", " ", text).strip()
     return plain.replace("*/", "* /").replace("\\", "/").replace('"""', "'''")
 
 
 def identifier(text: str) -> str:
-    """Make a name that is good in every language out of any text."""
+    """Convert a text to an identifier that is valid in every target language."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_") or "_"
     return f"_{name}" if name[0].isdigit() else name + "_" * keyword.iskeyword(name)
 
 
 def class_name(text: str) -> str:
-    """Make a name for a class out of any text."""
+    """Convert a text to a class name."""
     parts = [part for part in re.split(r"[^A-Za-z0-9]+", text) if part]
     name = "".join(part[0].upper() + part[1:] for part in parts) or "Type"
     return f"T{name}" if name[0].isdigit() else name
 
 
 def groups(resources: list[ResourceInfo]) -> dict[str, list[tuple[str, ResourceInfo]]]:
-    """Sort resources by tenant, each with a short name that is its own there."""
+    """Group resources by tenant, each with a short name that is unique there."""
     sorted_: dict[str, list[ResourceInfo]] = {}
     for resource in resources:
         parts = resource.path.split("/")

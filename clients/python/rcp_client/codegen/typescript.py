@@ -1,8 +1,8 @@
-"""A TypeScript module: interfaces, maps from path to type, and a small client over HTTP and SSE.
+"""TypeScript output: interfaces, maps from path to type, and a small client over HTTP and SSE.
 
-The maps are also what the npm package `rcp-client` checks paths and values by.
+The npm package `rcp-client` uses the same maps to check paths and values.
 
-Only syntax that can be erased, so that Node and browsers' build tools run it as it is.
+Only erasable syntax is used, so that Node and bundlers run it unchanged.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _RESERVED = ("Values", "Writes", "Commands", "Gateway", "Update", "Reply", "Rcp"
 
 
 def write_typescript(resources: list[ResourceInfo], url: str) -> str:
-    """Write the module."""
+    """Generate the module."""
     types = Types()
     for word in _RESERVED:
         types.take_name(word)

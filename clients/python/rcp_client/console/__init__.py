@@ -1,1 +1,1 @@
-"""`rcpctl`, behind its command line."""
+"""The implementation of `rcpctl`."""

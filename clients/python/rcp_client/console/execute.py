@@ -1,4 +1,4 @@
-"""`rcpctl execute`: follow a command to its end, and let Ctrl-C stop the robot first."""
+"""`rcpctl execute`: follow a command to its end; the first Ctrl-C cancels it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _INTERRUPTED = 130
 
 
 async def execute(client: Client, out: Output, args: dict[str, Any]) -> int:
-    """Start a command, show its feedback, and say how it ended."""
+    """Start a command, show its feedback and its outcome."""
     path, text = args["path"], args["input"]
     value = None if text is None else await meant(client, path, text)
     if args["dry_run"]:
@@ -41,7 +41,7 @@ async def follow(
     ended: Callable[[Output, Reply], None] = show.reply,
     failed: Callable[[Output, RcpError], None] | None = None,
 ) -> int:
-    """Start a command and follow it to its end; the functions say how all that is shown."""
+    """Start a command and follow it to its end; the functions define how it is displayed."""
     run = _Run(client, out, args, value)
     run.told, run.ended, run.failed = told or _line, ended, failed
     with _interrupts(run):
@@ -49,7 +49,7 @@ async def follow(
 
 
 class _Run:
-    """One command and what Ctrl-C has asked for so far."""
+    """One command, and the Ctrl-Cs received so far."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class _Run:
         self._shows = args["wait"] and (not out.json if wanted is None else wanted)
         self._handle: CommandHandle | None = None
         self.asked = False
-        """Whether there was a Ctrl-C."""
+        """Whether Ctrl-C was pressed."""
         self._left = asyncio.Event()
         self._cancelling: asyncio.Task[None] | None = None
 
@@ -133,7 +133,7 @@ class _Run:
             out.line(f"{out.paint(feedback.status)} {out.dim(feedback.command or '')}".rstrip())
 
     def interrupted(self) -> None:
-        """Have the command cancelled the first time, leave the second."""
+        """Cancel the command on the first Ctrl-C, stop waiting on the second."""
         if self.asked:
             self._left.set()
             return
@@ -166,11 +166,11 @@ def _facts(feedback: Feedback) -> dict[str, Any]:
 
 @contextmanager
 def _interrupts(run: _Run) -> Generator[None]:
-    """Have Ctrl-C told to the run, from before the command is sent until after its end."""
+    """Pass Ctrl-C to the run, from before the command is sent until after its end."""
     loop = asyncio.get_running_loop()
     try:
         loop.add_signal_handler(signal.SIGINT, run.interrupted)
-    except NotImplementedError:  # Windows: Ctrl-C ends the client there and then
+    except NotImplementedError:  # Windows: Ctrl-C ends the client immediately
         yield
         return
     try:
@@ -178,5 +178,5 @@ def _interrupts(run: _Run) -> Generator[None]:
     finally:
         loop.remove_signal_handler(signal.SIGINT)
         if run.asked:
-            # It is leaving already: a Ctrl-C that comes now has nothing more to say.
+            # It is already exiting: another Ctrl-C changes nothing.
             signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""A schema for people: one line for each field, instead of JSON Schema's many."""
+"""A readable outline of a schema: one line per field."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _rows(name: str, node: dict[str, Any], defs: dict[str, Any], more: str) -> I
 
 
 def _follow(node: dict[str, Any], defs: dict[str, Any]) -> tuple[dict[str, Any], bool]:
-    """Find what a node means, and whether it may be null instead."""
+    """Resolve a node, and return whether it may also be null."""
     optional = False
     for _ in range(_DEEP):
         if (reference := node.get("$ref")) is not None:

@@ -1,4 +1,4 @@
-"""What `rcpctl` prints: JSON lines for programs; tables, colours and short values for people."""
+"""The output of `rcpctl`: JSON lines for programs; tables, colours and short values for people."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ _COLORS = {
 }
 _COLOR_OF = {word: code for code, words in _COLORS.items() for word in words.split()}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-_WIDE = 88  # characters of a line
-_SHORT = 200  # characters of one text inside a value that people are shown
+_WIDE = 88  # characters per line
+_SHORT = 200  # characters of a string inside a displayed value
 
 
 def exit_code(error: BaseException) -> int:
-    """Return the exit status that an error stands for."""
+    """Return the exit status of an error."""
     if isinstance(error, ConnectionLost):
         return 4
     return 3 if isinstance(error, RcpError) and error.status == "rejected" else 1
 
 
 def pretty(value: Any) -> str:
-    """Write a value for people, in one line where it fits, else indented."""
+    """Format a value for people, on one line if it fits, otherwise indented."""
     return "\n".join(_layout(parse(_encoded(_shortened(value)), Encoding.JSON), ""))
 
 
@@ -65,7 +65,7 @@ def _layout(value: Any, indent: str) -> list[str]:
 
 
 def compact(value: Any) -> str:
-    """Write a value for people in one line."""
+    """Format a value for people on one line."""
     return msgspec.json.format(_encoded(_shortened(value)), indent=0).decode()
 
 
@@ -101,23 +101,23 @@ class Output:
         self._color = terminal and "NO_COLOR" not in os.environ
 
     def line(self, text: str = "") -> None:
-        """Print a line at once."""
+        """Print a line immediately."""
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
 
     def document(self, value: Any) -> None:
-        """Print a value as one line of JSON, whole."""
+        """Print a complete value as one line of JSON."""
         sys.stdout.buffer.write(dump(msgspec.to_builtins(value, builtin_types=(bytes,)),
                                      Encoding.JSON) + b"\n")  # fmt: skip
         sys.stdout.buffer.flush()
 
     def aside(self, text: str) -> None:
-        """Print a line for people only, beside the output."""
+        """Print a line on standard error."""
         sys.stderr.write(clean(text) + "\n")
         sys.stderr.flush()
 
     def error(self, error: RcpError) -> None:
-        """Say in one line what went wrong and what to do about it."""
+        """Print an error and its remedy on one line."""
         if self.asked_json:
             sys.stderr.write(dump({"error": error_body(error)}, Encoding.JSON).decode() + "\n")
             return
@@ -129,15 +129,15 @@ class Output:
         return f"\x1b[{code}m{word}\x1b[0m" if self._color and code else word
 
     def dim(self, text: str) -> str:
-        """Write a text that matters less."""
+        """Dim a less important text."""
         return f"\x1b[2m{text}\x1b[0m" if self._color else text
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Print rows in columns under a head."""
+        """Print a table with a header."""
         self._columns([head, *rows], head=True)
 
     def rows(self, rows: Iterable[Sequence[Any]]) -> None:
-        """Print rows in columns; on a terminal the last one is cut at its edge."""
+        """Print rows in columns; on a terminal the last column is cut at the edge."""
         self._columns(list(rows), head=False)
 
     def _columns(self, rows: Sequence[Sequence[Any]], *, head: bool) -> None:
@@ -155,5 +155,5 @@ class Output:
 
 
 def clean(text: str) -> str:
-    """Take out what would command the terminal."""
+    """Remove terminal control characters."""
     return _CONTROL.sub("�", text)

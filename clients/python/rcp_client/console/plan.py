@@ -1,4 +1,4 @@
-"""`rcpctl plan`: run a file of many operations as one command, step by step before one's eyes."""
+"""`rcpctl plan`: run the operations in a file as one command, and show its progress."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PATH = "/system/plans"
 
 
 async def plan(client: Client, out: Output, args: dict[str, Any]) -> int:
-    """Run a plan, or only have it checked; tell what became of each step."""
+    """Run a plan, or only check it; show the outcome of each step."""
     body = plan_of(args["input"])
     args = {**args, "path": _PATH}
     if not args["dry_run"]:
@@ -37,8 +37,10 @@ def _told(out: Output, feedback: Feedback) -> str:
     step: dict[str, Any] = feedback.body or {}
     share = "" if feedback.progress is None else f"{feedback.progress:4.0%} "
     what = f"{step.get('step', '')}  {step.get('do', '')} {step.get('path', '')}".rstrip()
-    told = step.get("message") or ("" if "feedback" not in step else compact(step["feedback"]))
-    return f"{out.paint(step.get('state', feedback.status))} {share}{what}  {out.dim(clean(told))}"
+    detail = step.get("message") or ("" if "feedback" not in step else compact(step["feedback"]))
+    return (
+        f"{out.paint(step.get('state', feedback.status))} {share}{what}  {out.dim(clean(detail))}"
+    )
 
 
 def _checked(out: Output, reply: Reply) -> None:
@@ -56,7 +58,7 @@ def _checked(out: Output, reply: Reply) -> None:
 
 
 def _ended(out: Output, reply: Reply) -> None:
-    """Tell what became of each step."""
+    """Show the outcome of each step."""
     if out.json:
         show.reply(out, reply)
         return

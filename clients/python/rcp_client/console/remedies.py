@@ -1,4 +1,4 @@
-"""What to do next, in the words of `rcpctl`: the gateway's remedies name fields of the wire."""
+"""Remedies in terms of `rcpctl`: those of the gateway name fields of the protocol."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REMEDIES = {
 
 
 def remedy_of(error: RcpError) -> str:
-    """Return what to do next: the gateway's own advice where that knows more than the code."""
+    """Return the remedy; the gateway's own if it is more specific than that of the code."""
     approval = (error.details or {}).get("approval")
     if error.code == "approval_required" and approval:
         return (

@@ -1,4 +1,4 @@
-"""What each subcommand of `rcpctl` does, once its command line is understood."""
+"""The subcommands of `rcpctl`, after the command line is parsed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Arguments = dict[str, Any]
 
 
 def run(name: str, options: dict[str, Any], arguments: Arguments) -> int:
-    """Connect, do what a subcommand says, and return the exit status."""
+    """Connect, run a subcommand, and return the exit status."""
     out = Output(json=options.get("json"))
     timeout = options.get("timeout", 10.0)
     for key in ("value", "input"):
@@ -57,7 +57,7 @@ def run(name: str, options: dict[str, Any], arguments: Arguments) -> int:
         except (ConnectionLost, QueueFull):
             if name != "estop" or arguments["reset"]:
                 raise
-            # To stop twice is to stop, and plain HTTP needs no session of the gateway.
+            # Stopping twice does no harm, and plain HTTP needs no session.
             return asyncio.run(estop_without_session(client, out, arguments))
     except RcpError as error:
         out.error(error)
@@ -227,8 +227,8 @@ async def _lease_list(client: Client, out: Output, _: Arguments) -> int:
 
 async def _lease_acquire(client: Client, out: Output, args: Arguments) -> int:
     names = ("ttl", "take", "reason")
-    asked = {name: args[name] for name in names if args[name]}
-    return await _lease_whole(client, out, {"do": "acquire", "scope": args["scope"], **asked})
+    body = {name: args[name] for name in names if args[name]}
+    return await _lease_whole(client, out, {"do": "acquire", "scope": args["scope"], **body})
 
 
 async def _lease_release(client: Client, out: Output, args: Arguments) -> int:

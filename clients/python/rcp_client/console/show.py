@@ -1,4 +1,4 @@
-"""How each thing the gateway tells is shown, and how odd options of `watch` are read."""
+"""Display of the gateway's replies, and parsing of the special options of `watch`."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ __all__ = [
 
 
 def resources(out: Output, found: list[ResourceInfo]) -> None:
-    """Show many resources as a table."""
+    """Show resources as a table."""
     rows = [(r.path, r.kind, ",".join(r.operations), r.state, r.description) for r in found]
     out.table(("PATH", "KIND", "OPERATIONS", "STATE", "DESCRIPTION"), rows)
 
 
 def resource(out: Output, found: ResourceInfo) -> None:
-    """Show all there is to know of one resource."""
+    """Show all details of one resource."""
     out.line(f"{found.path}  {out.paint(found.state or '')}".rstrip())
     out.line(clean(found.description))
     rows = [("kind", found.kind), ("operations", ", ".join(found.operations))]
@@ -54,7 +54,7 @@ def resource(out: Output, found: ResourceInfo) -> None:
 
 
 def approvals(out: Output, listed: list[dict[str, Any]]) -> None:
-    """Show what wants approval, with what would be sent."""
+    """Show approvals with the values that would be sent."""
     rows = [
         (a["approval"], out.paint(a["status"]), a["principal"], a["request"], a["path"],
          a["expires"][11:19], compact(a.get("value")))
@@ -64,7 +64,7 @@ def approvals(out: Output, listed: list[dict[str, Any]]) -> None:
 
 
 def value_facts(reply: Reply) -> dict[str, Any]:
-    """Say what a read said, without what only the envelope needs."""
+    """Return the fields of a read reply that matter to users."""
     facts = {
         "path": reply.path,
         "status": reply.status,
@@ -77,7 +77,7 @@ def value_facts(reply: Reply) -> dict[str, Any]:
 
 
 def value(out: Output, reply: Reply, *, several: bool) -> None:
-    """Show the value of a read; its facts too, where more than the value is of interest."""
+    """Show the value of a read; its state and time too if there are several values."""
     if several or reply.state == "stale":
         seq = "" if reply.seq is None else f"#{reply.seq}"
         facts = out.dim(f"{seq} {reply.source_timestamp or ''}".strip())
@@ -86,7 +86,7 @@ def value(out: Output, reply: Reply, *, several: bool) -> None:
 
 
 def item(out: Output, found: dict[str, Any]) -> int:
-    """Show one item of a read of many; return its exit status."""
+    """Show one item of a pattern read; return its exit status."""
     failed = found.get("status") != "completed"
     if out.json:
         out.document(found)
@@ -111,7 +111,7 @@ def reply(out: Output, found: Reply) -> None:
 
 
 def update(out: Output, found: Update) -> None:
-    """Show one update in one line."""
+    """Show one update on one line."""
     if out.json:
         out.document(found)
         return
@@ -192,7 +192,7 @@ def lease(out: Output, facts: dict[str, Any]) -> None:
 
 
 def estop(out: Output, state: dict[str, Any]) -> None:
-    """Show which robots are stopped, and how far the stop of each has come."""
+    """Show which robots are stopped, and the progress of each stop."""
     robots: dict[str, dict[str, Any]] = state.get("robots") or {}
     scopes = state.get("scopes") or {}
     if not robots and not scopes:
@@ -208,7 +208,7 @@ def estop(out: Output, state: dict[str, Any]) -> None:
             _why(robot),
         )
         for name, robot in sorted(robots.items())
-        if "state" in robot  # gateways before that told only who is latched
+        if "state" in robot  # older gateways report only which robots are latched
     ]
     if rows:
         head = ("ROBOT", "STATE", "REQUESTED", "COMMANDED", "CONFIRMED", "DETAIL")
@@ -216,7 +216,7 @@ def estop(out: Output, state: dict[str, Any]) -> None:
 
 
 def confirmed(robot: dict[str, Any]) -> bool:
-    """Tell whether a latched robot is confirmed at rest, and has not moved since."""
+    """Return whether a latched robot is confirmed at rest, and has not moved since."""
     return robot.get("state", "confirmed") == "confirmed" and not robot.get("alarm")
 
 
@@ -248,19 +248,19 @@ def _number(number: Any) -> str:
 
 
 def number_or_text(text: str | None) -> int | str | None:
-    """Read `--history`: a count of samples, or a span such as `30s`."""
+    """Parse `--history`: a number of samples, or a time span such as `30s`."""
     return int(text) if text is not None and text.isdigit() else text
 
 
 def number_or_json(text: str | None, option: str) -> Any:
-    """Read `--deadband`: a number, `5%`, or a JSON map."""
+    """Parse `--deadband`: a number, `5%`, or a JSON map."""
     if text is None or text.endswith("%"):
         return text
     return _json(text, option)
 
 
 def json_object(text: str | None, option: str) -> dict[str, Any] | None:
-    """Read an option that is a JSON object."""
+    """Parse an option that is a JSON object."""
     if text is None:
         return None
     found = _json(text, option)

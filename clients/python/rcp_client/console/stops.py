@@ -1,4 +1,4 @@
-"""`rcpctl estop` and `rcpctl hold`: stop robots, and say of each whether it is at rest."""
+"""`rcpctl estop` and `rcpctl hold`: stop robots, and show for each whether it is at rest."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ __all__ = ["estop", "estop_without_session", "hold"]
 
 _FAILED = 1
 _HELD = "Held."
-"""How the id of the schema begins that every `service/hold` of the gateway answers in."""
+"""Prefix of the output schema id of every `service/hold` of the gateway."""
 
 
 async def estop(client: Client, out: Output, args: dict[str, Any]) -> int:
-    """Stop what is in scope, or reset the stop, and show how far each robot's stop has come."""
+    """Stop the robots in scope, or reset the stop, and show the progress of each robot's stop."""
     late: DeviceTimeout | None = None
     try:
         state = await client.estop(reset=args["reset"], scope=args["scope"], reason=args["reason"])
     except DeviceTimeout as error:
         late = error
         state = _told(error)
-        with suppress(RcpError):  # else what the error tells will do: it names those that matter
+        with suppress(RcpError):  # otherwise show the robots named in the error
             state = await client.read("/system/estop")
     return _shown(out, args, state, late)
 
 
 async def estop_without_session(client: Client, out: Output, args: dict[str, Any]) -> int:
-    """Do as `estop` does by one HTTP request, where the gateway has no session to give."""
+    """Do the same by one HTTP request, if the gateway has no session for this client."""
     body = {"reset": args["reset"] or None, "scope": args["scope"], "reason": args["reason"]}
     envelope = {"type": "execute", "path": "/system/estop", "body": kept(body)}
     try:
@@ -63,7 +63,7 @@ def _shown(
     if not moving:
         return 0
     out.aside(f"rcpctl: not confirmed at rest: {', '.join(moving)}.")
-    # With a scope, these are others, whose stop is somebody else's: the answer was `completed`.
+    # With a scope, these are robots of another stop: the reply was `completed`.
     return 0 if args["reset"] or args["scope"] is not None else _FAILED
 
 
@@ -94,7 +94,7 @@ async def _holds(client: Client, robot: str | None) -> list[ResourceInfo]:
         parts = robot.split("/")
         place, robot = "/".join(parts[:3]), "/".join(parts[3:]) or None
     listed = await client.discover(f"{place}/service/**/hold", op="execute", schemas=False)
-    # A robot may have a service of that name of its own.
+    # A robot may have its own service of that name.
     holds = [one for one in listed if one.schema_ids.get("output", "").startswith(_HELD)]
     found = [one for one in holds if robot is None or robot in _names(one)]
     if not found:
@@ -107,8 +107,8 @@ async def _holds(client: Client, robot: str | None) -> list[ResourceInfo]:
 
 
 def _name(found: ResourceInfo) -> str:
-    """Name a robot as the tree does, or by its backend where it has no name there."""
-    names = found.path.split("/")[4:]  # behind /tenant/<tenant>/service
+    """Return the name of a robot in the tree, or that of its backend if it has none."""
+    names = found.path.split("/")[4:]  # after /tenant/<tenant>/service
     return "/".join(names[:-1]) or found.backend or found.path
 
 

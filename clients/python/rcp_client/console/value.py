@@ -1,4 +1,4 @@
-"""What a person means by VALUE: JSON, a text where the path takes texts, standard input, a file."""
+"""Parsing of VALUE arguments: JSON, plain text, standard input or a file."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def fetch(text: str) -> str:
 
 
 async def meant(client: Client, path: str, text: str) -> Any:
-    """Read a VALUE for a path.
+    """Parse a VALUE for a path.
 
-    :raises click.UsageError: it is not JSON, and the path takes no plain text.
+    :raises click.UsageError: it is not JSON, and the path accepts no plain text.
     """
     try:
         return parse(text.encode(), Encoding.JSON)
@@ -41,7 +41,7 @@ async def meant(client: Client, path: str, text: str) -> Any:
         found = await client.discover(path)
     resource = found[0] if found else None
     if resource is None:
-        return text  # the gateway says what is wrong with the path
+        return text  # the gateway reports what is wrong with the path
     schema = resource.schemas.get("value") or resource.schemas.get("input") or {}
     if _takes_text(schema, schema):
         return text.removesuffix("\n")

@@ -1,4 +1,4 @@
-"""Requests in the name of the whole principal, not of a session: single requests over HTTP."""
+"""Requests of the principal as a whole, outside any session: single requests over HTTP."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["request"]
 
 
 async def request(client: Client, envelope: dict[str, Any]) -> Reply:
-    """Send one request outside of the client's session and return its final reply.
+    """Send one request outside the client's session and return its final reply.
 
-    :raises RcpError: it tells of an error, or none came.
+    :raises RcpError: the reply contains an error, or none came.
     """
     reply = await asyncio.to_thread(_post, client, envelope)
     error = error_of(reply)
@@ -35,13 +35,13 @@ def _post(client: Client, envelope: dict[str, Any]) -> Reply:
     headers = {"Content-Type": "application/json", "Accept": "application/json"}
     if settings.token is not None:
         headers["Authorization"] = f"Bearer {settings.token}"
-    # The gateway's own answer says more than that none came in time.
+    # The gateway's own reply is more specific than a time-out here.
     deadline = envelope.setdefault("deadline", settings.deadline)
     url = settings.address.url.rstrip("/") + "/rcp/v1/messages"
-    asked = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
+    http_request = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
     try:
         with urllib.request.urlopen(  # noqa: S310 - the address of the client's own connection
-            asked, timeout=deadline + MARGIN, context=settings.ssl
+            http_request, timeout=deadline + MARGIN, context=settings.ssl
         ) as answer:
             data = answer.read()
     except urllib.error.HTTPError as refusal:

@@ -38,7 +38,7 @@ const OTHERWISE: Record<string, string> = {
   forbidden: "Ask the operator of the gateway for a role that allows it, or log in with one that does.",
   internal: "Check the state of the robot on Overview, and report this to the operator of the gateway.",
   mode_forbids: "Switch the robot to a mode that allows it.",
-  not_implemented: "This gateway cannot do it.",
+  not_implemented: "This gateway does not support it.",
   precondition_failed: "Make the condition in the message true, then send it again.",
   queue_full: "Wait a moment, then send it again.",
 };

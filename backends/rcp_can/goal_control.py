@@ -1,0 +1,121 @@
+"""The way of a differential drive to a place: turn towards it, drive there, turn to the heading."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+from rcp_can.codec import clamp
+from rcp_can.odometry import Place, wrapped
+
+__all__ = ["Goal", "GoalControl", "Phase"]
+
+Phase = Literal["turning", "driving", "aligning", "done"]
+_AIMED = 0.03  # rad off the bearing at which it drives on
+_ASTRAY = 0.5  # rad off the bearing at which it turns on the spot again
+_STEERING = 2.0  # rad/s of yaw rate for each rad off the bearing
+_RESERVE = 0.6  # part of the deceleration that the plan uses
+_CREEP, _CREEP_TURN = 0.02, 0.04  # m/s and rad/s: slower would stick
+
+
+class Goal(NamedTuple):
+    """Where to, and how near counts as there; m and rad."""
+
+    x: float
+    y: float
+    heading: float | None
+    tolerance: float
+    heading_tolerance: float
+
+
+class GoalControl:
+    """Velocities for each measured place; it plans nothing that the limits do not allow."""
+
+    def __init__(
+        self, goal: Goal, *, turn_rate: float, acceleration: float, turn_acceleration: float
+    ) -> None:
+        self._goal, self._turn_rate = goal, turn_rate
+        self._acceleration, self._turn_acceleration = acceleration, turn_acceleration
+        self.phase: Phase = "turning"
+
+    def distance(self, place: Place) -> float:
+        """Return the distance to the goal, m."""
+        return math.hypot(self._goal.x - place.x, self._goal.y - place.y)
+
+    def reached(self, place: Place) -> bool:
+        """Tell whether a place is the goal, within the tolerances."""
+        heading = self._goal.heading
+        aligned = heading is None or (
+            abs(wrapped(heading - place.heading)) <= self._goal.heading_tolerance
+        )
+        return aligned and self.distance(place) <= self._goal.tolerance
+
+    def again(self, place: Place) -> None:
+        """Begin anew from a place."""
+        near = self.distance(place) <= self._goal.tolerance
+        self.phase = "aligning" if near else "turning"
+
+    def step(self, place: Place, speed: float) -> tuple[float, float]:
+        """Return the speed, at most `speed`, and the yaw rate from a place."""
+        if self.phase == "turning":
+            off = self._off(place)
+            if self.distance(place) <= self._goal.tolerance / 2:
+                self.phase = "aligning"
+            elif abs(off) > _AIMED:
+                return 0.0, self._turn(off)
+            else:
+                self.phase = "driving"
+        if self.phase == "driving" and (driven := self._drive(place, speed)) is not None:
+            return driven
+        if self.phase == "aligning":
+            heading = self._goal.heading
+            off = 0.0 if heading is None else wrapped(heading - place.heading)
+            if abs(off) > self._goal.heading_tolerance / 2:
+                return 0.0, self._turn(off)
+            self.phase = "done"
+        return 0.0, 0.0
+
+    def _drive(self, place: Place, speed: float) -> tuple[float, float] | None:
+        distance, off = self.distance(place), self._off(place)
+        ahead = distance * math.cos(off)
+        if distance <= self._goal.tolerance / 2 or ahead <= 0:
+            self.phase = "aligning"
+            return None
+        if abs(off) > _ASTRAY and distance > 2 * self._goal.tolerance:
+            self.phase = "turning"
+            return 0.0, self._turn(off)
+        brake = math.sqrt(2 * _RESERVE * self._acceleration * ahead)
+        near = min(1.0, distance / (3 * self._goal.tolerance))  # bearings swing close to the goal
+        turn = clamp(_STEERING * off * near, -self._turn_rate, self._turn_rate)
+        return min(speed, max(brake, _CREEP)), turn if speed else 0.0
+
+    def _off(self, place: Place) -> float:
+        goal = self._goal
+        return wrapped(math.atan2(goal.y - place.y, goal.x - place.x) - place.heading)
+
+    def _turn(self, off: float) -> float:
+        brake = math.sqrt(2 * _RESERVE * self._turn_acceleration * abs(off))
+        return math.copysign(min(self._turn_rate, max(brake, _CREEP_TURN)), off)
+
+    def time_left(self, place: Place, speed: float) -> float | None:
+        """Estimate the time to the goal, s; None if the speed limit is zero."""
+        goal, distance = self._goal, self.distance(place)
+        if not speed:
+            return None
+        total, heading = 0.0, place.heading
+        if self.phase in ("turning", "driving") and distance > goal.tolerance / 2:
+            if self.phase == "turning":
+                total += _time(abs(self._off(place)), self._turn_rate, self._turn_acceleration)
+            total += _time(distance, speed, _RESERVE * self._acceleration)
+            heading = math.atan2(goal.y - place.y, goal.x - place.x)
+        if goal.heading is not None and self.phase != "done":
+            off = abs(wrapped(goal.heading - heading))
+            total += _time(off, self._turn_rate, self._turn_acceleration)
+        return total
+
+
+def _time(way: float, speed: float, acceleration: float) -> float:
+    """Return the time that a trapezoid takes."""
+    if way > speed * speed / acceleration:
+        return way / speed + speed / acceleration
+    return 2 * math.sqrt(way / acceleration)

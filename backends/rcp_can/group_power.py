@@ -1,0 +1,141 @@
+"""The services of a robot of several motors: its power stages switched as one, and a reset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from typing import Any, Protocol
+
+import anyio
+
+from rcp_can.axis import Axis
+from rcp_can.binding import Part
+from rcp_can.config import CanConfig
+from rcp_can.guard import ready
+from rcp_can.motor import released
+from rcp_can.power_switch import enable
+from rcp_can.standstill import rested
+from rcp_can.together import together
+from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress, unfenced
+from rcp_profiles import claim, offer
+
+__all__ = ["Group", "GroupPowerPart", "group_powers"]
+
+_SERVICE = 10.0  # s
+_WITHDRAW = 1.0  # s that switching off again may take
+
+
+class Group(Protocol):
+    """Motors that move as one."""
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """The motors."""
+        ...
+
+    def settle(self, reason: RcpError) -> None:
+        """Bring them to rest; what drives them ends with `reason`.
+
+        :raises AdapterUnavailable: one of them cannot be reached; the others are brought to rest.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Forget what it has counted, and set parameters to what they were at first."""
+        ...
+
+
+class GroupPowerPart(Part):
+    """The services of a robot: its power stages as one, and `reset_system`."""
+
+    def __init__(self, place: str | None, groups: Sequence[Group]) -> None:
+        self._place, self._groups = place, groups
+        self._axes = list(dict.fromkeys(axis for group in groups for axis in group.axes))
+
+    def resources(self) -> list[Resource]:
+        """Claim the profile `power`."""
+        motors = ", ".join(axis.name for axis in self._axes)
+        return claim(
+            ["power"],
+            offer("service/reset_system", timeout=_SERVICE),
+            offer(
+                "service/enable",
+                description=f"Switch the power stages of {motors} on, without moving: all or none.",
+                timeout=_SERVICE,
+            ),
+            offer(
+                "service/disable",
+                description=f"Switch the power stages of {motors} off.",
+                timeout=_SERVICE,
+            ),
+            Resource(
+                name="service/clear_faults",
+                description=f"Clear the faults of {motors}; the power stages are not switched.",
+                timeout=_SERVICE,
+            ),
+            place=self._place,
+        )
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> None:
+        """Switch all motors, or reset."""
+        verb = name.rpartition("/")[2]
+        if verb == "reset_system":
+            await self._reset()
+        else:
+            await _switch(verb, self._axes)
+
+    async def _reset(self) -> None:
+        with suppress(AdapterUnavailable):  # a motor that is gone has a fault, which stays
+            for group in self._groups:
+                group.settle(ModeForbids("a reset ended the move"))
+        await together(rested(axis) for axis in self._axes if axis.online and axis.blind is None)
+        await together(axis.clear_faults() for axis in self._axes)
+        for group in self._groups:
+            group.reset()
+
+
+def group_powers(
+    config: CanConfig, drives: Sequence[Group], joints: Sequence[Group]
+) -> list[GroupPowerPart]:
+    """Make the services of each group; those that are the robot share one set."""
+    tables = (*config.diff_drives.items(), *config.joint_groups.items())
+    named = list(zip(tables, (*drives, *joints), strict=True))
+    found = [GroupPowerPart(name, [group]) for (name, table), group in named if not table.as_robot]
+    robot = [group for (_, table), group in named if table.as_robot]
+    return [*found, GroupPowerPart(None, robot)] if robot else found
+
+
+async def _switch(verb: str, axes: Sequence[Axis]) -> None:
+    """Enable, disable or clear the faults of all motors.
+
+    :raises RcpError: one of them does not; after `enable`, none is on that was not on before.
+    """
+    if verb == "disable":
+        await together(axis.disable() for axis in axes)
+        return
+    for axis in axes:
+        await ready(axis)
+        await released(axis)
+    if verb == "clear_faults":
+        await together(axis.clear_faults() for axis in axes)
+        return
+    for axis in axes:
+        if axis.owner is not None:
+            raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
+    await _enable([axis for axis in axes if not axis.status.enabled])
+
+
+async def _enable(axes: Sequence[Axis]) -> None:
+    try:
+        await together(enable(axis) for axis in axes)
+    except BaseException:
+        await _withdraw(axis for axis in axes if axis.wanted_on)
+        raise
+
+
+async def _withdraw(axes: Iterable[Axis]) -> None:
+    """Switch off what was switched on for a group that is not complete."""
+    with unfenced(), suppress(RcpError), anyio.move_on_after(_WITHDRAW, shield=True):
+        await together(axis.disable() for axis in axes)

@@ -1,0 +1,28 @@
+"""Work on several motors at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine, Iterable
+from typing import Any
+
+import anyio
+
+__all__ = ["together"]
+
+
+async def together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
+    """Run all concurrently; the first failure cancels the others and is raised."""
+    tasks = [asyncio.ensure_future(each) for each in work]
+    if not tasks:
+        return
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
+    finally:
+        for task in tasks:
+            task.cancel()
+        with anyio.CancelScope(shield=True):
+            await asyncio.wait(tasks)
+    for task in tasks:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            raise error

@@ -1,0 +1,269 @@
+"""`drive` and `mobile`: it goes where it is told, as fast as it is told, and stops."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+from rcp_kernel.testing._suite import eventually
+from rcp_kernel.testing.backend._base import Robot
+from rcp_kernel.testing.profile._rig import Body, ProfileRig
+
+__all__ = ["DriveTests", "MobileTests"]
+
+_WAY = 0.3  # m to drive before its direction is judged
+_ANGLE = 0.4  # rad to turn before its direction is judged
+_SHARE = 0.2  # of a speed, by which it may be off
+_SLACK = 0.03  # m/s or rad/s, by which it may be off besides
+_METRE = 1.0
+
+
+def _close(found: float, wanted: float, slack: float = _SLACK) -> bool:
+    return abs(found - wanted) <= abs(wanted) * _SHARE + slack
+
+
+class DriveTests(ProfileRig):
+    """A commanded velocity is the velocity of the body."""
+
+    async def _travels(self, start: Body) -> tuple[float, float]:
+        """Wait until it has gone some way; return how far ahead and to the left."""
+        found = (0.0, 0.0)
+
+        async def gone() -> bool:
+            nonlocal found
+            found = (await self.body()).ahead_of(start)
+            return math.hypot(*found) >= _WAY
+
+        await eventually(gone, f"it moves {_WAY} m", self.complete_within)
+        return found
+
+    async def _reaches(self, what: str, wanted: float, field: str) -> None:
+        """Wait until the device has a speed."""
+        found = math.nan
+
+        async def has() -> bool:
+            nonlocal found
+            found = getattr(await self.body(), field)
+            return _close(found, wanted)
+
+        try:
+            await eventually(has, what, self.cancel_within)
+        except AssertionError:
+            raise AssertionError(f"{what} is {found:g}, and was commanded {wanted:g}") from None
+
+    async def test_a_forward_velocity_moves_it_ahead(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel")
+        async with self.driven(self.speed) as start:
+            ahead, left = await self._travels(start)
+            assert ahead > 0, f"it moved {-ahead:g} m back"
+            assert abs(left) < 0.3 * ahead, f"it moved {left:g} m to the left of straight ahead"
+            await self._reaches("its speed, in m/s,", self.speed, "forward")
+
+    async def test_a_negative_velocity_moves_it_back(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel")
+        reply = await self.ask(
+            "write", "actuator/cmd_vel", body={"linear": {"x": -self.speed}}, dry_run=True
+        )
+        if reply["status"] != "completed":
+            assert reply["error"]["code"] == "out_of_range", reply
+            return
+        async with self.driven(-self.speed) as start:
+            ahead, _ = await self._travels(start)
+            assert ahead < 0, f"it moved {ahead:g} m ahead"
+
+    async def test_a_positive_yaw_rate_turns_it_left(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel")
+        async with self.driven(self.turn_speed, turn=self.turn) as start:
+            last, turned = start, 0.0
+
+            async def has_turned() -> bool:
+                nonlocal last, turned
+                body = await self.body()
+                turned += body.turned_from(last)
+                last = body
+                return abs(turned) >= _ANGLE
+
+            rate = last.yaw_rate
+            try:
+                await eventually(has_turned, "it turns", self.complete_within)
+            except AssertionError:
+                rate = (await self.body()).yaw_rate
+                raise AssertionError(
+                    f"it turned {turned:g} rad, at {rate:g} rad/s; commanded {self.turn:g} rad/s"
+                ) from None
+            assert turned > 0, f"it turned {-turned:g} rad to the right"
+            await self._reaches("its yaw rate, in rad/s,", self.turn, "yaw_rate")
+
+    async def test_a_velocity_to_the_left_moves_it_left_or_is_refused(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel")
+        value = {"linear": {"y": self.speed}}
+        await self.make_ready()
+        start = await self.body()
+        reply = await self.ask("write", "actuator/cmd_vel", body=value, valid_for=0.2)
+        if reply["status"] == "completed":
+            async with self.driven(left=self.speed) as start:
+                _, left = await self._travels(start)
+                assert left > 0, f"it moved {-left:g} m to the right"
+        else:
+            assert reply["error"]["code"] in ("out_of_range", "invalid_value"), reply
+            assert math.hypot(*(await self.body()).ahead_of(start)) < _WAY
+
+    async def test_it_stops_when_the_command_lapses(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel")
+        await self.make_ready()
+        start = await self.body()
+        await self.drive(self.speed, for_=0.3)
+
+        async def moved() -> bool:
+            return math.hypot(*(await self.body()).ahead_of(start)) > 0.01
+
+        await eventually(moved, "it moves", self.complete_within)
+        await self.rests("the command's time is over")
+
+    async def test_a_hold_stops_it(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel")
+        await self.make_ready()
+        await self.drive(self.speed)
+
+        async def moves() -> bool:
+            return (await self.body()).moves
+
+        await eventually(moves, "it moves", self.complete_within)
+        await self.do("execute", "service/hold")
+        body = await self.body()
+        assert not body.moves, f"the hold is completed, and it moves: {body}"
+
+    async def test_its_velocity_is_told_as_it_is(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel", "sensor/velocity")
+        async with self.driven(self.speed, turn=self.turn):
+            told: Any = None
+            body: Body | None = None
+
+            async def is_true() -> bool:
+                nonlocal told, body
+                told, body = await self.fresh("sensor/velocity"), await self.body()
+                linear, angular = told["linear"], told["angular"]
+                return (
+                    _close(linear["x"], body.forward)
+                    and _close(linear["y"], body.left)
+                    and _close(angular["z"], body.yaw_rate)
+                    and body.forward > self.speed / 2
+                    and body.yaw_rate > self.turn / 2
+                )
+
+            try:
+                await eventually(is_true, "sensor/velocity", self.cancel_within)
+            except AssertionError:
+                raise AssertionError(f"sensor/velocity tells {told}, and it is {body}") from None
+
+    async def test_its_pose_is_told_as_it_is(self, robot: Robot) -> None:
+        self.needs("actuator/cmd_vel", "sensor/pose")
+        async with self.driven(self.speed, turn=self.turn) as start:
+            await self._travels(start)
+        await self._pose_is_true()
+
+    async def _pose_is_true(self) -> None:
+        pose: Any = None
+        body: Body | None = None
+
+        async def is_true() -> bool:
+            nonlocal pose, body
+            pose, body = await self.fresh("sensor/pose"), await self.body()
+            at, turned = pose["position"], pose["orientation"]
+            yaw = math.atan2(
+                2 * (turned["w"] * turned["z"] + turned["x"] * turned["y"]),
+                1 - 2 * (turned["y"] ** 2 + turned["z"] ** 2),
+            )
+            off = math.dist((at["x"], at["y"], at["z"]), (body.x, body.y, body.z))
+            return off < self.near and abs(math.remainder(yaw - body.yaw, math.tau)) < 0.1
+
+        try:
+            await eventually(is_true, "sensor/pose", self.cancel_within)
+        except AssertionError:
+            raise AssertionError(f"sensor/pose tells {pose}, and it is {body}") from None
+
+
+class MobileTests(DriveTests):
+    """A goal is a place in the frame that it names."""
+
+    async def _goes(self, x: float, y: float, **goal: Any) -> list[Any]:
+        """Send it to a place relative to where it is; see it there, and return the feedback."""
+        await self.make_ready()
+        start = await self.body()
+        at = {"x": start.x + x, "y": start.y + y, "z": start.z}
+        result, feedback = await self.run("action/move_to", {"position": at, **goal})
+        body = await self.body()
+        off = math.hypot(body.x - at["x"], body.y - at["y"])
+        assert off <= self.near, f"sent ({x:g}, {y:g}) m, it went {_way(start, body)}"
+        assert abs(result["error"] - off) <= self.near, f"it is {off:g} m off, and tells {result}"
+        told = result["pose"]["position"]
+        assert math.hypot(told["x"] - body.x, told["y"] - body.y) <= self.near, (told, body)
+        return feedback
+
+    async def test_it_goes_one_metre_along_x(self, robot: Robot) -> None:
+        self.needs("action/move_to")
+        await self._goes(_METRE, 0.0)
+
+    async def test_it_goes_one_metre_along_y(self, robot: Robot) -> None:
+        self.needs("action/move_to")
+        await self._goes(0.0, _METRE)
+
+    async def test_its_feedback_tells_the_metres_and_seconds_left(self, robot: Robot) -> None:
+        self.needs("action/move_to")
+        feedback = await self._goes(_METRE, 0.0)
+        left = [one["distance_remaining"] for one in feedback]
+        assert left, "no feedback came"
+        assert abs(left[0] - _METRE) <= 0.5, f"1 m was left, and it told {left[0]:g}"
+        assert left[-1] <= left[0], f"the distance grew: {left}"
+        rises = [b - a for a, b in itertools.pairwise(left)]
+        assert all(rise < self.near for rise in rises), f"the distance rises: {left}"
+        if len(left) > 1:
+            assert left[-1] < left[0], f"the distance does not decrease: {left}"
+        times = [one["eta"] for one in feedback if one["eta"] is not None]
+        assert not times or times[-1] <= times[0] + 1.0, f"the time left rises: {times}"
+
+    async def test_it_turns_to_the_heading_of_its_goal(self, robot: Robot) -> None:
+        self.needs("action/move_to")
+        await self.make_ready()
+        yaw = math.remainder((await self.body()).yaw + 1.0, math.tau)
+        await self._goes(_METRE, 0.0, yaw=yaw)
+        found = (await self.body()).yaw
+        assert abs(math.remainder(found - yaw, math.tau)) < 0.2, f"heads {found:g}, not {yaw:g}"
+
+    async def test_a_frame_that_it_does_not_know_is_refused(self, robot: Robot) -> None:
+        self.needs("action/move_to")
+        await self.make_ready()
+        start = await self.body()
+        goal = {"position": {"x": start.x + 1.0, "y": start.y}, "frame": "no_such_frame"}
+        reply = await self.ask("execute", "action/move_to", body=goal)
+        assert reply["status"] == "rejected", f"a goal in a frame that there is not: {reply}"
+        assert _way(start, await self.body()) == _way(start, start)
+
+    async def test_it_keeps_to_the_speed_limit(self, robot: Robot) -> None:
+        self.needs("action/move_to", "param/speed_limit")
+        await self.make_ready()
+        before = await self.fresh("param/speed_limit")
+        limit = await self.do("write", "param/speed_limit", body=self.speed)
+        assert _close(await self.fresh("param/speed_limit"), limit)
+        start = await self.body()
+        goal = {"position": {"x": start.x + _METRE, "y": start.y, "z": start.z}}
+        path = self.running.path(self.full("action/move_to"))
+        id_ = await self.running.client.send(type="execute", path=path, body=goal)
+        fastest = 0.0
+
+        async def there() -> bool:
+            nonlocal fastest
+            body = await self.body()
+            fastest = max(fastest, body.speed)
+            return math.hypot(body.x - start.x - _METRE, body.y - start.y) <= self.near
+
+        await eventually(there, "it arrives under a speed limit", self.complete_within)
+        final = await self.running.client.final(id_, self.complete_within)
+        assert final["status"] == "completed", final
+        assert fastest <= limit * (1 + _SHARE) + _SLACK, f"limit {limit:g} m/s, driven {fastest:g}"
+        await self.do("write", "param/speed_limit", body=before)
+
+
+def _way(start: Body, end: Body) -> str:
+    return f"({end.x - start.x:.2f}, {end.y - start.y:.2f}) m"

@@ -1,0 +1,201 @@
+"""What the author of a backend gives the profile suite: how its device really is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import asynccontextmanager
+from typing import Any, ClassVar
+
+import msgspec
+import pytest
+
+from rcp_kernel.model import full_path
+from rcp_kernel.testing._client import Message
+from rcp_kernel.testing._suite import eventually
+from rcp_kernel.testing.backend._base import BackendTests
+
+__all__ = ["Body", "ProfileRig"]
+
+_LASTING = 600.0  # s: a velocity that no dead-man ends during a test
+
+
+class Body(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a robot is and how it moves, as its device has it: metres, radians, seconds.
+
+    The place is in the frame of its goals and of `sensor/pose`, x and y level and z up; velocities are
+    those of the body: forward, left, up, and turning left.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    z: float = 0.0
+    forward: float = 0.0
+    left: float = 0.0
+    up: float = 0.0
+    yaw_rate: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """How fast it moves over the ground."""
+        return math.hypot(self.forward, self.left)
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves or turns."""
+        return max(self.speed, abs(self.up), abs(self.yaw_rate)) > 0.02
+
+    def ahead_of(self, other: Body) -> tuple[float, float]:
+        """Return how far it is ahead of another place and to its left, as seen from there."""
+        x, y = self.x - other.x, self.y - other.y
+        cos, sin = math.cos(other.yaw), math.sin(other.yaw)
+        return x * cos + y * sin, y * cos - x * sin
+
+    def turned_from(self, other: Body) -> float:
+        """Return the angle from another heading, left positive, at most half a turn."""
+        return math.remainder(self.yaw - other.yaw, math.tau)
+
+
+class ProfileRig(BackendTests):
+    """The probes of a device. A probe asks the device itself, never what the gateway is told.
+
+    Give those of the profiles that the backend claims; a test says which one is missing.
+    """
+
+    place: ClassVar[str | None] = None
+    """The segment after the branch in the names of the robot under test, where it has one."""
+    speed: ClassVar[float] = 0.4
+    """A moderate speed, m/s."""
+    turn: ClassVar[float] = 0.5
+    """A moderate yaw rate, rad/s."""
+    turn_speed: ClassVar[float] = 0.0
+    """The speed that it needs in order to turn, m/s; 0: it turns on the spot."""
+    near: ClassVar[float] = 0.2
+    """How far from its goal it may stop, m."""
+    reach: ClassVar[float] = 0.2
+    """How far a joint is moved, rad."""
+
+    # What the author gives
+
+    async def make_ready(self) -> None:
+        """Bring the device where it can move 2 m in each direction: armed and flying, say."""
+
+    async def body(self) -> Body:
+        """Return where it is and how it moves."""
+        raise NotImplementedError
+
+    async def charge(self) -> float:
+        """Return the charge that the battery has left, 0…1."""
+        raise NotImplementedError
+
+    async def obstacle(self, bearing: float) -> float | None:
+        """Return the distance in metres that a range finder has to measure, None: out of its range.
+
+        The bearing is in radians, 0 is ahead and positive is left, in the frame of the scan.
+        """
+        raise NotImplementedError
+
+    async def powered(self) -> bool:
+        """Return whether the motors have torque."""
+        raise NotImplementedError
+
+    async def joints(self) -> Mapping[str, float]:
+        """Return the positions of the joints by name, rad or m."""
+        raise NotImplementedError
+
+    async def tool(self) -> tuple[float, float, float]:
+        """Return the position of the tool in `base_link`, m."""
+        raise NotImplementedError
+
+    async def opening(self) -> float:
+        """Return the distance between the fingers, m."""
+        raise NotImplementedError
+
+    async def armed(self) -> bool:
+        """Return whether the motors are armed."""
+        raise NotImplementedError
+
+    # What the tests stand on
+
+    def full(self, name: str) -> str:
+        """Return a profile's name with the place of the robot in it."""
+        branch, _, rest = name.partition("/")
+        return f"{branch}/{self.place}/{rest}" if self.place else name
+
+    @property
+    def claimed(self) -> set[str]:
+        """The names of the profiles that the robot claims."""
+        found = self.running.resources.items()
+        ids = [
+            id_
+            for name, resource in found
+            if self.place is None or name.split("/")[1] == self.place
+            for id_ in resource.profiles
+        ]
+        return {id_.partition("/")[0] for id_ in ids}
+
+    def needs(self, *names: str) -> None:
+        """Skip a test of what the robot does not offer under its profiles."""
+        for name in names:
+            resource = self.running.resources.get(self.full(name))
+            if resource is None or not resource.profiles:
+                pytest.skip(f"it does not claim {name}")
+
+    async def ask(self, type_: str, name: str, **fields: Any) -> Message:
+        """Send the operator's request; return the final reply."""
+        fields.setdefault("within", self.complete_within)
+        path = full_path("t", None, self.full(name))
+        return await self.running.client.request(type_, path, **fields)
+
+    async def do(self, type_: str, name: str, **fields: Any) -> Any:
+        """Send a request that must complete; return its body.
+
+        :raises AssertionError: it did not complete.
+        """
+        reply = await self.ask(type_, name, **fields)
+        assert reply["status"] == "completed", f"{type_} {name} with {fields}: {reply}"
+        return reply.get("body")
+
+    async def fresh(self, name: str) -> Any:
+        """Read a value."""
+        return await self.do("read", name, body={"fresh": True})
+
+    async def run(self, name: str, value: Any) -> tuple[Any, list[Any]]:
+        """Run an action to its end; return its result and the feedback that came."""
+        path = full_path("t", None, self.full(name))
+        client = self.running.client
+        id_ = await client.send(type="execute", path=path, body=value)
+        replies = await client.replies(id_, self.complete_within)
+        assert replies[-1]["status"] == "completed", f"{name} with {value}: {replies[-1]}"
+        feedback = [r["body"] for r in replies if r["status"] == "in_progress" and "body" in r]
+        return replies[-1].get("body"), feedback
+
+    async def drive(
+        self, forward: float = 0.0, left: float = 0.0, turn: float = 0.0, for_: float = _LASTING
+    ) -> None:
+        """Command a velocity that is valid for some seconds."""
+        value = {"linear": {"x": forward, "y": left}, "angular": {"z": turn}}
+        await self.do("write", "actuator/cmd_vel", body=value, valid_for=for_)
+
+    @asynccontextmanager
+    async def driven(
+        self, forward: float = 0.0, left: float = 0.0, turn: float = 0.0
+    ) -> AsyncGenerator[Body]:
+        """Command a velocity while entered; yield how the robot was before, and bring it to rest."""
+        await self.make_ready()
+        start = await self.body()
+        await self.drive(forward, left, turn)
+        try:
+            yield start
+        finally:
+            await self.drive()
+        await self.rests("a velocity of zero")
+
+    async def rests(self, why: str) -> None:
+        """Wait until it neither moves nor turns."""
+
+        async def still() -> bool:
+            return not (await self.body()).moves
+
+        await eventually(still, f"at rest after {why}", self.cancel_within)

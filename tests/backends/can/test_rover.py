@@ -1,0 +1,320 @@
+"""A differential drive as a robot: where it goes, what it says, and what one wheel's fault does."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import anyio
+import msgspec
+import pytest
+
+from backends.can.rig import Node
+from backends.can.rover import rover, tables
+from rcp_can import CanConfig
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    DeviceTimeout,
+    InvalidValue,
+    ModeForbids,
+    OutOfRange,
+    RcpError,
+)
+from rcp_kernel.values import to_plain
+
+LOST = (AdapterUnavailable, DeviceTimeout)
+
+
+async def test_forward_is_along_x_and_positive_yaw_is_to_the_left() -> None:
+    async with rover() as rig:
+        await rig.velocity(0.5, 0.5)
+        await rig.until(lambda: rig.truth.moving[0] > 0.45)
+        assert rig.truth.moving == pytest.approx((0.5, 0.5), abs=0.05)
+        await rig.host.until(lambda: rig.host.last("sensor/velocity").linear.x > 0.45)
+        assert rig.host.last("sensor/velocity").angular.z == pytest.approx(0.5, abs=0.05)
+        await rig.velocity(0.0)
+        await rig.until(rig.truth.still)
+        await rig.host.until(lambda: abs(rig.host.last("sensor/velocity").linear.x) < 0.001)
+        await rig.host.until(lambda: rig.place.y > 0.0)
+        assert rig.place.x > 0.0
+        assert rig.place.heading == pytest.approx(rig.truth.heading, abs=0.01)
+
+
+async def test_both_wheels_keep_the_curve_while_they_speed_up() -> None:
+    async with rover() as rig:
+        await rig.velocity(
+            0.4, 1.0
+        )  # 2 rad/s and 6 rad/s: each in its own time would turn otherwise
+        curves: list[float] = []
+        while rig.truth.moving[0] < 0.38:
+            forward, turn = rig.truth.moving
+            if forward > 0.1:
+                curves.append(turn / forward)
+            await asyncio.sleep(0.002)
+        assert curves
+        assert max(curves) < 3.2
+        assert min(curves) > 1.8
+
+
+async def test_what_a_wheel_cannot_is_refused_and_the_speed_limit_slows_on_the_same_curve() -> None:
+    async with rover() as rig:
+        for forward, turn in ((1.5, 0.0), (0.0, 9.0), (0.8, 2.0)):
+            with pytest.raises(OutOfRange):
+                await rig.velocity(forward, turn)
+        await rig.write("param/speed_limit", 0.2)
+        taken = await rig.velocity(0.4, 0.6)
+        assert (taken.linear.x, taken.angular.z) == pytest.approx((0.2, 0.3))
+        await rig.until(lambda: rig.truth.moving[0] > 0.19)
+        await rig.write("param/speed_limit", 0.1)  # and what is in force obeys it
+        await rig.until(lambda: rig.truth.moving[0] < 0.11)
+        assert await rig.backend.read("param/speed_limit") == 0.1
+        with pytest.raises(OutOfRange):
+            await rig.write("actuator/cmd_vel", {"linear": {"y": 0.1}})
+
+
+@pytest.mark.parametrize("wheel", ["left", "right"])
+async def test_one_wheel_that_is_off_refuses_for_both(wheel: str) -> None:
+    async with rover() as rig:
+        await rig.ran(f"service/{wheel}/disable")
+        with pytest.raises(ModeForbids, match=f"'{wheel}' is disabled"):
+            await rig.velocity(0.5)
+        with pytest.raises(ModeForbids, match=f"'{wheel}' is disabled"):
+            await rig.moving(1.0)
+        assert rig.truth.still()
+        await rig.velocity(0.0)  # a stop is taken all the same
+
+
+async def test_a_drive_that_refuses_to_enable_leaves_the_other_off() -> None:
+    async with rover(enabled=False) as rig:
+        rig.right.refuses = True
+        with pytest.raises(RcpError, match="node 2"):
+            await rig.ran("service/enable")
+        await rig.until(lambda: not rig.left.enabled)
+        with pytest.raises(ModeForbids):
+            await rig.velocity(0.5)
+
+
+FAULTS = {
+    "fault": lambda twin: twin.break_down(),
+    "silence": lambda twin: setattr(twin, "silent", True),
+    "reboot": lambda twin: twin.boot(),
+    "blind": lambda twin: setattr(twin, "blind", True),
+}
+
+
+@pytest.mark.parametrize("what", FAULTS)
+@pytest.mark.parametrize("wheel", ["left", "right"])
+async def test_a_wheel_that_fails_stops_the_other_and_the_robot_says_why(
+    wheel: str, what: str
+) -> None:
+    async with rover() as rig:
+        await rig.velocity(0.5)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        twins = {"left": rig.left, "right": rig.right}
+        failing = twins.pop(wheel)
+        (other,) = twins.values()
+        await rig.ordered(lambda: FAULTS[what](failing))
+        await rig.host.until(rig.stops)
+        await rig.until(lambda: abs(other.plant.velocity) < 0.1)
+        (stop,) = rig.stops()
+        assert stop.motor == wheel
+        assert f"'{wheel}'" in stop.text
+        with pytest.raises(RcpError, match="motor '"):
+            await rig.velocity(0.5)
+        assert abs(other.plant.velocity) < 0.1
+
+
+async def test_a_wheel_lost_in_a_move_fails_it_and_says_which() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        rig.left.silent = True
+        with pytest.raises(LOST, match="left"):
+            await asyncio.wait_for(moving, 20)
+        await rig.until(lambda: abs(rig.right.plant.velocity) < 0.1)
+
+
+async def test_bus_off_stops_it_and_nothing_moves_when_the_bus_is_back() -> None:
+    async with rover() as rig:
+        await rig.velocity(0.5)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        before = rig.place
+        with Node(rig.channel) as node:
+            node.bus_off()
+            await rig.host.published_as("sensor/can/can0/state", state="bus_off")
+            assert rig.stops()
+            await rig.host.published_as("sensor/can/can0/state", state="error_active")
+        await rig.until(rig.truth.still)
+        with pytest.raises(RcpError):
+            await rig.velocity(0.5)
+        assert rig.place.x >= before.x - 0.01
+
+
+async def test_odometry_goes_on_without_a_jump_when_a_drive_has_rebooted() -> None:
+    async with rover() as rig:
+        await rig.moving(0.5)
+        before = rig.place
+        places = len(rig.host.events("sensor/pose"))
+
+        def reboot() -> None:
+            rig.left.boot()
+            rig.left.plant.position = 0.0  # an incremental encoder
+
+        await rig.ordered(reboot)
+        axis = rig.backend.axes["left"]
+        await rig.until(lambda: axis.configured and axis.position is not None)
+        await rig.until(lambda: abs(axis.position) < 0.01)
+        await rig.host.until(lambda: len(rig.host.events("sensor/pose")) > places + 20)
+        for pose in rig.host.events("sensor/pose")[places:]:
+            assert pose.position.x == pytest.approx(before.x, abs=0.01)
+        await rig.ran("service/enable")
+        await rig.moving(1.0)
+        assert rig.place.x == pytest.approx(1.0, abs=0.06)
+
+
+async def test_odometry_counts_what_the_wheels_turn_not_what_they_were_told() -> None:
+    async with rover(enabled=False) as rig:
+        await rig.host.until(lambda: rig.host.events("sensor/pose"))
+
+        def push() -> None:
+            rig.left.plant.velocity, rig.right.plant.velocity = 5.0, -5.0
+
+        await rig.ordered(push)
+        await rig.until(rig.truth.still)
+        await rig.host.until(lambda: abs(rig.place.x - rig.truth.way) < 0.005)
+        assert rig.place.x > 0.05
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "yaw"), [(1.0, 0.0, None), (0.0, 0.6, 0.0), (-0.5, 0.1, math.pi), (0.0, 0.0, 1.5)]
+)
+async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None) -> None:
+    async with rover() as rig:
+        moved = to_plain(await rig.moving(x, y, yaw=yaw))
+        assert rig.truth.still()
+        assert math.hypot(rig.place.x - x, rig.place.y - y) < 0.06
+        assert moved["error"] < 0.05
+        assert moved["pose"]["frame_id"] == "odom"
+        if yaw is not None:
+            assert abs(math.remainder(rig.place.heading - yaw, 2 * math.pi)) < 0.06
+        assert math.remainder(rig.truth.heading - rig.place.heading, 2 * math.pi) == pytest.approx(
+            0, abs=0.01
+        )
+
+
+async def test_distance_and_time_left_shrink_on_the_way() -> None:
+    async with rover() as rig:
+        await rig.moving(1.5, speed=0.6)
+        told = [feedback for feedback, _ in rig.feedback]
+        assert len(told) > 10
+        distances = [each.distance_remaining for each in told]
+        assert distances == sorted(distances, reverse=True)
+        assert told[0].eta > told[-1].eta
+        assert told[0].eta == pytest.approx(3.0, abs=1.5)
+
+
+async def test_a_cancelled_move_has_braked_when_it_ends() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        moving.cancel()
+        await asyncio.wait((moving,), timeout=20)
+        assert rig.truth.still()
+        await rig.velocity(0.2)  # and the wheels are free again
+        await rig.until(lambda: rig.truth.moving[0] > 0.15)
+
+
+async def test_a_velocity_of_zero_ends_the_move() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        with pytest.raises(ModeForbids, match="driven by action/move_to"):
+            await rig.velocity(0.2)
+        await rig.velocity(0.0)
+        with pytest.raises(ModeForbids, match="velocity of zero"):
+            await asyncio.wait_for(moving, 20)
+        await rig.until(rig.truth.still)
+
+
+async def test_a_jammed_wheel_ends_the_move_as_failed() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        for plant in (rig.left.plant, rig.right.plant):  # too weak for what is in its way
+            plant.torque_limit, plant.stiction = 0.0, 1.0
+        with pytest.raises(DeviceRejected):
+            await asyncio.wait_for(moving, 40)
+        await rig.until(rig.truth.still)
+
+
+async def test_one_who_drives_a_wheel_and_one_who_drives_the_robot_do_not_mix() -> None:
+    async with rover() as rig:
+        await rig.velocity(0.3)
+        with pytest.raises(ModeForbids, match="driven by actuator/cmd_vel"):
+            await rig.write("actuator/left/velocity", 1.0)
+        await rig.write("actuator/left/velocity", 0.0)  # a stop of one wheel is one of both
+        await rig.until(rig.truth.still)
+        assert rig.stops()
+        await rig.write("actuator/left/velocity", 1.0)
+        await rig.until(lambda: rig.left.plant.velocity > 0.9)
+        turning = asyncio.ensure_future(rig.execute("action/left/move_to", {"position": 50.0}))
+        await rig.until(lambda: rig.backend.axes["left"].owner)
+        with pytest.raises(ModeForbids, match="driven by action/left/move_to"):
+            await rig.velocity(0.3)
+        assert abs(rig.right.plant.velocity) < 0.1
+        turning.cancel()
+        await asyncio.wait((turning,), timeout=20)
+
+
+async def test_a_halt_in_a_move_stops_both_wheels() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        with anyio.fail_after(10):
+            await rig.backend.halt()
+        assert rig.truth.still()
+        with pytest.raises(ModeForbids, match="halted"):
+            await asyncio.wait_for(moving, 20)
+        assert rig.left.state == rig.right.state == "quick_stop"
+
+
+async def test_a_reset_stops_it_and_begins_a_new_frame() -> None:
+    async with rover() as rig:
+        await rig.write("param/speed_limit", 0.5)
+        await rig.velocity(0.4)
+        await rig.until(lambda: rig.truth.way > 0.1)
+        await rig.ran("service/reset_system")
+        assert rig.truth.still()
+        assert await rig.backend.read("param/speed_limit") == pytest.approx(1.0)
+        pose: Any = await rig.backend.read("sensor/pose")
+        assert abs(pose.position.x) < 0.01
+
+
+async def test_a_goal_in_a_frame_without_a_transform_is_refused() -> None:
+    async with rover() as rig:
+        with pytest.raises(InvalidValue, match="no transform from 'map'"):
+            await rig.moving(1.0, frame="map")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"right": "left"}, "the same motor"),
+        ({"right": "nobody"}, "no motor 'nobody'"),
+        ({"radius": 0}, "> 0|>= "),
+    ],
+)
+def test_a_drive_that_is_none_is_refused(change: dict[str, Any], words: str) -> None:
+    table = tables("none")
+    table["diff_drives"]["base"] |= change
+    with pytest.raises(msgspec.ValidationError, match=words):
+        msgspec.convert(table, CanConfig)
+
+
+def test_a_backend_is_one_robot() -> None:
+    table = tables("none")
+    table["diff_drives"]["second"] = dict(table["diff_drives"]["base"])
+    with pytest.raises(msgspec.ValidationError, match="'base' is the robot already"):
+        msgspec.convert(table, CanConfig)

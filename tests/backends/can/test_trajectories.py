@@ -1,0 +1,358 @@
+"""Trajectories in joint space: the curves, the one clock, what is refused, and what ends them."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import pairwise
+from typing import Any
+
+import anyio
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from backends.can.rig import Node
+from backends.can.test_joints import LOST, Arm, arm, tables
+from rcp_can import CanConfig
+from rcp_can.cubic import Cubic, Knot
+from rcp_can.joint_limits import JointLimits
+from rcp_can.trajectory import Trajectory
+from rcp_can.trajectory_plan import Joint, Point, plan
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    InvalidValue,
+    ModeForbids,
+    OutOfRange,
+)
+from rcp_kernel.values import to_plain
+
+FOLLOW, STATES = "action/arm/follow_trajectory", "sensor/arm/joint_states"
+LATE = 0.015  # s
+BEND = [Knot(0, 0, 0), Knot(0.5, 1), Knot(1.2, 0.3), Knot(2, 0.7, 0.2), Knot(3, 1), Knot(3.5, 0, 0)]
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+# Curves
+
+knots = st.lists(
+    st.tuples(st.floats(0.05, 2.0), st.floats(-3, 3), st.none() | st.floats(-2, 2)),
+    min_size=1,
+    max_size=6,
+)
+
+
+def through(steps: list[tuple[float, float, float | None]]) -> list[Knot]:
+    found = [Knot(0.0, 0.0, 0.0)]
+    for duration, position, velocity in steps:
+        found.append(Knot(found[-1].time + duration, position, velocity))
+    found[-1] = found[-1]._replace(velocity=0.0)
+    return found
+
+
+@given(knots)
+def test_a_curve_goes_through_its_knots_and_jumps_nowhere(
+    steps: list[tuple[float, float, float | None]],
+) -> None:
+    points = through(steps)
+    curve = Cubic(points)
+    for point in points:
+        here = curve.at(point.time)
+        assert here.position == pytest.approx(point.position, abs=1e-6)
+        if point.velocity is not None:
+            assert here.velocity == pytest.approx(point.velocity, abs=1e-5)
+    for point in points[1:-1]:
+        before, after = curve.at(point.time - 1e-9), curve.at(point.time)
+        assert after.velocity == pytest.approx(before.velocity, abs=1e-3)
+        if point.velocity is None:  # and the drive feels no jerk that nobody asked for
+            assert after.acceleration == pytest.approx(before.acceleration, abs=1e-2)
+
+
+@given(knots)
+def test_no_sample_is_beyond_the_extremes(steps: list[tuple[float, float, float | None]]) -> None:
+    points = through(steps)
+    curve = Cubic(points)
+    for number, (before, after) in enumerate(pairwise(points)):
+        ends = curve.extremes(number)
+        for step in range(101):
+            at = before.time + (after.time - before.time) * step / 101
+            for value, bounds in zip(curve.at(at), zip(*ends, strict=True), strict=True):
+                assert min(bounds) - 1e-6 <= value <= max(bounds) + 1e-6
+
+
+# The clock
+
+limit = max(abs(s.acceleration) for n in range(5) for s in Cubic(BEND).extremes(n))
+
+
+@given(st.lists(st.floats(0.0, 0.4), min_size=50, max_size=200))
+def test_a_late_or_jittery_host_never_jumps(gaps: list[float]) -> None:
+    clock = Clock()
+    curve = Cubic(BEND)
+    line = Trajectory([curve], [limit], 3.5, LATE, clock)
+    follow = line.follow(0)
+    fastest = max(abs(s.velocity) for n in range(curve.segments) for s in curve.extremes(n))
+    last, _ = follow()
+    for gap in gaps:
+        clock.now += gap
+        position, _ = follow()
+        assert abs(position - last) <= fastest * min(gap, LATE) + 1e-9
+        last = position
+
+
+@given(st.floats(0.0, 3.4), st.floats(0.8, 3.0))
+def test_a_braked_trajectory_stays_on_its_curve_within_its_acceleration(
+    moment: float, stronger: float
+) -> None:
+    clock = Clock()
+    curve, step = Cubic(BEND), 0.002
+    line = Trajectory([curve], [limit * max(1.0, stronger)], 3.5, LATE, clock)
+    follow = line.follow(0)
+    velocities: list[float] = []
+    braked = 0.0
+    while not line.over:
+        clock.now += step
+        if line.elapsed >= moment and not braked:
+            line.brake()
+            braked = clock.now
+        position, velocity = follow()
+        assert position == pytest.approx(curve.at(line.elapsed).position)
+        velocities.append(velocity)
+    assert line.elapsed <= 3.5
+    for one, two in pairwise(velocities):
+        assert abs(two - one) <= 1.1 * limit * max(1.0, stronger) * step + 1e-3 * limit
+
+
+# What is refused
+
+LIMITS = JointLimits(-2.0, 2.0, 2.0, 10.0)
+HERE = {"a": Joint(0.0, LIMITS), "b": Joint(0.5, LIMITS)}
+
+
+def point(time: float, /, velocities: dict[str, float] | None = None, **positions: float) -> Point:
+    return Point(time, positions, velocities or {})
+
+
+@pytest.mark.parametrize(
+    ("points", "error", "words", "pointer"),
+    [
+        ([point(1.0)], InvalidValue, "names no joint", "/points/0/positions"),
+        ([point(1.0, a=1), point(2.0, b=1)], InvalidValue, "same joints", "/points/1/positions"),
+        ([point(1.0, a=1), point(1.0, a=1)], InvalidValue, "not later", "/points/1/time"),
+        ([point(0.0, a=0.0)], InvalidValue, "longer than 0 s", "/points/0/time"),
+        (
+            [point(0.0, a=0.5), point(1.0, a=1)],
+            InvalidValue,
+            "0.5 rad away",
+            "/points/0/positions/a",
+        ),
+        ([point(1.0, {"a": 0.1}, a=1)], InvalidValue, "not at rest", "/points/0/velocities"),
+        ([point(1.0, {"b": 0.0}, a=1)], InvalidValue, "no position, of b", "/points/0/velocities"),
+        ([point(9.0, a=2.5)], OutOfRange, "position of joint 'a'", "/points/0"),
+        ([point(1.0, a=1.9)], OutOfRange, "acceleration of joint 'a'", "/points/0"),
+        ([point(1.2, a=1.9)], OutOfRange, "velocity of joint 'a'", "/points/0"),
+        (
+            [point(2.0, {"a": 1.9}, a=1.5), point(4.0, a=1.9)],
+            OutOfRange,
+            "position of joint 'a' exceeds allowed range: 2",
+            "/points/1",
+        ),
+    ],
+)
+def test_what_a_joint_could_not_follow_is_refused(
+    points: list[Point], error: Any, words: str, pointer: str
+) -> None:
+    with pytest.raises(error, match=words) as caught:
+        plan(points, HERE, 0.1)
+    assert caught.value.details["pointer"] == pointer
+
+
+def test_a_point_at_the_start_is_where_the_joints_are() -> None:
+    curves = plan([point(0.0, a=0.05), point(2.0, a=1.0)], HERE, 0.1)
+    assert curves["a"].at(0.0).position == 0.0
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"nobody": {}}, "contains 'nobody'"),
+        ({"pan": {"position": [1.0, -1.0]}}, "lowest < highest"),
+        ({"pan": {"velocity": 0.0}}, "> 0"),
+    ],
+)
+def test_limits_of_no_joint_are_refused(limits: dict[str, Any], words: str) -> None:
+    table = tables("none")
+    table["joint_groups"]["arm"]["limits"] = limits
+    with pytest.raises(msgspec.ValidationError, match=words):
+        msgspec.convert(table, CanConfig)
+
+
+# On the bus
+
+
+def trajectory(*points: tuple[float, dict[str, float]]) -> dict[str, Any]:
+    return {"points": [{"time": time, "positions": positions} for time, positions in points]}
+
+
+WAVE = trajectory(
+    (0.8, {"pan": 0.6, "tilt": -0.4, "roll": 0.3}),
+    (1.6, {"pan": 0.2, "tilt": 0.2, "roll": 0.6}),
+    (2.4, {"pan": 0.5, "tilt": 0.4, "roll": 0.0}),
+)
+FAR = trajectory((3.5, {"pan": 4.0, "tilt": 4.0, "roll": 4.0}))
+
+
+def following(rig: Arm, goal: dict[str, Any]) -> asyncio.Future[Any]:
+    return asyncio.ensure_future(rig.execute(FOLLOW, goal))
+
+
+async def in_motion(rig: Arm, goal: dict[str, Any] = FAR) -> asyncio.Future[Any]:
+    running = following(rig, goal)
+    await rig.until(
+        lambda: all(t.plant.velocity > 1.0 for t in rig.twins.values()) or running.done()
+    )
+    assert not running.done(), running.exception()
+    return running
+
+
+async def test_joints_are_at_each_waypoint_at_its_time_and_end_at_the_last() -> None:
+    async with arm() as rig:
+        moved = to_plain(await asyncio.wait_for(following(rig, WAVE), 30))
+        for name, position in WAVE["points"][-1]["positions"].items():
+            assert rig.twins[name].plant.position == pytest.approx(position, abs=0.02)
+            assert moved["positions"][name] == pytest.approx(position, abs=0.02)
+        assert moved["duration"] >= 2.4
+        assert rig.still()
+        told = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
+        assert len(told) > 5
+        assert [each.time for each in told] == sorted(each.time for each in told)
+        middle = min(told, key=lambda each: abs(each.time - 1.6))
+        assert middle.positions["roll"] > 0.4
+        states = to_plain(await rig.backend.read(STATES))
+        assert states["name"] == ["pan", "tilt", "roll"]
+        assert states["position"][0] == pytest.approx(0.5, abs=0.02)
+
+
+async def test_what_is_refused_moves_nothing() -> None:
+    async with arm() as rig:
+        for goal, error in (
+            (trajectory((0.1, {"pan": 1.0})), OutOfRange),
+            (trajectory((1.0, {"pan": 1.0}), (2.0, {"tilt": 1.0})), InvalidValue),
+            (trajectory((1.0, {"pan": 7.0})), OutOfRange),
+        ):
+            taken = {name: len(twin.commands) for name, twin in rig.twins.items()}
+            with pytest.raises(error):
+                await rig.execute(FOLLOW, goal)
+            assert all(axis.owner is None for axis in rig.axes.values())
+            for name, twin in rig.twins.items():
+                assert all(abs(value) < 1e-3 for _, value in twin.commands[taken[name] :])
+        await rig.ran("service/tilt/disable")
+        with pytest.raises(ModeForbids, match="'tilt' is disabled"):
+            await rig.execute(FOLLOW, WAVE)
+        assert rig.still()
+
+
+async def test_a_joint_that_is_held_back_aborts_the_trajectory_to_a_stop() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        rig.twins["roll"].plant.torque_limit = 0.0
+        rig.twins["roll"].plant.stiction = 1.0
+        rig.twins["roll"].plant.friction = 1.0
+        with pytest.raises(DeviceRejected, match=r"'roll' is .* off its trajectory"):
+            await asyncio.wait_for(running, 20)
+        assert rig.still()
+        assert all(twin.plant.position < 3.9 for twin in rig.twins.values())
+        assert all(axis.owner is None for axis in rig.axes.values())
+
+
+async def test_a_host_that_stands_still_resumes_without_a_leap() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        twin = rig.twins["roll"]
+        before = twin.commands[-1][1]
+        loop = asyncio.get_running_loop()
+        end = loop.time() + 0.2
+        while loop.time() < end:  # a plugin that blocks
+            pass
+        seen = len(twin.commands)
+        await rig.until(lambda: len(twin.commands) > seen or seen >= 100)
+        await asyncio.wait_for(running, 30)
+        steps = [abs(two - one) for (_, one), (_, two) in pairwise(twin.commands)]
+        assert before > 0.0
+        assert max(steps, default=0.0) <= 2.0 * 0.015 * 1.6  # rad in one period and a half
+        assert twin.plant.position == pytest.approx(4.0, abs=0.02)
+
+
+@pytest.mark.parametrize("joint", ["pan", "tilt", "roll"])
+async def test_a_joint_that_is_lost_stops_all(joint: str) -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        rig.twins[joint].silent = True
+        with pytest.raises(LOST, match=joint):
+            await asyncio.wait_for(running, 20)
+        others = [twin.plant for name, twin in rig.twins.items() if name != joint]
+        await rig.until(lambda: all(abs(plant.velocity) < 0.1 for plant in others))
+        rig.twins[joint].silent = False
+        await rig.until(rig.still)
+
+
+async def test_bus_off_ends_a_trajectory_and_nothing_goes_on_when_the_bus_is_back() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        with Node(rig.channel) as node:
+            node.bus_off()
+            with pytest.raises(AdapterUnavailable):
+                await asyncio.wait_for(running, 20)
+            await rig.host.published_as("sensor/can/can0/state", state="error_active")
+        await rig.until(rig.still)
+        stood = {name: twin.plant.position for name, twin in rig.twins.items()}
+        await asyncio.sleep(0.2)
+        for name, twin in rig.twins.items():
+            assert twin.plant.position == pytest.approx(stood[name], abs=0.02)
+
+
+async def test_a_halt_ends_a_trajectory() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        with anyio.fail_after(10):
+            await rig.backend.halt()
+        assert rig.still()
+        with pytest.raises(ModeForbids, match="halted"):
+            await asyncio.wait_for(running, 20)
+        assert rig.still()
+
+
+async def test_a_cancelled_trajectory_has_braked_on_its_curve() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        running.cancel()
+        await asyncio.wait((running,), timeout=20)
+        assert running.cancelled()
+        assert rig.still()
+        ends = [twin.plant.position for twin in rig.twins.values()]
+        assert max(ends) < 3.9
+        assert max(ends) - min(ends) < 0.05  # the same curve for all: none has left it
+
+
+async def test_one_trajectory_at_a_time_and_no_joint_of_it_for_others() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        for name, value in (
+            ("actuator/pan/position", 0.0),
+            ("actuator/arm/joints", {"pan": 0.0}),
+        ):
+            with pytest.raises(ModeForbids, match="driven by action/arm/follow_trajectory"):
+                await rig.write(name, value)
+        with pytest.raises(ModeForbids, match="driven by"):
+            await rig.execute("action/arm/move_joints", {"positions": {"pan": 0.0}})
+        await rig.write("actuator/arm/joints", {})
+        with pytest.raises(ModeForbids, match="a stop of 'arm'"):
+            await asyncio.wait_for(running, 20)
+        assert rig.still()
