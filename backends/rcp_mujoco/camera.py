@@ -16,6 +16,7 @@ from rcp_profiles.messages import Image
 
 __all__ = ["CameraThread", "Frame"]
 
+_AFTER = 1.5  # s after the start, which loading OpenGL would slow down
 _JOIN = 5.0  # s
 
 
@@ -47,6 +48,7 @@ class CameraThread:
         self._width, self._height = size
         self._ready, self._absent = ready, absent
         self._frames: queue.Queue[Frame | None] = queue.Queue(maxsize=2)
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mujoco-camera", daemon=True)
 
     def start(self) -> None:
@@ -63,6 +65,7 @@ class CameraThread:
 
     def close(self) -> None:
         """End the thread. Blocks."""
+        self._closing.set()
         while True:
             try:
                 self._frames.put_nowait(None)
@@ -72,6 +75,8 @@ class CameraThread:
         self._thread.join(_JOIN)
 
     def _run(self) -> None:
+        if self._closing.wait(_AFTER):
+            return
         try:
             renderer: Any = mujoco.Renderer(self._model, self._height, self._width)
         except Exception as error:

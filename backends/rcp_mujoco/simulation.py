@@ -146,9 +146,9 @@ class Simulation:
         """Have a command end by itself after so many seconds of simulation time."""
         self._due[name] = (self.time + seconds, stop)
 
-    def forget(self, name: str) -> None:
-        """End the window of a command."""
-        self._due.pop(name, None)
+    def forget(self, name: str) -> bool:
+        """End the window of a command; return whether there was one."""
+        return self._due.pop(name, None) is not None
 
     def brake(self, reason: str) -> None:
         """Apply the brakes of every driven joint and end what the controllers do."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ _PROGRESS = 0.02  # m or rad that it has to come nearer …
 _PATIENCE = 5.0  # … within so many seconds
 _BRAKING = 0.6  # of the acceleration, planned for braking
 _CREEP = 0.05  # m/s
+_TAKEN_OVER = 2.0  # s
 _LEAN = 0.5  # of the speed in a turn
 
 Phase = Literal["turning", "driving", "aligning", "braking", "done"]
@@ -76,6 +78,8 @@ class Wheels:
         """Commanded speed, m/s, and yaw rate, rad/s."""
         self.trip: Trip | None = None
         self._ramp = (0.0, 0.0)
+        self._zero_expected = 0.0
+        """Until when the gateway's dead-man may end the velocity that a trip has taken over from."""
         self._driving = False
         self.odometry = (0.0, 0.0, 0.0)
         self._turned = self._wheel_angles()
@@ -88,6 +92,9 @@ class Wheels:
         :raises ModeForbids: the robot is on a trip.
         """
         if v == 0.0 and w == 0.0:
+            if time.monotonic() < self._zero_expected:
+                self._zero_expected = 0.0
+                return
             self._end_trip("stopped by actuator/cmd_vel")
             self._simulation.forget("cmd_vel")
             self.target = (0.0, 0.0)
@@ -120,7 +127,8 @@ class Wheels:
         """Begin a trip."""
         self._simulation.need_whole()
         self._end_trip("another goal was given")
-        self._simulation.forget("cmd_vel")
+        if self._simulation.forget("cmd_vel"):
+            self._zero_expected = time.monotonic() + _TAKEN_OVER
         self._simulation.release()
         self._driving = True
         self.trip = trip

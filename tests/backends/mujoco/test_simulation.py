@@ -306,6 +306,18 @@ def test_a_velocity_is_refused_on_a_trip_and_zero_ends_it() -> None:
     assert trip.failure == "stopped by actuator/cmd_vel"
 
 
+def test_the_dead_man_of_a_velocity_does_not_end_the_trip_that_took_over() -> None:
+    robot = robot_of()
+    robot.wheels.drive(0.5, 0.0, 0.5)
+    run(robot, 0.1)
+    trip = make_trip(2.0, 0.0, None, None, None)
+    robot.wheels.go(trip)
+    robot.wheels.drive(0.0, 0.0, 0.5)
+    assert not trip.over
+    robot.wheels.drive(0.0, 0.0, 0.5)
+    assert trip.over
+
+
 def test_the_lidar_sees_the_walls_where_they_are() -> None:
     robot = robot_of()
     run(robot, 0.2)
