@@ -53,6 +53,16 @@ _DENIALS = frozenset(
 """Codes that go on record whatever the request was; a write or an execute does with any code."""
 
 
+class _Sealed(msgspec.Struct, frozen=True, gc=False):
+    """A record as it is sealed, decoded only if somebody asks: a `Native` value."""
+
+    data: bytes
+
+    def decode(self) -> dict[str, Any]:
+        """Return the record."""
+        return msgspec.json.decode(self.data)
+
+
 class AuditLog:
     """Writes one record for each event, and for each start and end of a command."""
 
@@ -110,17 +120,21 @@ class AuditLog:
             what, event, who
         ):
             return False
-        request = (
-            {} if event.request is None else requested(event.request, event.what, hide=event.hide)
-        )
-        facts = {**who, "path": event.path, **more, **request}
-        facts |= {key: value for key, value in event.facts.items() if value is not None}
+        facts = {**who, "path": event.path and event.path[:_TEXT], **more}
+        if event.request is not None:
+            facts |= requested(event.request, event.what, hide=event.hide)
+        facts |= {
+            key: value[:_TEXT] if isinstance(value, str) else value
+            for key, value in event.facts.items()
+            if value is not None
+        }
         value = facts.get("value")
         if value is not None and type(value) is not msgspec.Raw:
             facts["value"] = bounded(value)
         if touches is not None:
             facts["touches"] = list(touches)
-        self._write(what, {**facts, "outcome": event.outcome})
+        facts["outcome"] = event.outcome
+        self._write(what, facts)
         return True
 
     def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
@@ -134,9 +148,6 @@ class AuditLog:
         return self.throttle.passes(key, who, event.path, event.outcome, full=full)
 
     def _write(self, what: str, facts: dict[str, Any]) -> None:
-        for key, value in facts.items():
-            if isinstance(value, str) and len(value) > _TEXT:
-                facts[key] = value[:_TEXT]
         try:
             data = self._ledger.add(what, facts)
         except (TypeError, ValueError, OverflowError, RecursionError):
@@ -144,7 +155,7 @@ class AuditLog:
         self._ledger.settled(partial(self._publish, data))
 
     def _publish(self, data: bytes) -> None:
-        self._host.publish(PATH, msgspec.json.decode(data))
+        self._host.publish(PATH, _Sealed(data))
 
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the record for `/system/status`; its head is not for everybody."""

@@ -86,14 +86,13 @@ class HeldReplies:
         self._hold(send, self._loop.time() + _ESTOP, reply, anyway=True)
 
     def _hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
-        if self._ledger.idle:
-            send(reply)
-            return
         moment = self._loop.time()
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
         held = _Held(reply, send, until, anyway=anyway)
+        self._ledger.settled(held.release)  # at once if all is committed
+        if held.reply is None:
+            return
         self._held.append(held)
-        self._ledger.settled(held.release)
         if not self._watching:
             self._watching = True
             self._loop.call_later(_LOOK, self._look)

@@ -1,8 +1,8 @@
-"""What transports and adapters are built with, beside `ClientApi` and `rcp_kernel.asgi`.
+"""The parts for transports and adapters, besides `ClientApi` and `rcp_kernel.asgi`.
 
-A plugin that brings clients in imports the public modules and nothing deeper: `api`, `api.pages`,
-`asgi`, `client_api`, `client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`,
-`values` and `wire`. These names stay where the kernel behind them is rearranged.
+A plugin that connects clients imports only the public modules: `api`, `api.pages`, `asgi`,
+`client_api`, `client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`, `values`
+and `wire`. These names are stable when the kernel behind them is rearranged.
 """
 
 from __future__ import annotations

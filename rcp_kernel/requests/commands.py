@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
@@ -53,12 +53,14 @@ class Commands:
         began: Callable[[Entry], None],
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         """`began` is told before a command runs, and must cost nothing."""
         self._journal = journal
         self._began = began
         self._turns = turns
         self._loop = loop
+        self._now = clock.now
         self._active: dict[str, Command] = {}
         """The command that holds each path, where the policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -107,7 +109,7 @@ class Commands:
             self._run(command, call, timeout, confirm)
         else:
             text = f"Waiting for command {busy.id} on {entry.path}."
-            self._journal.write(command, Record("pending", now(), message=text))
+            self._journal.write(command, Record("pending", self._now(), message=text))
             self._starts[command.id] = partial(self._run, command, call, timeout, confirm)
             self._queue(command, call, busy)
 
@@ -174,7 +176,7 @@ class Commands:
         fraction: float | None = None,
     ) -> None:
         """Tell how far a command has come: the `Progress` that its backend gets."""
-        if command.final:
+        if command.finished is not None:
             return
         body: Any = NO_BODY
         if feedback is not None:
@@ -185,7 +187,7 @@ class Commands:
                 return
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
-        self._journal.write(command, Record("in_progress", now(), body, fraction))
+        self._journal.write(command, Record("in_progress", self._now(), body, fraction))
 
     def _expire(self, command: Command, timeout: float) -> None:
         """End a command in time for its client, whatever the backend makes of the cancel."""
@@ -239,18 +241,21 @@ class Commands:
             )
 
     def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
-        if not command.final:
+        if command.finished is None:
             self._end(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # looked at, so that asyncio does not report it as lost
-        if self._active.get(command.path) is command:
-            del self._active[command.path]
-            self._next(command.path)
+        command.task = None  # with all that it refers to; the command is remembered for long
+        path = command.path
+        if self._active.get(path) is command:
+            del self._active[path]
+            if path in self._queues:
+                self._next(path)
 
     def _next(self, path: str) -> None:
-        queue = self._queues.get(path)
+        queue = self._queues[path]
         if not queue:
-            self._queues.pop(path, None)
+            del self._queues[path]
             return
         following = queue.popleft()
         if not queue:
@@ -262,11 +267,11 @@ class Commands:
             command.timer.cancel()
             command.timer = None
         if isinstance(outcome, RcpError):
-            self._journal.write(command, _failed(command, outcome))
+            self._journal.write(command, _failed(command, outcome, self._now()))
         else:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
-            self._journal.write(command, Record("completed", now(), body, message=text))
+            self._journal.write(command, Record("completed", self._now(), body, message=text))
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End what runs on a path whose backend is gone, with the reason."""
@@ -292,7 +297,7 @@ def _shared(entry: Entry) -> bool:
     return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
 
 
-def _failed(command: Command, error: RcpError) -> Record:
+def _failed(command: Command, error: RcpError, moment: int) -> Record:
     """Return the final step of a command that ends with an error."""
     entry = command.entry
     error.path = error.path or command.path
@@ -302,4 +307,4 @@ def _failed(command: Command, error: RcpError) -> Record:
             tell_loss(entry, error)
     body = NO_BODY if command.work is None else command.work.report(over=True)
     status = status_of(command, error)
-    return Record(status, now(), body, message=error.message, error=error_body(error))
+    return Record(status, moment, body, message=error.message, error=error_body(error))

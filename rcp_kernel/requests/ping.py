@@ -35,7 +35,7 @@ class PingHandler:
         started = perf_counter()
         if request.custom is not None:
             return None
-        if (account := session.account) is not None and not account.take(started):
+        if (account := session.account) is not None and not account.take(session.monotonic()):
             return None
         head = _HEAD if request.id is None else b'{"type":"ping","id":%b,' % _to_json(request.id)
         reply = b"".join((head, _MIDDLE, iso(now()).encode(), b'"}'))

@@ -171,7 +171,7 @@ class ReadHandler:
             piece = sample.tails.get(READ_PIECE) or sample.read_piece()
         except RcpError:
             return None
-        if (account := session.account) is not None and not account.take(started):
+        if (account := session.account) is not None and not account.take(session.monotonic()):
             return None
         head = _HEAD if request.id is None else b'{"type":"read","id":%b,' % _to_json(request.id)
         stale = entry.deadline is not None and entry.stale
