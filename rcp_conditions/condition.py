@@ -75,7 +75,7 @@ class Condition:
     :raises ConditionTooCostly: it exceeds a limit of length, depth or cost.
     """
 
-    __slots__ = ("_afforded", "_names", "_program", "_told", "_tree", "refs", "text", "times")
+    __slots__ = ("_afforded", "_names", "_program", "_tree", "_warned", "refs", "text", "times")
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -98,7 +98,7 @@ class Condition:
         except Exception as error:
             raise self._wrong(_first_line(error)) from None
         self._afforded: dict[str, Size] = {}
-        self._told = False
+        self._warned = False
         self.refs: tuple[Ref, ...] = tuple(r for r in self._names if r[0] != "time")
         """The values it needs, each as branch, resource and field."""
         self.times: tuple[Ref, ...] = tuple(r for r in self._names if r[0] == "time")
@@ -189,8 +189,8 @@ class Condition:
         """
         why = self.excess(values)
         if why is not None:
-            if not self._told:
-                self._told = True
+            if not self._warned:
+                self._warned = True
                 log.warning("condition_too_costly", condition=self.text, reason=why)
             return None
         names = self._names

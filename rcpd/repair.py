@@ -162,12 +162,14 @@ class _Repair:
         row: Row = seal(
             head,
             "repair",
-            head=written(head),
-            records=count,
-            missing=missing,
-            message=self._reason,
-            aside=self._aside.name,
-            apart=self._interim.name if self._apart else None,
+            {
+                "head": written(head),
+                "records": count,
+                "missing": missing,
+                "message": self._reason,
+                "aside": self._aside.name,
+                "apart": self._interim.name if self._apart else None,
+            },
         )
         why = f"{self._reason} ({missing} records are missing, and perhaps an e-stop among them)"
         latch = msgspec.msgpack.encode(latch_row("rcpd store", why))

@@ -21,6 +21,7 @@ from hypothesis import settings
 
 from failures import LISTED, Failure, failure, note
 from pairs import left_out
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.testing import SteppedClock, SteppedLoop
 from scheduling import PROCESSES, Scheduling
 
@@ -75,6 +76,15 @@ def _own_logging() -> Generator[None]:
 def stepped() -> SteppedClock:
     """The time of the gateway's rules and of the test's event loop, which the test puts forward."""
     return SteppedClock()
+
+
+@pytest.fixture
+def gateway_clock(request: pytest.FixtureRequest) -> Clock:
+    """The clock of the gateways that fixtures run: `stepped` where a test asks for it."""
+    if "stepped" not in request.fixturenames:
+        return SYSTEM_CLOCK
+    clock: SteppedClock = request.getfixturevalue("stepped")
+    return clock.clock
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ class Leg(NamedTuple):
     acceleration: float
 
     @property
-    def way(self) -> float:
+    def distance(self) -> float:
         """Signed distance, rad."""
         return self.goal - self.start
 
@@ -37,9 +37,11 @@ class Path:
     def __init__(
         self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic, late: float = _LATE
     ) -> None:
-        moving = [leg for leg in legs if abs(leg.way) > _NOTHING]
-        speed = min((leg.velocity / abs(leg.way) for leg in moving), default=math.inf)
-        self._acceleration = min((leg.acceleration / abs(leg.way) for leg in moving), default=1.0)
+        moving = [leg for leg in legs if abs(leg.distance) > _NOTHING]
+        speed = min((leg.velocity / abs(leg.distance) for leg in moving), default=math.inf)
+        self._acceleration = min(
+            (leg.acceleration / abs(leg.distance) for leg in moving), default=1.0
+        )
         self._peak = min(speed, math.sqrt(self._acceleration))
         self._clock, self._late = clock, late
         self._last = clock()
@@ -53,7 +55,7 @@ class Path:
 
         def now() -> tuple[float, float]:
             part, speed = self.advance()
-            return leg.start + leg.way * part, leg.way * speed
+            return leg.start + leg.distance * part, leg.distance * speed
 
         return now
 

@@ -118,7 +118,7 @@ class Gimbals:
 
         def looks() -> m.Gimbal | None:
             frame = self._vehicle.latest.get("MOUNT_STATUS")
-            if frame is None or self._vehicle.came["MOUNT_STATUS"] < since:
+            if frame is None or self._vehicle.received_at["MOUNT_STATUS"] < since:
                 return None
             f = frame.fields()
             return m.Gimbal(

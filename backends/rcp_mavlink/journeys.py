@@ -78,7 +78,7 @@ class Journeys:
             progress(
                 m.OnItsWay(left, now.height, vehicle.mode), fraction=part(distance - left, distance)
             )
-            fresh = vehicle.came["GLOBAL_POSITION_INT"] > since
+            fresh = vehicle.received_at["GLOBAL_POSITION_INT"] > since
             there = fresh and self._arrived(now, lat, lon, altitude, goal.tolerance)
             return pace.update(there=there)
 

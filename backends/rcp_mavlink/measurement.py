@@ -39,7 +39,7 @@ class Measurement:
 
     def age(self, message: str) -> float:
         """Return the age of the last message of a type, s."""
-        received = self._vehicle.came.get(message, -math.inf)
+        received = self._vehicle.received_at.get(message, -math.inf)
         return math.inf if received < self.doubtful_since else time.monotonic() - received
 
     # State, from heartbeats
@@ -116,7 +116,7 @@ class Measurement:
 
     def measured_since(self, moment: float) -> bool:
         """Return whether a position arrived after a moment of the monotonic clock."""
-        return any(self._vehicle.came.get(name, -math.inf) > moment for name in _POSITIONS)
+        return any(self._vehicle.received_at.get(name, -math.inf) > moment for name in _POSITIONS)
 
     def stale(self, *, strict: bool = True) -> bool:
         """Return whether its position is too old for motion; `strict` also if it has none."""
@@ -129,7 +129,7 @@ class Measurement:
 
         If no messages arrive at all, the link counts as lost, which ends running commands.
         """
-        last = max(self._vehicle.came.get(name, -math.inf) for name in _POSITIONS)
+        last = max(self._vehicle.received_at.get(name, -math.inf) for name in _POSITIONS)
         return self.stale() and self._vehicle.last_message_at - last >= self.limit
 
     def check(self, *, strict: bool = True) -> None:

@@ -59,7 +59,7 @@ class Missions:
             started = await vehicle.until(
                 lambda: (
                     self._now()["mission_state"] in (_ACTIVE, _COMPLETE)
-                    and vehicle.came["MISSION_CURRENT"] > since
+                    and vehicle.received_at["MISSION_CURRENT"] > since
                 ),
                 _STARTING,
             )

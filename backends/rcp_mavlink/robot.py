@@ -266,7 +266,9 @@ class Robot:
     def poll(self) -> None:
         """Repeat requests for messages that do not arrive; called periodically."""
         now = time.monotonic()
-        received = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.last_message_at - 1)
+        received = self.vehicle.received_at.get(
+            "GLOBAL_POSITION_INT", self.vehicle.last_message_at - 1
+        )
         if not self.vehicle.lost and now - received > _RETRY_AFTER:
             self.intervals.begin()
         if self.vehicle.lost:  # the uplink may work although the downlink does not
@@ -328,7 +330,7 @@ class Robot:
         since = time.monotonic()
 
         def back() -> bool:
-            return vehicle.came["HEARTBEAT"] > since + 0.5
+            return vehicle.received_at["HEARTBEAT"] > since + 0.5
 
         try:
             returned = await vehicle.until(back, _COMING_BACK)
@@ -381,7 +383,8 @@ class Robot:
             since = time.monotonic()
             await self.intervals.request(sensor.message)
             fresh = await vehicle.until(
-                lambda: vehicle.came.get(sensor.message, 0.0) >= since, self._hub.config.timeout
+                lambda: vehicle.received_at.get(sensor.message, 0.0) >= since,
+                self._hub.config.timeout,
             )
             if not fresh:
                 raise DeviceTimeout(f"the vehicle did not send {sensor.message}")

@@ -58,7 +58,7 @@ class _Attempt:
         """Start time of the step, and since when its mode is not in effect."""
         self.taken: float | None = None
         """Since when telemetry shows its mode."""
-        self.stands: float | None = None
+        self.at_rest_since: float | None = None
         """Since when the vehicle is on the ground."""
         self.refusals = 0
 
@@ -311,12 +311,12 @@ class Stop:
         if self._shown_disarmed():
             return ""
         if self._standing():
-            attempt.stands = attempt.stands or now
-            if attempt.pause or now - attempt.stands > _DISARMING:
+            attempt.at_rest_since = attempt.at_rest_since or now
+            if attempt.pause or now - attempt.at_rest_since > _DISARMING:
                 return ""
             self._send_due(now, rung)
             return None
-        attempt.stands = None
+        attempt.at_rest_since = None
         if self._lands_itself(rung):
             attempt.waits, attempt.taken = now, None
             return None
@@ -350,7 +350,7 @@ class Stop:
     def _signature(self, attempt: _Attempt) -> tuple[Any, ...]:
         """Return the state whose changes require a check."""
         v = self._vehicle
-        return v.armed, v.mode_number, v.landed, attempt.refusals, v.came.get("HEARTBEAT")
+        return v.armed, v.mode_number, v.landed, attempt.refusals, v.received_at.get("HEARTBEAT")
 
     async def _reasons(self, since: float) -> str:
         await asyncio.sleep(_LATE_ANSWERS)
@@ -387,7 +387,7 @@ class Stop:
         return self._measurement.standing and self._heartbeat_counts()
 
     def _heartbeat_counts(self) -> bool:
-        return self._vehicle.came.get("HEARTBEAT", -math.inf) > self._shown
+        return self._vehicle.received_at.get("HEARTBEAT", -math.inf) > self._shown
 
     def _in_force(self, rung: Rung) -> bool:
         shown = self._measurement.has_heartbeat and self._heartbeat_counts()

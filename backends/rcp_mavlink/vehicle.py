@@ -53,7 +53,7 @@ class Vehicle:
         self.system, self.component = system, component
         self.family: Family = family(0, 0)
         self.latest: dict[str, Frame] = {}
-        self.came: dict[str, float] = {}
+        self.received_at: dict[str, float] = {}
         """Arrival time of the latest of each message, on the monotonic clock."""
         self._stamps: dict[str, bytes] = {}
         self.last_message_at = time.monotonic()
@@ -80,7 +80,7 @@ class Vehicle:
         self.latest[name] = frame
         self.last_message_at = now
         if not self._is_repeated(name, frame):
-            self.came[name] = now
+            self.received_at[name] = now
         if number == 0:
             self._heartbeat(frame)
         listeners = self._listeners.get(number)

@@ -32,7 +32,7 @@ class Follower:
         yaw: float | None = None,
         speed: float = math.inf,
     ) -> None:
-        self._way = path
+        self._path = path
         self._tolerance = tolerance
         self._yaw = yaw
         self.speed = speed
@@ -44,12 +44,12 @@ class Follower:
     @property
     def goal(self) -> tuple[float, float]:
         """The last point of the path."""
-        return self._way[-1]
+        return self._path[-1]
 
     @property
-    def way(self) -> list[tuple[float, float]]:
+    def path(self) -> list[tuple[float, float]]:
         """The points still ahead."""
-        return self._way
+        return self._path
 
     @property
     def stuck(self) -> bool:
@@ -58,13 +58,13 @@ class Follower:
 
     def reroute(self, path: list[tuple[float, float]]) -> None:
         """Take another path to the same goal."""
-        self._way = path
+        self._path = path
         self.phase = "turning"
         self._best = math.inf
 
     def remaining(self, rover: Rover) -> float:
         """Return the remaining distance, m."""
-        points = [(rover.x, rover.y), *self._way]
+        points = [(rover.x, rover.y), *self._path]
         return sum(math.dist(a, b) for a, b in pairwise(points))
 
     def command(self, rover: Rover, limit: float, dt: float) -> tuple[float, float]:
@@ -74,13 +74,13 @@ class Follower:
             return 0.0, 0.0
         if self.phase == "aligning":
             return self._align(rover)
-        x, y = self._way[0]
+        x, y = self._path[0]
         distance = math.hypot(x - rover.x, y - rover.y)
-        if len(self._way) > 1 and distance < _CORNER:
-            del self._way[0]
+        if len(self._path) > 1 and distance < _CORNER:
+            del self._path[0]
             self.phase = "turning"
             return self.command(rover, limit, 0.0)
-        if len(self._way) == 1 and distance < self._tolerance * 0.8:
+        if len(self._path) == 1 and distance < self._tolerance * 0.8:
             return self._arrive(rover)
         return self._drive(rover, distance, math.atan2(y - rover.y, x - rover.x), limit)
 
@@ -94,7 +94,7 @@ class Follower:
             self.phase = "turning"
         if self.phase != "driving" or limit == 0:
             return 0.0, _turn(off) if limit else 0.0
-        short = 0.0 if len(self._way) > 1 else self._tolerance / 2
+        short = 0.0 if len(self._path) > 1 else self._tolerance / 2
         v = math.sqrt(2 * _CARE * BRAKE * max(0.0, distance - short))
         crawl = 0.02  # m/s: keeps a minimum speed for the last centimetres
         return min(limit, self.speed, max(crawl, v)), _turn(off)

@@ -36,7 +36,7 @@ class Planner:
         """Return whether the straight leg between two points keeps the margin."""
         return not any(_crosses(block, a, b) for block in self._blocks)
 
-    def way(
+    def find_path(
         self, start: tuple[float, float], goal: tuple[float, float]
     ) -> list[tuple[float, float]] | None:
         """Return the points of the path, the goal last; None if there is no path."""

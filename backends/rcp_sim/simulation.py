@@ -140,7 +140,7 @@ class Simulation:
         :raises ModeForbids: another trip is running.
         :raises DeviceRejected: there is no path to it, or the battery is empty.
         """
-        path = self._way(x, y)
+        path = self._find_path(x, y)
         if self.trip is not None:
             raise ModeForbids(
                 f"action/{self.trip.task} is running",
@@ -154,7 +154,7 @@ class Simulation:
         self.trip = Trip(task, follower, self.rover)
         return self.trip
 
-    def _way(self, x: float, y: float) -> list[tuple[float, float]]:
+    def _find_path(self, x: float, y: float) -> list[tuple[float, float]]:
         if not self.floor.planner.free(x, y):
             inside = self.world.clearance(x, y)
             where = f"{inside:.2f} m from" if inside > 0 else "inside or behind"
@@ -162,7 +162,7 @@ class Simulation:
                 f"goal ({x:g}, {y:g}) is {where} an obstacle or wall",
                 remedy=f"Choose a goal at least {MARGIN} m from everything on sensor/map.",
             )
-        path = self.floor.planner.way((self.rover.x, self.rover.y), (x, y))
+        path = self.floor.planner.find_path((self.rover.x, self.rover.y), (x, y))
         if path is None:
             raise DeviceRejected(f"no path to ({x:g}, {y:g})")
         return path
@@ -208,9 +208,9 @@ class Simulation:
             return
         planner, follower = self.floor.planner, self.trip.follower
         here = (self.rover.x, self.rover.y)
-        if all(planner.clear(a, b) for a, b in pairwise([here, *follower.way])):
+        if all(planner.clear(a, b) for a, b in pairwise([here, *follower.path])):
             return
-        path = planner.way(here, follower.goal)
+        path = planner.find_path(here, follower.goal)
         if path is None:
             self.stop("the path is blocked")
         else:

@@ -11,7 +11,7 @@ from a2a.types.a2a_pb2 import SendMessageRequest, Task, TaskState, TaskStatus
 from a2a.utils.errors import TaskNotCancelableError
 
 from rcp_a2a.callers import caller_of
-from rcp_a2a.messages import asked, stamp
+from rcp_a2a.messages import parse_message, stamp
 from rcp_a2a.run import Run
 from rcp_kernel.client_api import ClientApi
 
@@ -31,7 +31,7 @@ class Agent(AgentExecutor):
     async def execute(self, context: RequestContext, event_queue: EventQueue) -> None:
         """Start or continue the plan of a message, until its end or the next question."""
         caller = caller_of(context.call_context)
-        wanted = asked(_request(context))
+        wanted = parse_message(_request(context))
         task = context.current_task
         if task is None:
             task = _begun(context)

@@ -64,7 +64,7 @@ class Handler(DefaultRequestHandler):
     def _mask(self, context: ServerCallContext, own: Iterable[Message] = ()) -> Mask:
         return Mask(self._client_api, caller_of(context).session, own)
 
-    async def _told(self, task: Task, context: ServerCallContext) -> Task:
+    async def _visible(self, task: Task, context: ServerCallContext) -> Task:
         # The returned task may lack its history, and thus the request.
         turns = self._client_api.turns
         await turns.wait(caller_of(context).principal.identity)
@@ -76,7 +76,7 @@ class Handler(DefaultRequestHandler):
     async def on_get_task(self, params: GetTaskRequest, context: ServerCallContext) -> Task | None:
         """Handle `GetTask`."""
         task = await super().on_get_task(params, context)
-        return None if task is None else await self._told(task, context)
+        return None if task is None else await self._visible(task, context)
 
     async def on_list_tasks(
         self, params: ListTasksRequest, context: ServerCallContext
@@ -86,7 +86,7 @@ class Handler(DefaultRequestHandler):
         shown = ListTasksResponse()
         shown.CopyFrom(found)
         del shown.tasks[:]
-        shown.tasks.extend([await self._told(task, context) for task in found.tasks])
+        shown.tasks.extend([await self._visible(task, context) for task in found.tasks])
         return shown
 
     async def on_cancel_task(
@@ -94,7 +94,7 @@ class Handler(DefaultRequestHandler):
     ) -> Task | None:
         """Handle `CancelTask`."""
         task = await super().on_cancel_task(params, context)
-        return None if task is None else await self._told(task, context)
+        return None if task is None else await self._visible(task, context)
 
     async def on_message_send(
         self, params: SendMessageRequest, context: ServerCallContext

@@ -20,15 +20,15 @@ from rcp_protocol.plain import is_list, is_map
 __all__ = [
     "VALUES",
     "TaskRequest",
-    "asked",
     "check",
     "check_fields",
     "count_values",
     "data_part",
+    "parse_message",
     "plain",
+    "plain_reply",
     "stamp",
     "text_part",
-    "told",
     "written",
 ]
 
@@ -84,7 +84,7 @@ def check(message: Message) -> None:
         raise InvalidParamsError("a message can contain one plan only: send one data part")
 
 
-def asked(request: SendMessageRequest) -> TaskRequest:
+def parse_message(request: SendMessageRequest) -> TaskRequest:
     """Parse a message; if it has a data part, its text is for people only."""
     message = request.message
     options = {**plain(request.metadata), **plain(message.metadata)}
@@ -146,7 +146,7 @@ def plain(value: Value | Struct | Any) -> Any:
             return None
 
 
-def told(reply: Reply) -> dict[str, Any]:
+def plain_reply(reply: Reply) -> dict[str, Any]:
     """Encode a reply as on the wire, as plain data."""
     return msgspec.json.decode(encode_reply(reply, Encoding.JSON))
 

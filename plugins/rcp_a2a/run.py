@@ -21,9 +21,9 @@ from rcp_a2a.messages import (
     TaskRequest,
     count_values,
     data_part,
+    plain_reply,
     stamp,
     text_part,
-    told,
 )
 from rcp_a2a.questions import (
     LINES,
@@ -193,7 +193,7 @@ class Run:
                         await self._urgent.wait()
 
     async def _tell(self, reply: Reply) -> None:
-        facts = told(reply)
+        facts = plain_reply(reply)
         if reply.final:
             await self._conclude(facts)
         elif reply.status == "in_progress" and isinstance(facts.get("body"), dict):

@@ -39,7 +39,7 @@ class Decisions:
         :raises Forbidden: it may not decide, or the approval is no longer pending.
         """
         found = self._find(session, decision.id)
-        if session.principal.identity == found.asker:
+        if session.principal.identity == found.requester:
             raise Forbidden(
                 "you cannot approve your own command",
                 path=PATH,
@@ -60,7 +60,7 @@ class Decisions:
         """
         session.charge()
         found = self._find(session, id_)
-        own = session.principal.identity == found.asker
+        own = session.principal.identity == found.requester
         rights = session.rights
         if own and decision == "approve" and not all(map(rights.may_approve_own, found.tenants)):
             raise Forbidden(
@@ -86,7 +86,9 @@ class Decisions:
         )
 
     def _sees(self, session: Session, question: Question) -> bool:
-        return session.principal.identity == question.asker or self._may_decide(session, question)
+        return session.principal.identity == question.requester or self._may_decide(
+            session, question
+        )
 
     def _decide(
         self,

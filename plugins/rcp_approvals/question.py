@@ -57,7 +57,7 @@ class Question:
     """An approval as the gateway stores it."""
 
     state: ApprovalState
-    asker: tuple[str, str]
+    requester: tuple[str, str]
     """Identity of the requester."""
     seen: tuple[str, ...]
     """Paths that must be visible to whoever decides."""

@@ -71,7 +71,7 @@ class Questions:
         )
 
     def _same(self, session: Session, digest: bytes) -> Question | None:
-        own = (q for q in self.known.values() if q.asker == session.principal.identity)
+        own = (q for q in self.known.values() if q.requester == session.principal.identity)
         return next((q for q in own if q.digest == digest and q.holds), None)
 
     def _ask(
@@ -111,7 +111,7 @@ class Questions:
         :raises QueueFull: too many are pending.
         """
         moment = self._now()
-        own = [q for q in self.known.values() if q.asker == principal.identity]
+        own = [q for q in self.known.values() if q.requester == principal.identity]
         if sum(q.status == "pending" for q in own) >= _EACH:
             raise QueueFull(
                 f"{principal.name} already has {_EACH} commands waiting for approval",
@@ -135,7 +135,7 @@ class Questions:
         question = self.known.get(id_)
         if (
             question is None
-            or question.asker != session.principal.identity
+            or question.requester != session.principal.identity
             or question.digest != digest
         ):
             raise Forbidden(

@@ -120,17 +120,21 @@ class AuditLog:
             what, event, who
         ):
             return False
-        request = (
-            {} if event.request is None else requested(event.request, event.what, hide=event.hide)
-        )
-        facts = {**who, "path": event.path, **more, **request}
-        facts |= {key: value for key, value in event.facts.items() if value is not None}
+        facts = {**who, "path": event.path and event.path[:_TEXT], **more}
+        if event.request is not None:
+            facts |= requested(event.request, event.what, hide=event.hide)
+        facts |= {
+            key: value[:_TEXT] if isinstance(value, str) else value
+            for key, value in event.facts.items()
+            if value is not None
+        }
         value = facts.get("value")
         if value is not None and type(value) is not msgspec.Raw:
             facts["value"] = bounded(value)
         if touches is not None:
             facts["touches"] = list(touches)
-        self._write(what, {**facts, "outcome": event.outcome})
+        facts["outcome"] = event.outcome
+        self._write(what, facts)
         return True
 
     def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
@@ -144,9 +148,6 @@ class AuditLog:
         return self.throttle.passes(key, who, event.path, event.outcome, full=full)
 
     def _write(self, what: str, facts: dict[str, Any]) -> None:
-        for key, value in facts.items():
-            if isinstance(value, str) and len(value) > _TEXT:
-                facts[key] = value[:_TEXT]
         try:
             data = self._ledger.add(what, facts)
         except (TypeError, ValueError, OverflowError, RecursionError):

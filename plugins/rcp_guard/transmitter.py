@@ -34,7 +34,7 @@ class Transmitter:
         self._first: float | None = None
         """Time of the first transmission since it was switched on."""
         self._report = report
-        self._told = ("", "")
+        self._reported = ("", "")
         self._changed = threading.Condition()
         self._on = False
         self._closed = False
@@ -43,7 +43,7 @@ class Transmitter:
     @property
     def ready(self) -> bool:
         """Whether a stop could be sent now."""
-        return self._told[0] == "ready"
+        return self._reported[0] == "ready"
 
     def start(self) -> None:
         """Start to open the sender."""
@@ -139,8 +139,8 @@ class Transmitter:
             self._changed.wait_for(lambda: self._closed, seconds)
 
     def _tell(self, state: str, detail: str) -> None:
-        if state == "opening" and self._told[0] == "failed":
+        if state == "opening" and self._reported[0] == "failed":
             return  # the reason is more useful than the state of a retry
-        if (state, detail) != self._told:
-            self._told = (state, detail)
+        if (state, detail) != self._reported:
+            self._reported = (state, detail)
             self._report(self.name, state, detail)

@@ -46,7 +46,7 @@ class ApprovalTools:
         if isinstance(answer, dict):
             self._decide(session, request, state, answer)  # pyright: ignore[reportUnknownArgumentType]
 
-    async def asked(
+    async def request_decision(
         self, ctx: Context, session: Session, request: Request, reply: Reply
     ) -> types.InputRequiredResult | bool:
         """Ask if the client supports it; True means that the same request may be sent again.

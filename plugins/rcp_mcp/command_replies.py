@@ -26,7 +26,7 @@ class Following:
         self.latest: Reply | None = None
         """The newest reply; a final one is the last."""
         self.command: str | None = None
-        self._told = 0.0
+        self._reported = 0.0
         self._unwanted = False
 
     def start(self, request: Request) -> None:
@@ -85,8 +85,8 @@ class Following:
     def _progress(self, reply: Reply) -> float:
         """Return an increasing number for each call, as clients require."""
         part = reply.progress if reply.progress is not None else 0.0
-        self._told = max(part, self._told + _STEP)
-        return self._told
+        self._reported = max(part, self._reported + _STEP)
+        return self._reported
 
     def stop(self) -> None:
         """Stop the robot; called when the caller no longer waits for the result."""

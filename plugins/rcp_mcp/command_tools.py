@@ -103,10 +103,10 @@ class CommandTools:
         self._approving.returned(ctx, session, request)
         found = await self._tried(ctx, session, request, wait)
         if isinstance(found, Reply) and found.error is not None:
-            asked = await self._approving.asked(ctx, session, request, found)
-            if isinstance(asked, types.InputRequiredResult):
-                return asked
-            if asked:
+            decision = await self._approving.request_decision(ctx, session, request, found)
+            if isinstance(decision, types.InputRequiredResult):
+                return decision
+            if decision:
                 found = await self._tried(ctx, session, request, wait)
         return replied(found, self.config) if isinstance(found, Reply) else found
 

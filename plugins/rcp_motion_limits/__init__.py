@@ -41,7 +41,7 @@ def _make(config: MotionLimitsConfig, host: FeatureHost) -> Feature:
         observer=guard,
         foresee=guard.foresee,
         dry_run=guard.dry_run,
-        describe=limits.told,
+        describe=limits.describe,
         status=guard.status,
         reconfigure=limits.configure,
     )

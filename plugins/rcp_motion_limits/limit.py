@@ -225,7 +225,7 @@ class MotionLimit:
         facts = {"envelope": self.table.name, "reason": self.table.reason}
         return {key: fact for key, fact in facts.items() if fact is not None}
 
-    def told(self, rights: Rights) -> dict[str, Any]:
+    def describe(self, rights: Rights) -> dict[str, Any]:
         """Describe the limit; its condition only to those who may read the values."""
         plain = msgspec.to_builtins(self.table)
         keys = ("bounds", "rate", "fence", "modes")

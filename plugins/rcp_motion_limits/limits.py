@@ -36,7 +36,7 @@ _COMMANDED = Operation.WRITE | Operation.EXECUTE
 class BoundPath:
     """All motion limits of one path."""
 
-    __slots__ = ("_held", "_told", "entry", "envelopes", "force", "period", "safe")
+    __slots__ = ("_held", "_schemas", "entry", "envelopes", "force", "period", "safe")
 
     def __init__(
         self, entry: Entry, envelopes: list[MotionLimit], force: CommandedValues, period: int
@@ -48,7 +48,7 @@ class BoundPath:
         self.force = force
         self.safe = safe_value(entry)
         self._held: dict[Grants, tuple[MotionLimit, ...]] = {}
-        self._told: dict[Grants, dict[str, Any] | None] = {}
+        self._schemas: dict[Grants, dict[str, Any] | None] = {}
 
     @property
     def sensors(self) -> set[str]:
@@ -75,14 +75,14 @@ class BoundPath:
 
     def schema(self, grants: Grants) -> dict[str, Any] | None:
         """Return the schema of the values a principal may send; None if no bound narrows it."""
-        if len(self._told) >= _MAX_HELD:
-            self._told.clear()
-        if grants not in self._told:
+        if len(self._schemas) >= _MAX_HELD:
+            self._schemas.clear()
+        if grants not in self._schemas:
             held = [e for e in self.held(grants) if e.fault is None]
             bounds = [item for e in held for item in e.table.bounds.items()]
             type_ = self.entry.input_type if _called(self.entry) else self.entry.value_type
-            self._told[grants] = narrowed(type_.schema, bounds) if bounds else None
-        return self._told[grants]
+            self._schemas[grants] = narrowed(type_.schema, bounds) if bounds else None
+        return self._schemas[grants]
 
     def check(self, session: Session, value: Any) -> None:
         """Refuse a value that is not allowed now."""
@@ -153,13 +153,13 @@ class MotionLimits:
             return []
         return [envelope.facts() for envelope in bound.held(session.principal.grants)]
 
-    def told(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
+    def describe(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
         """Describe the limits that apply to a principal's commands, for the catalogue."""
         bound = self.of(entry.path)
         held = () if bound is None else bound.held(rights.grants)
         if bound is None or not held:
             return {}
-        facts: dict[str, Any] = {"envelopes": [envelope.told(rights) for envelope in held]}
+        facts: dict[str, Any] = {"envelopes": [envelope.describe(rights) for envelope in held]}
         if schemas and (schema := bound.schema(rights.grants)) is not None:
             facts["command_schema"] = schema
         return facts

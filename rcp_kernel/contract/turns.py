@@ -149,7 +149,9 @@ class Turns:
             self._begin(start)
 
     def _begin(self, start: Callable[[], None]) -> None:
-        self.add(_START)
+        self._spent += _START
+        if not self._scheduled:
+            self._schedule()
         start()
 
     async def wait(self, owner: Hashable) -> None:

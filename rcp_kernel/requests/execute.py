@@ -233,7 +233,12 @@ class ExecuteHandler:
         self._start(command, call)
 
     def _start(self, command: Command, call: Call) -> None:
-        timeout = self._timeout(call.request, call.entry)
+        entry, deadline = call.entry, call.request.deadline
+        timeout = entry.resource.timeout or (
+            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._settings.limits.action_timeout
+        )
+        if deadline is not None:
+            timeout = min(timeout, deadline)
         self._commands.start(command, call, timeout, self._admission.confirm)
 
     def stops(self, session: Session, request: Request) -> bool:
@@ -337,13 +342,6 @@ class ExecuteHandler:
         if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
             return None
         return request.decode_body(entry.input_type, f"input of {entry.label}")
-
-    def _timeout(self, request: Request, entry: Entry) -> float:
-        default = (
-            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._settings.limits.action_timeout
-        )
-        own = entry.resource.timeout or default
-        return min(own, request.deadline) if request.deadline is not None else own
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Cancel a command by its id, or whatever runs on a path; the robot is told at once."""

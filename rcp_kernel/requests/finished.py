@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rcp_kernel.sessions.long_value import LongValue
+from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import NO_BODY
 
@@ -18,11 +18,10 @@ __all__ = ["Finished"]
 _KEPT = 1000
 _BYTES = 32 * 1024 * 1024  # of inputs, feedback and results
 _EMPTY = 1024  # bytes that any command counts for, numbers included
-_SCALARS = (float, int, bool, type(None))
 
 
 class Finished:
-    """The most recent ones, by id; `forget` is told of each that has to go."""
+    """The most recent ones, by id; `forget` is called for each that is removed."""
 
     def __init__(self, forget: Callable[[Command], None]) -> None:
         self._forget = forget
@@ -58,11 +57,11 @@ def _size(command: Command) -> int:
 
 
 def _length(value: Any) -> int:
-    if isinstance(value, _SCALARS):
+    if isinstance(value, SCALARS):
         return 0
     if isinstance(value, LongValue):
         return value.size
     try:
         return len(dump(value, Encoding.MSGPACK))
-    except Exception:  # what cannot be written is not told to anybody either
+    except Exception:  # what cannot be encoded is not shown to clients either
         return _EMPTY

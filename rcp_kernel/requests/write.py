@@ -142,6 +142,7 @@ class WriteHandler:
             raise
         finally:
             self._deadman.arrived(entry, task)
+            del task  # it keeps an error whose traceback would keep it
         if isinstance(request, Prepared):
             owner = call.session.principal.identity
             await self._turns.finish(owner, sample.encode_in_steps())

@@ -10,7 +10,10 @@ from rcp_kernel.errors import InvalidValue
 from rcp_kernel.values import Encoding, ValueType, dump, to_plain
 from rcp_kernel.wire import Body
 
-__all__ = ["LongValue", "checked", "plain"]
+__all__ = ["SCALARS", "LongValue", "checked", "plain"]
+
+SCALARS = (float, int, bool, type(None))
+"""Types of values that are never long, and plain as they are."""
 
 
 class LongValue(Body):
@@ -29,7 +32,7 @@ class LongValue(Body):
 
     @property
     def size(self) -> int:
-        """How many bytes are kept of it."""
+        """Number of bytes of its encodings."""
         return sum(map(len, self._written.values()))
 
     def encoded(self, encoding: Encoding) -> bytes:

@@ -6,6 +6,7 @@ Each record's SHA-256 is over the hash before it and the record's bytes exactly 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -56,11 +57,11 @@ def parse_head(text: str) -> Head:
     return found
 
 
-def seal(after: Head, what: str, /, **facts: Any) -> Row:
+def seal(after: Head, what: str, facts: Mapping[str, Any]) -> Row:
     """Make the record that follows a head, of a happening that no client has a part in."""
     seq = after[0] + 1
-    record = {"seq": seq, "time": iso(now()), "what": what, **facts}
-    data = msgspec.json.encode({key: value for key, value in record.items() if value is not None})
+    told = {key: value for key, value in facts.items() if value is not None}
+    data = msgspec.json.encode({"seq": seq, "time": iso(now()), "what": what, **told})
     return seq, link(after[1], data), data
 
 

@@ -39,7 +39,8 @@ def open_beside(path: Path, interim: Path, damage: str) -> None:
         _put_aside(interim)
     for suffix in SUFFIXES:  # of a start that was cut off
         interim.with_name(interim.name + suffix).unlink(missing_ok=True)
-    gap = seal(head, "gap", head=written(head), message=f"store damaged: {damage}")
+    facts = {"head": written(head), "message": f"store damaged: {damage}"}
+    gap = seal(head, "gap", facts)
     with closing(HeadFile(interim)) as file:  # first: a database without one counts as damaged
         file.open(gap[:2])
     create(interim, [gap], _anchor(head))

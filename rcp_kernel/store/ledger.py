@@ -32,7 +32,7 @@ class Ledger:
 
         :raises TypeError, ValueError, OverflowError, RecursionError: a fact is not plain data.
         """
-        seq, digest, data = seal(self.head, what, **facts)
+        seq, digest, data = seal(self.head, what, facts)
         self.head = (seq, digest)
         self._store.append((seq, digest, data))
         return data

@@ -146,6 +146,7 @@ class Outbox:
         "encoding",
         "feedback",
         "framing",
+        "held",
         "high_water",
         "on_flush",
         "parked",
@@ -192,6 +193,9 @@ class Outbox:
         """The newest feedback of each running command, by command id."""
         self.pending: list[PendingPath] = []
         """Feeds with queued samples."""
+        self.held = 0
+        """How many subscriptions are looked through for what the client may not see any more: no
+        update is collected meanwhile. Count by `hold` and `release`."""
         self.prioritised = False
         self.updates = 0
         self.high_water = 0
@@ -264,7 +268,17 @@ class Outbox:
     @property
     def more(self) -> bool:
         """Whether something waits to be collected."""
-        return bool(self.control or self.pending or self.feedback)
+        return bool(self.control or self.feedback or (self.pending and not self.held))
+
+    def hold(self) -> None:
+        """Collect no updates until they are released; they wait, and conflate."""
+        self.held += 1
+
+    def release(self) -> None:
+        """Collect updates again, once nobody holds them."""
+        self.held -= 1
+        if not self.held and self.pending:
+            self.mark()
 
     def again(self) -> None:
         """Have the transport called once more for what is left, as soon as there is room for it."""
@@ -332,7 +346,7 @@ class Outbox:
             else:
                 out = [frame(len(data), text) + data for data in out]
         pending = self.pending
-        if not pending or self.control or self.feedback:
+        if not pending or self.control or self.feedback or self.held:
             return out
         if big is None and self.backlog.full:
             big = SHARE  # long updates wait, and conflate, until others have taken theirs

@@ -133,6 +133,7 @@ class SharedFanout:
                 or outbox.pending
                 or outbox.dirty
                 or outbox.feedback
+                or outbox.held
             ):
                 member.mark()
                 continue

@@ -6,18 +6,19 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from kernel.fenced import Clock
+from kernel.fenced import Clock as HeldClock
 from kernel.world import World, world_of
+from rcp_kernel.clock import Clock
 
 
 @pytest.fixture
-async def world() -> AsyncGenerator[World]:
+async def world(gateway_clock: Clock) -> AsyncGenerator[World]:
     """A gateway with a robot, for one test."""
-    async with world_of() as made:
+    async with world_of(clock=gateway_clock) as made:
         yield made
 
 
 @pytest.fixture
-def clock() -> Clock:
+def clock() -> HeldClock:
     """The time by which changes are measured, in the test's hand."""
-    return Clock()
+    return HeldClock()

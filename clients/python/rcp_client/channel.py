@@ -93,7 +93,7 @@ class Channel:
 
     def _end(self, error: RcpError) -> None:
         self._over = error
-        self.calls.fail(lambda call: _told(error, call))
+        self.calls.fail(lambda call: _for_call(error, call))
         for subscription in list(self.subscriptions.values()):
             subscription.fail(error)
 
@@ -330,7 +330,7 @@ class Channel:
             self._lost.set()
 
 
-def _told(error: RcpError, call: Call) -> RcpError:
+def _for_call(error: RcpError, call: Call) -> RcpError:
     """Copy an error for one call, so that each names its own path."""
     made = type(error)(error.message, path=call.envelope.get("path"), remedy=error.remedy)
     made.__cause__ = error

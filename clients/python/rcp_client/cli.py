@@ -385,8 +385,8 @@ def main() -> None:
     """Run `rcpctl` and exit with its status."""
     try:
         code = rcpctl.main(standalone_mode=False, prog_name="rcpctl")
-    except click.exceptions.Exit as told:
-        code = told.exit_code
+    except click.exceptions.Exit as ended:
+        code = ended.exit_code
     except click.ClickException as error:
         error.show()
         code = _USAGE

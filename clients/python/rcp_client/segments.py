@@ -48,10 +48,10 @@ class _Transfer:
     total: int
     size: int
     sha256: str
-    heard: float
+    received_at: float
     parts: dict[int, bytes] = field(default_factory=dict[int, bytes])
     have: int = 0
-    asked: int = 0
+    attempts: int = 0
 
     def missing(self) -> list[int]:
         return [num for num in range(self.total) if num not in self.parts]
@@ -84,7 +84,7 @@ class Assembler:
         same = segment.total == transfer.total and segment.sha256 == transfer.sha256
         if num is None or not 0 <= num < transfer.total or body is None or not same:
             raise SegmentCorrupt(f"a segment of transfer '{name}' does not fit its header")
-        transfer.heard = time.monotonic()
+        transfer.received_at = time.monotonic()
         if num not in transfer.parts:
             transfer.parts[num] = body
             transfer.have += len(body)
@@ -115,9 +115,9 @@ class Assembler:
         if len(whole) == transfer.size and hashlib.sha256(whole).hexdigest() == transfer.sha256:
             del self._open[name]
             return whole
-        transfer.asked += 1
+        transfer.attempts += 1
         again: list[int] | None = list(range(transfer.total))
-        if transfer.asked > self._tries:
+        if transfer.attempts > self._tries:
             del self._open[name]
             again = None
         transfer.parts.clear()
@@ -135,13 +135,13 @@ class Assembler:
         moment = time.monotonic()
         wanted: dict[str, list[int]] = {}
         for name, transfer in list(self._open.items()):
-            if moment - transfer.heard < self._patience:
+            if moment - transfer.received_at < self._patience:
                 continue
-            if transfer.asked >= self._tries:
+            if transfer.attempts >= self._tries:
                 del self._open[name]
                 raise SegmentMissing(f"segments of transfer '{name}' did not arrive")
-            transfer.asked += 1
-            transfer.heard = moment
+            transfer.attempts += 1
+            transfer.received_at = moment
             wanted[name] = transfer.missing()
         return wanted
 

@@ -9,17 +9,26 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
-from rcp_kernel.errors import DeviceRejected
+from rcp_kernel.errors import DeviceRejected, InvalidValue
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, check_fence
-from rcp_kernel.types import Metres, Radians, quantity
+from rcp_kernel.types import (
+    AngularVelocity,
+    LinearVelocity,
+    Metres,
+    Point,
+    PoseStamped,
+    Quaternion,
+    Twist,
+)
+from rcp_profiles import claim, offer, twist_limits
+from rcp_profiles.messages import MoveFeedback, MoveResult, MoveTo, TwistStamped
 
 TICK = 0.02  # s
+TOP, TURN = 1.0, 3.0  # m/s, rad/s
+NEAR, FACING = 0.02, 0.03  # m, rad
 Half = Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m"})]
-Way = Annotated[float, Meta(ge=-50, le=50, extra_json_schema={"unit": "m"})]
-Speed = Annotated[float, Meta(ge=-1, le=1, extra_json_schema={"unit": "m/s"})]
-Turn = Annotated[float, Meta(ge=-3, le=3, extra_json_schema={"unit": "rad/s"})]
 Pen = Literal["up", "down"]
 
 
@@ -27,100 +36,121 @@ class TurtleConfig(Struct, frozen=True, forbid_unknown_fields=True):
     half: Half = 5.0  # of the sheet's width and height
 
 
-class Pose(Struct, frozen=True, forbid_unknown_fields=True):
-    x: Metres = 0.0
-    y: Metres = 0.0
-    heading: Radians = 0.0
-
-
-class Velocity(Struct, frozen=True, forbid_unknown_fields=True):
-    forward: Speed = 0.0
-    turn: Turn = 0.0
-
-
-class Walk(Struct, frozen=True, forbid_unknown_fields=True):
-    distance: Way
-
-
-RESOURCES = (
-    Resource(name="sensor/pose", description="Where it is.", value=Pose, live=True, deadline=1.0),
+RESOURCES = claim(
+    ["mobile"],
+    offer("sensor/pose", live=True, deadline=1.0),
+    offer("sensor/velocity", live=True, deadline=1.0),
+    offer("actuator/cmd_vel", twist_limits(x=TOP, yaw=TURN)),
+    offer("action/move_to", {"speed": (None, TOP)}, timeout=120.0),
+    offer("param/speed_limit", (0, TOP)),
     Resource(name="sensor/ink", description="Length drawn so far.", value=Metres, live=True),
     Resource(name="param/pen", description="Whether it draws.", value=Pen, examples=("up",)),
-    Resource(
-        name="actuator/velocity",
-        description="How fast it walks and turns.",
-        value=Velocity,
-        examples=({"forward": 0.5}, {"turn": 1.0}),
-        safe=Velocity(),
-        valid_for=0.5,
-    ),
-    Resource(
-        name="action/walk",
-        description="Walk straight ahead, or back.",
-        input=Walk,
-        output=Pose,
-        feedback=quantity("m", description="Still to go."),
-        examples=({"distance": 0.5},),
-        timeout=120.0,
-    ),
     Resource(name="service/new_sheet", description="Take a new sheet; go to its middle."),
 )
+
+
+def clipped(value: float, most: float) -> float:
+    return max(-most, min(most, value))
 
 
 class Turtle(BaseBackend):
     def __init__(self, config: TurtleConfig, host: Host) -> None:
         self.host, self.half = host, config.half
-        self.pose, self.velocity, self.pen, self.ink = Pose(), Velocity(), "down", 0.0
+        self.x = self.y = self.yaw = 0.0
+        self.v = self.w = 0.0
+        self.limit, self.pen, self.ink = 0.5, "down", 0.0
 
-    def ahead(self, distance: float) -> Pose:
-        x = self.pose.x + distance * math.cos(self.pose.heading)
-        y = self.pose.y + distance * math.sin(self.pose.heading)
-        return Pose(x, y, self.pose.heading)
+    def pose(self) -> PoseStamped:
+        turned = Quaternion(z=math.sin(self.yaw / 2), w=math.cos(self.yaw / 2))
+        return PoseStamped(Point(self.x, self.y), turned)
 
-    def inside(self, pose: Pose) -> bool:
-        return abs(pose.x) <= self.half and abs(pose.y) <= self.half
+    def velocity(self) -> TwistStamped:
+        return TwistStamped(LinearVelocity(self.v), AngularVelocity(z=self.w))
+
+    def inside(self, x: float, y: float) -> bool:
+        return abs(x) <= self.half and abs(y) <= self.half
 
     async def live(self) -> None:
         while True:
-            distance = self.velocity.forward * TICK
-            if self.inside(self.ahead(distance)):
-                self.pose = self.ahead(distance)
-                self.ink += abs(distance) if self.pen == "down" else 0.0
-            heading = math.remainder(self.pose.heading + self.velocity.turn * TICK, math.tau)
-            self.pose = Pose(self.pose.x, self.pose.y, heading)
-            self.host.publish("sensor/pose", self.pose)
-            self.host.publish("sensor/ink", self.ink)
+            x = self.x + self.v * math.cos(self.yaw) * TICK
+            y = self.y + self.v * math.sin(self.yaw) * TICK
+            if self.inside(x, y):
+                self.x, self.y = x, y
+                self.ink += abs(self.v) * TICK if self.pen == "down" else 0.0
+            self.yaw = math.remainder(self.yaw + self.w * TICK, math.tau)
+            for name in ("sensor/pose", "sensor/velocity", "sensor/ink"):
+                self.host.publish(name, self.value(name))
             await asyncio.sleep(TICK)
 
+    def value(self, name: str) -> Any:
+        match name:
+            case "sensor/pose":
+                return self.pose()
+            case "sensor/velocity":
+                return self.velocity()
+            case "actuator/cmd_vel":
+                return Twist(LinearVelocity(self.v), AngularVelocity(z=self.w))
+            case "param/speed_limit":
+                return self.limit
+            case _:
+                return getattr(self, name.partition("/")[2])
+
     async def read(self, name: str) -> Any:
-        return getattr(self, name.partition("/")[2])
+        return self.value(name)
 
-    async def write(self, name: str, value: Any) -> None:
+    async def write(self, name: str, value: Any) -> Any:
+        match name:
+            case "actuator/cmd_vel":
+                self.go(value.linear.x, value.angular.z)
+            case "param/speed_limit":
+                self.limit = value
+                self.v = clipped(self.v, value)
+            case _:
+                self.pen = value
+        return self.value(name)
+
+    def go(self, v: float, w: float) -> None:
         check_fence()
-        setattr(self, name.partition("/")[2], value)
+        self.v, self.w = clipped(v, self.limit), w
 
-    async def execute(self, name: str, value: Any, progress: Progress) -> Pose | None:
+    async def execute(self, name: str, value: Any, progress: Progress) -> MoveResult | None:
         if name == "service/new_sheet":
-            self.pose, self.ink = Pose(), 0.0
+            self.x = self.y = self.yaw = self.ink = 0.0
             return None
-        if not self.inside(self.ahead(value.distance)):
+        if value.frame != "map":
+            raise InvalidValue(f"the turtle knows no frame '{value.frame}', only 'map'")
+        if not self.inside(value.position.x, value.position.y):
             raise DeviceRejected("the sheet ends before that")
-        check_fence()
-        start, whole = self.pose, abs(value.distance) or 1.0
-        self.velocity = Velocity(math.copysign(0.5, value.distance))
         try:
-            while (left := whole - math.dist((start.x, start.y), (self.pose.x, self.pose.y))) > 0:
-                progress(left, fraction=1 - left / whole)
-                await asyncio.sleep(TICK)
+            await self.walk(value, progress)
         finally:
             await self.halt()
-        return self.pose
+        return MoveResult(self.pose(), self.left(value))
+
+    def left(self, goal: MoveTo) -> float:
+        return math.dist((goal.position.x, goal.position.y), (self.x, self.y))
+
+    async def walk(self, goal: MoveTo, progress: Progress) -> None:
+        pace, near = goal.speed or TOP, goal.tolerance or NEAR
+        whole = self.left(goal) or 1.0
+        while (left := self.left(goal)) > near:
+            eta = left / min(pace, self.limit) if self.limit else None
+            progress(MoveFeedback(left, eta), fraction=max(0.0, 1 - left / whole))
+            off = self.off(math.atan2(goal.position.y - self.y, goal.position.x - self.x))
+            self.go(min(pace, 5 * left) if abs(off) < FACING else 0.0, clipped(5 * off, TURN))
+            await asyncio.sleep(TICK)
+        while goal.yaw is not None and abs(off := self.off(goal.yaw)) > FACING:
+            self.go(0.0, clipped(5 * off, TURN))
+            await asyncio.sleep(TICK)
+
+    def off(self, yaw: float) -> float:
+        return math.remainder(yaw - self.yaw, math.tau)
 
     async def halt(self) -> None:
-        self.velocity = Velocity()
+        self.v = self.w = 0.0
 
     def motion(self, robot: str | None) -> MotionState:
-        return MotionState(at_rest=self.velocity == Velocity())
+        return MotionState(at_rest=self.v == self.w == 0.0)
 
 
 @asynccontextmanager

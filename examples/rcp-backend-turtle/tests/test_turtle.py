@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, serve
+from rcp_kernel.testing import BackendSuite, Body, Goal, ProfileSuite, StopRig, StopSuite, serve
 
 import rcp_turtle
 
@@ -19,15 +20,23 @@ class TurtleRig(StopRig):
     kind = rcp_turtle.TURTLE
 
     async def truth(self, name: str) -> Any:
-        word = {"action/walk": "pose"}.get(name, name.partition("/")[2])
-        return getattr(self.backend, word)
+        turtle = self.backend
+        return {
+            "actuator/cmd_vel": {"linear": {"x": turtle.v}, "angular": {"z": turtle.w}},
+            "param/speed_limit": turtle.limit,
+            "param/pen": turtle.pen,
+        }[name]
+
+    async def confirms(self, name: str, result: Any) -> bool:
+        at = result["pose"]["position"]
+        return math.dist((at["x"], at["y"]), (self.backend.x, self.backend.y)) < 0.01
 
     async def at_rest(self) -> bool:
-        return self.backend.velocity == rcp_turtle.Velocity()
+        return self.backend.v == self.backend.w == 0.0
 
     def goals(self) -> Mapping[str, Goal]:
-        walk = Goal(good={"distance": 0.02}, bad={"distance": 20.0}, long={"distance": 3.0})
-        return {"action/walk": walk}
+        good, bad, far = ({"position": {"x": x, "y": 0.0}} for x in (0.05, 20.0, 3.0))
+        return {"action/move_to": Goal(good=good, bad=bad, long=far)}
 
 
 class TestTurtle(TurtleRig, BackendSuite):
@@ -38,6 +47,17 @@ class TestTurtleStops(TurtleRig, StopSuite):
     """What any stop owes."""
 
 
+class TestTurtleProfiles(ProfileSuite):
+    """What its profile means."""
+
+    kind = rcp_turtle.TURTLE
+    profiles = ("mobile",)
+
+    async def body(self) -> Body:
+        turtle = self.backend
+        return Body(x=turtle.x, y=turtle.y, yaw=turtle.yaw, forward=turtle.v, yaw_rate=turtle.w)
+
+
 @pytest.mark.anyio
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_it_draws_as_the_example_configures_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,11 +66,13 @@ async def test_it_draws_as_the_example_configures_it(monkeypatch: pytest.MonkeyP
     config = msgspec.structs.replace(parse(text, "turtle.toml"), transports={})
     async with serve(config, rcp_turtle.TURTLE) as served:
         client = served.client("a-key-for-this-test")
-        walked = await client.request("execute", "/action/walk", body={"distance": 0.1})
+        goal = {"position": {"x": 0.1, "y": 0.0}}
+        walked = await client.request("execute", "/action/move_to", body=goal)
         assert walked["status"] == "completed"
-        assert walked["path"] == "/tenant/studio/action/walk"
-        assert (await client.request("read", "/sensor/ink"))["body"] >= 0.1
-        too_far = await client.request("execute", "/action/walk", body={"distance": 3.5})
+        assert walked["path"] == "/tenant/studio/action/move_to"
+        assert (await client.request("read", "/sensor/ink"))["body"] >= 0.05
+        goal = {"position": {"x": 3.5, "y": 0.0}}
+        too_far = await client.request("execute", "/action/move_to", body=goal)
         assert "the sheet ends" in too_far["message"]
 
 

@@ -57,7 +57,7 @@ def test_goals_are_reached_from_anywhere_below_the_speed_limit(
 def test_ways_keep_their_distance_and_are_no_longer_than_needed(
     start: tuple[float, float], goal: tuple[float, float]
 ) -> None:
-    way = PLANNER.way(start, goal)
+    way = PLANNER.find_path(start, goal)
     assert way is not None
     assert way[-1] == goal
     points = [start, *way]

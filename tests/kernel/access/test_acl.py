@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import product
+
+import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.config.role import BUILTIN_ROLES, Role, Rule
 from rcp_kernel.contract.identity import Principal, granted
 from rcp_kernel.model import Operation, Pattern
@@ -87,3 +91,52 @@ def test_whoever_may_see_a_robot_may_stop_it_and_only_an_admin_may_reset() -> No
         rights = Rules({}).rights(Principal("p", granted(("a",), (name,))))
         assert rights.mask("/system/estop") & Operation.EXECUTE
         assert rights.may_reset("a") is (name == "admin")
+
+
+FOLDERS = ("a", "a/b", "b/a", "a/a/b", "b/b/a/a")
+PATTERNS = (
+    "",
+    "/a",
+    "/*",
+    "/**",
+    "/a/*",
+    "/*/a",
+    "/a/**",
+    "/**/a",
+    "/**/*",
+    "/*/b/**",
+    "/b/b/**/a",
+)
+
+
+@pytest.mark.parametrize("deny", PATTERNS)
+@pytest.mark.parametrize("allow", PATTERNS)
+def test_a_mask_that_a_folder_has_in_common_is_that_of_each_path_in_it(
+    allow: str, deny: str
+) -> None:
+    rules = [{"operations": ["read"], "paths": [f"/sensor{allow or '/b'}"]}]
+    none = [{"operations": ["read"], "paths": [f"/sensor{deny}"]}] if deny else []
+    role = msgspec.convert({"allow": rules, "deny": none}, Role)
+    kept, alone = (Rights((("alpha", ("own",)),), {"own": role}) for _ in range(2))
+    for folder, name in product(FOLDERS, ("a", "b", "c")):
+        path = f"/tenant/alpha/sensor/{folder}/{name}"
+        assert kept.mask(path) == alone.compute_mask(path), path
+
+
+def test_thousands_of_paths_in_a_folder_are_looked_up_in_the_rules_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[str] = []
+    usual = Rights.compute_mask
+
+    def compute_mask(self: Rights, path: str) -> int:
+        asked.append(path)
+        return usual(self, path)
+
+    monkeypatch.setattr(Rights, "compute_mask", compute_mask)
+    rules = [{"operations": ["read"], "paths": ["/sensor/a/**", "/sensor/b/first"]}]
+    role = msgspec.convert({"allow": rules}, Role)
+    rights = Rights((("alpha", ("own",)),), {"own": role})
+    for folder, number in product("abc", range(1000)):
+        rights.mask(f"/tenant/alpha/sensor/{folder}/{number}")
+    assert len(asked) == 1002  # in b each by itself, as one rule names a path there

@@ -11,8 +11,10 @@ import pytest
 from issuer import Issuer, issuing
 from kernel.world import CONFIG, World, prepared, world_of
 from rcp_kernel.app.reload import apply
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import TokenExpired, Unauthenticated
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -24,11 +26,13 @@ async def issuer() -> AsyncGenerator[Issuer]:
 
 
 @pytest.fixture
-async def world(issuer: Issuer) -> AsyncGenerator[World]:
+async def world(issuer: Issuer, gateway_clock: Clock) -> AsyncGenerator[World]:
     key = issuer.keys["k1"].pem.replace("\n", "\\n")
     more = 'role_claim = "role"\nleeway = 0.0\n[jwt.by_claim]\n'
     more += 'operator = { role = "operator" }\nviewer = { role = "viewer" }\n'
-    async with world_of(CONFIG + issuer.table(more, f'keys = "{key}"')) as made:
+    async with world_of(
+        CONFIG + issuer.table(more, f'keys = "{key}"'), clock=gateway_clock
+    ) as made:
         yield made
 
 
@@ -36,14 +40,19 @@ def token(issuer: Issuer, left: float, **claims: Any) -> str:
     return issuer.token(exp=int(time.time() + left), role=claims.pop("role", "operator"), **claims)
 
 
-async def test_a_session_is_warned_and_then_ends(world: World, issuer: Issuer) -> None:
-    client = world.client(token(issuer, 3))
+async def test_a_session_is_warned_and_then_ends(
+    world: World, issuer: Issuer, stepped: SteppedClock
+) -> None:
+    client = world.client(token(issuer, 300))
     await client.ask(type="subscribe", path="/sensor/level", id="s")
     await client.ask(type="execute", path="/action/go", body=1.0, id="x", dry_run=True)
     client.send(type="execute", path="/action/go", body=2.0, id="go")
     await client.until(lambda m: m.get("status") == "in_progress")
+    stepped.advance(285)
     warned = await client.notice("session_expiring")
     assert "hello" in warned["remedy"]
+    assert not client.connection.expelled
+    stepped.advance(100)
     ended = await client.notice("subscription_ended")
     assert (ended["id"], ended["reason"], ended["error"]["code"]) == ("s", *2 * ("token_expired",))
     assert (await client.final(None))["error"]["code"] == "token_expired"
@@ -54,21 +63,21 @@ async def test_a_session_is_warned_and_then_ends(world: World, issuer: Issuer) -
 
 
 async def test_a_new_token_of_the_same_principal_keeps_what_there_is(
-    world: World, issuer: Issuer
+    world: World, issuer: Issuer, stepped: SteppedClock
 ) -> None:
-    client = world.client(token(issuer, 2))
+    client = world.client(token(issuer, 200))
     await client.ask(type="subscribe", path="/sensor/level", id="s")
-    lease = await client.ask(
-        type="execute", path="/system/leases", body={"do": "acquire", "scope": "/tenant/alpha"}
-    )
+    asked = {"do": "acquire", "scope": "/tenant/alpha", "ttl": 300}
+    lease = await client.ask(type="execute", path="/system/leases", body=asked)
     assert lease["status"] == "completed", lease
     first = await client.ask(type="hello")
+    stepped.advance(185)
     await client.notice("session_expiring")
     fresh = await client.ask(type="hello", body={"token": token(issuer, 600)})
     assert fresh["body"]["session"] == first["body"]["session"]
-    renewed = {"do": "renew", "lease": lease["body"]["lease"]}
+    renewed = {"do": "renew", "lease": lease["body"]["lease"], "ttl": 300}
     await client.ask(type="execute", path="/system/leases", body=renewed)
-    await _past(world, 2)
+    await _past(world, stepped)
     world.robot.host.publish("sensor/level", 7.0)
     assert (await client.update("s"))["body"] == 7.0
     held = await client.ask(type="read", path="/system/leases")
@@ -76,12 +85,11 @@ async def test_a_new_token_of_the_same_principal_keeps_what_there_is(
     assert not client.connection.expelled
 
 
-async def _past(world: World, seconds: float) -> None:
-    """Wait until a token that had so long is over: there is no event for what does not happen."""
-    other = world.client()
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        await other.ask(type="read", path="/param/limit", body={"fresh": True})
+async def _past(world: World, stepped: SteppedClock) -> None:
+    """Let the first token's time pass, and whatever that leads to happen."""
+    stepped.advance(100)
+    for _ in range(3):
+        await world.client().ask(type="read", path="/param/limit", body={"fresh": True})
 
 
 async def test_a_token_of_somebody_else_opens_another_session(world: World, issuer: Issuer) -> None:
@@ -126,12 +134,14 @@ async def test_a_namesake_of_another_issuer_is_somebody_else(world: World, issue
     assert stolen["error"]["code"] == "unauthenticated"
 
 
-async def test_a_session_that_waits_for_its_client_ends_too(world: World, issuer: Issuer) -> None:
-    short = token(issuer, 2)
+async def test_a_session_that_waits_for_its_client_ends_too(
+    world: World, issuer: Issuer, stepped: SteppedClock
+) -> None:
+    short = token(issuer, 40)
     client = world.client(short)
     first = await client.ask(type="hello")
     client.connection.close()
-    await _past(world, 2)
+    await _past(world, stepped)
     assert not [s for s in world.server.kernel.sessions.known.values() if s.cut is not None]
     with pytest.raises(TokenExpired):
         world.client(short)

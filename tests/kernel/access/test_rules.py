@@ -10,10 +10,12 @@ import pytest
 
 from kernel.world import CONFIG, Client, World, world_of
 from rcp_kernel.app.server import prepare
+from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"
@@ -48,9 +50,9 @@ def mode(world: World, name: str) -> None:
 
 
 @pytest.fixture
-async def world() -> AsyncGenerator[World]:
+async def world(gateway_clock: Clock) -> AsyncGenerator[World]:
     """A robot with a mode, and a driver who may drive while it is `auto`."""
-    async with world_of(rules(ALLOW)) as made:
+    async with world_of(rules(ALLOW), clock=gateway_clock) as made:
         made.robot.add(Resource(name="sensor/mode", description="A mode.", value=str, live=True))
         yield made
 
@@ -158,18 +160,22 @@ async def test_whoever_set_something_going_may_stop_it_whatever_the_condition(
     assert refused["error"]["code"] == "forbidden"
 
 
-async def test_a_subscription_pauses_while_its_condition_does_not_hold(world: World) -> None:
+async def test_a_subscription_pauses_while_its_condition_does_not_hold(
+    world: World, stepped: SteppedClock
+) -> None:
     host, client = world.robot.host, world.client(TOKEN)
     mode(world, "auto")
     id_ = (await client.ask(type="subscribe", path=LEVEL))["body"]["subscription"]
     host.publish("sensor/level", 1.0)
     assert (await client.update(id_))["body"] == 1.0
     mode(world, "manual")
+    stepped.advance(5)
     paused = await client.notice("paused")
     assert (paused["id"], paused["path"], paused["condition"]) == (id_, LEVEL, "mode == 'auto'")
     host.publish("sensor/level", 2.0)
     host.publish("sensor/level", 3.0)
     mode(world, "auto")
+    stepped.advance(5)
     await client.notice("resumed")
     assert (await client.update(id_))["body"] == 3.0
     host.publish("sensor/level", 4.0)
@@ -178,13 +184,14 @@ async def test_a_subscription_pauses_while_its_condition_does_not_hold(world: Wo
 
 
 async def test_a_client_that_was_away_misses_nothing_but_what_it_might_not_have(
-    world: World,
+    world: World, stepped: SteppedClock
 ) -> None:
     host, client = world.robot.host, world.client(TOKEN)
     mode(world, "auto")
     hello = (await client.ask(type="hello"))["body"]
     id_ = (await client.ask(type="subscribe", path=LEVEL, body={"qos": {"depth": 10}}))["id"]
     mode(world, "manual")
+    stepped.advance(5)
     await client.notice("paused")
     client.connection.close()
     host.publish("sensor/level", 1.0)
@@ -193,6 +200,7 @@ async def test_a_client_that_was_away_misses_nothing_but_what_it_might_not_have(
         type="hello", body={"session": hello["session"], "resume_token": hello["resume_token"]}
     )
     mode(world, "auto")
+    stepped.advance(5)
     await other.notice("resumed")
     host.publish("sensor/level", 2.0)
     await other.until(lambda m: m["type"] == "update" and m["id"] == id_ and m["body"] == 2.0)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from kernel.world import Client, Robot, World, world_of
-from rcp_kernel.app import guard
 from rcp_kernel.spi import MotionState, StopPlan, Watchdog
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -24,13 +24,17 @@ async def until_armed(client: Client, *, armed: bool) -> None:
             await asyncio.sleep(0.02)
 
 
-async def test_a_command_arms_before_it_runs_and_rest_disarms(world: World) -> None:
+async def test_a_command_arms_before_it_runs_and_rest_disarms(
+    world: World, stepped: SteppedClock
+) -> None:
     client = world.client()
     assert (await report(client))["guard"]["armed"] is False
-    client.send(type="execute", path="/action/go", body=1)
+    go = client.send(type="execute", path="/action/go", body=1)
     assert world.server.kernel.guard._arming.armed == {"robot"}  # before the loop has turned
     await world.robot.started.get()
     world.robot.release.set()
+    await client.final(go)
+    stepped.advance(5)
     await until_armed(client, armed=False)
 
 
@@ -41,13 +45,17 @@ async def test_what_moves_nothing_does_not_arm(world: World) -> None:
     assert (await report(client))["guard"]["armed"] is False
 
 
-async def test_a_robot_that_still_moves_after_its_command_stays_armed(world: World) -> None:
+async def test_a_robot_that_still_moves_after_its_command_stays_armed(
+    world: World, stepped: SteppedClock
+) -> None:
     moving = MotionState(at_rest=False)
     world.robot.motion = lambda _robot: moving  # type: ignore[method-assign]
     client = world.client()
     world.robot.release.set()
     await client.ask(type="execute", path="/action/go", body=1)
-    await asyncio.sleep(1.5)  # longer than a robot lingers that is at rest
+    for _ in range(3):  # longer than a robot lingers that is at rest
+        stepped.advance(5)
+        await client.ask(type="ping")
     assert (await report(client))["guard"]["armed"] is True
     moving = MotionState(at_rest=True)
     await until_armed(client, armed=False)
@@ -91,10 +99,8 @@ async def test_what_is_wrong_with_one_backend_ends_no_heartbeat() -> None:
     ],
 )
 async def test_a_robot_that_nothing_would_stop_is_a_warning_once(
-    monkeypatch: pytest.MonkeyPatch, watchdogs: list[Watchdog], *, plan: bool, warned: bool
+    stepped: SteppedClock, watchdogs: list[Watchdog], *, plan: bool, warned: bool
 ) -> None:
-    monkeypatch.setattr(guard, "_SETTLE", 0.1)
-
     def make(host: Any) -> Robot:
         robot = Robot(host)
         robot.watchdogs = lambda: watchdogs  # type: ignore[method-assign]
@@ -103,9 +109,12 @@ async def test_a_robot_that_nothing_would_stop_is_a_warning_once(
             host.guard("stop", StopPlan("udp", data))
         return robot
 
-    async with world_of(make=make) as world:
-        await asyncio.sleep(0.8)
-        found = await report(world.client())
+    async with world_of(make=make, clock=stepped.clock) as world:
+        client = world.client()
+        for _ in range(3):  # of which the first heartbeat finds the backend ready
+            stepped.advance(15)
+            await client.ask(type="ping")
+        found = await report(client)
         said = [r for r in found["warnings"] if r["message"] == "robot_without_watchdog"]
         assert len(said) == (1 if warned else 0)
         assert [w["mechanism"] for w in found["guard"]["watchdogs"]] == [

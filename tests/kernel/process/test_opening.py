@@ -14,6 +14,7 @@ from rcp_kernel.app.server import Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
 from rcp_kernel.spi import BackendKind, Host
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -32,7 +33,8 @@ key = "narrow-narrow-narrow"
 class Gate:
     """How the robot opens: when it is let, or with an error."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: SteppedClock) -> None:
+        self.clock = clock
         self.opens = asyncio.Event()
         self.fate: Exception | None = None
         self.before: Callable[[Host], None] = lambda _: None
@@ -42,6 +44,7 @@ class Gate:
     async def open(self, _config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
         self.host = host
         self.before(host)
+        self.clock.advance(2)  # the gateway waits no longer for it before it serves
         await self.opens.wait()
         if self.fate is not None:
             raise self.fate
@@ -55,7 +58,7 @@ class Gate:
 async def gateway(gate: Gate, text: str = CONFIG) -> AsyncGenerator[Server]:
     made = prepared(parse(text + NARROW, "test"), [])
     made.plugins.backends["robot"] = BackendKind("robot", NoOptions, gate.open)
-    async with asyncio.timeout(BOUND), running(made) as server:
+    async with asyncio.timeout(BOUND), running(made, clock=gate.clock.clock) as server:
         try:
             yield server
         finally:
@@ -80,8 +83,10 @@ async def until(client: Client, type_: str, wanted: tuple[str, bool] | None) -> 
         await asyncio.sleep(0.01)
 
 
-async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_works() -> None:
-    gate = Gate()
+async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_works(
+    stepped: SteppedClock,
+) -> None:
+    gate = Gate(stepped)
     async with gateway(gate) as server:
         client = Client(server.client_api)
         for type_ in ("read", "write", "execute", "subscribe", "cancel"):
@@ -94,8 +99,8 @@ async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_work
         assert await refusal(client, "read", "/sensor/none") == UNKNOWN
 
 
-async def test_one_that_is_tried_again_and_again_may_still_come() -> None:
-    gate = Gate()
+async def test_one_that_is_tried_again_and_again_may_still_come(stepped: SteppedClock) -> None:
+    gate = Gate(stepped)
     gate.fate = NotReady("no cable")
     gate.opens.set()
     async with gateway(gate) as server:
@@ -106,8 +111,8 @@ async def test_one_that_is_tried_again_and_again_may_still_come() -> None:
         await until(client, "subscribe", None)
 
 
-async def test_one_that_has_failed_for_good_leaves_its_paths_unknown() -> None:
-    gate = Gate()
+async def test_one_that_has_failed_for_good_leaves_its_paths_unknown(stepped: SteppedClock) -> None:
+    gate = Gate(stepped)
     gate.fate = ConfigError("no such port")
     async with gateway(gate) as server:
         client = Client(server.client_api)
@@ -117,8 +122,8 @@ async def test_one_that_has_failed_for_good_leaves_its_paths_unknown() -> None:
         assert "complete" not in (await client.ask(type="discover"))["body"]
 
 
-async def test_what_cannot_be_its_path_is_unknown_meanwhile() -> None:
-    gate = Gate()
+async def test_what_cannot_be_its_path_is_unknown_meanwhile(stepped: SteppedClock) -> None:
+    gate = Gate(stepped)
     text = CONFIG.replace('tenant = "alpha"', 'tenant = "alpha"\nrobot = "r1"', 1)
     async with gateway(gate, text) as server:
         client = Client(server.client_api)
@@ -129,8 +134,8 @@ async def test_what_cannot_be_its_path_is_unknown_meanwhile() -> None:
         assert "complete" not in (await client.ask(type="discover", path="/system/*"))["body"]
 
 
-async def test_a_hidden_path_does_not_tell_that_a_backend_opens() -> None:
-    gate = Gate()
+async def test_a_hidden_path_does_not_tell_that_a_backend_opens(stepped: SteppedClock) -> None:
+    gate = Gate(stepped)
     async with gateway(gate) as server:
         client = Client(server.client_api, "narrow-narrow-narrow")
         assert await refusal(client, "read") == WAITS  # it could be seen, if it were there
@@ -140,8 +145,10 @@ async def test_a_hidden_path_does_not_tell_that_a_backend_opens() -> None:
         assert await refusal(client, "read", "/sensor/lazy") == UNKNOWN
 
 
-async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open() -> None:
-    gate = Gate()
+async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open(
+    stepped: SteppedClock,
+) -> None:
+    gate = Gate(stepped)
     gate.before = lambda host: Robot(host).declare()
     async with gateway(gate) as server:
         client = Client(server.client_api)
@@ -152,8 +159,10 @@ async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open() -
         assert (await client.update("s"))["body"] == 1.0
 
 
-async def test_an_open_backend_that_still_looks_for_what_it_has_may_find_it() -> None:
-    gate = Gate()
+async def test_an_open_backend_that_still_looks_for_what_it_has_may_find_it(
+    stepped: SteppedClock,
+) -> None:
+    gate = Gate(stepped)
     gate.before = lambda host: host.discovering(active=True)
     gate.opens.set()
     async with gateway(gate) as server:

@@ -10,6 +10,7 @@ from typing import Any
 
 from kernel.motion.test_latches import HEAD
 from kernel.world import BOUND, Client, Robot, World, kept_in, world_of
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, MotionState, Progress, Watchdog, check_fence
 from rcp_kernel.types import quantity
@@ -106,10 +107,13 @@ def scripted(world: World) -> Scripted:
 
 @asynccontextmanager
 async def scripted_world(
-    text: str = ONE, store: Path | None = None, make: type[Scripted] = Scripted
+    text: str = ONE,
+    store: Path | None = None,
+    make: type[Scripted] = Scripted,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AsyncGenerator[World]:
     """Run a gateway around scripted robots."""
-    async with world_of(text if store is None else kept_in(store, text), make) as world:
+    async with world_of(text if store is None else kept_in(store, text), make, clock) as world:
         yield world
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from kernel.world import Client, World
 from rcp_kernel.model import Resource
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist, quantity
 
 pytestmark = pytest.mark.anyio
@@ -171,10 +172,13 @@ async def test_a_pattern_takes_in_what_appears_later_and_tells_of_both(world: Wo
     assert (await client.notice("resource_removed"))["path"] == "/tenant/alpha/sensor/new/thing"
 
 
-async def test_a_source_that_falls_silent_is_told_as_stale(world: World) -> None:
+async def test_a_source_that_falls_silent_is_told_as_stale(
+    world: World, stepped: SteppedClock
+) -> None:
     publish(world, 1.0)
     client = world.client()
-    await subscribed(client, qos={"deadline": 0.05})
+    await subscribed(client, qos={"deadline": 60.0})
+    stepped.advance(100)
     assert (await client.notice("deadline_missed"))["path"] == LEVEL
     assert (await client.notice("stale"))["path"] == LEVEL
     assert (await client.ask(type="read", path=LEVEL))["state"] == "stale"

@@ -12,12 +12,6 @@ from transports.robot import Site
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    """Run on asyncio: the gateway's event loop."""
-    return "asyncio"
-
-
-@pytest.fixture
 async def gateway() -> AsyncGenerator[Site]:
     """Serve with every default."""
     async with agent() as made:

@@ -12,6 +12,7 @@ from plugins.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.features.approval import APPROVALS
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.values import Encoding
 
 AGENT, GUARD, OWNED = "agent-agent-agent", "guard-guard-guard", "owned-owned-owned"
@@ -89,12 +90,14 @@ async def test_what_was_rejected_is_not_asked_again_before_it_expires() -> None:
             assert "people are there" in reply["message"]
 
 
-async def test_an_approval_expires() -> None:
-    text = PEOPLE + "\n[safety]\napproval_ttl = 0.1\n"
-    async with world_of(text) as world:
+async def test_an_approval_expires(stepped: SteppedClock) -> None:
+    async with world_of(PEOPLE, clock=stepped.clock) as world:
         agent, guard = world.client(AGENT), world.client(GUARD)
         await guard.ask(type="subscribe", path="/system/approvals")
         id_ = await asked(agent)
+        stepped.advance(200)
+        assert await asked(agent) == id_
+        stepped.advance(200)
         await guard.until(
             lambda m: m["type"] == "update" and [a["status"] for a in m["body"]] == ["expired"]
         )

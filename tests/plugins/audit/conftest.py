@@ -7,16 +7,11 @@ from collections.abc import AsyncGenerator
 import pytest
 
 from kernel.world import World, world_of
+from rcp_kernel.clock import Clock
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    """Run on asyncio: the gateway's event loop."""
-    return "asyncio"
-
-
-@pytest.fixture
-async def world() -> AsyncGenerator[World]:
+async def world(gateway_clock: Clock) -> AsyncGenerator[World]:
     """A gateway with a robot, for one test."""
-    async with world_of() as made:
+    async with world_of(clock=gateway_clock) as made:
         yield made

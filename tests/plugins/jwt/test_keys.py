@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import pytest
 
 from issuer import Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, prepared, world_of
-from rcp_jwt import config as jwt_config
 from rcp_jwt import issuers, jwks
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
@@ -16,6 +16,7 @@ from rcp_kernel.errors import (
     AdapterUnavailable,
     Unauthenticated,
 )
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -140,40 +141,39 @@ async def test_a_key_taken_back_ends_what_it_opened_with_the_next_fetch(
 
 
 async def test_keys_that_lapse_take_with_them_what_they_signed(
-    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+    issuer: Issuer, stepped: SteppedClock
 ) -> None:
-    monkeypatch.setattr(issuers, "_GAP", 0.01)
-    monkeypatch.setattr(jwt_config, "_FETCH", 0.0)
-    table = issuer.table('role = "operator"\nrefresh = 1\nlifetime = 1.5')
-    async with world_of(CONFIG + table) as world:
-        token = issuer.token()
+    table = issuer.table('role = "operator"\nrefresh = 600\nlifetime = 3600')
+    async with world_of(CONFIG + table, clock=stepped.clock) as world:
+        token = issuer.token(exp=int(time.time()) + 86_400)
         await who(world, token)
         client = world.client(token)
         await client.ask(type="subscribe", path="/sensor/level", id="s")
         issuer.status = b"500 No"
+        stepped.advance(4000)
         assert (await client.notice("subscription_ended"))["reason"] == "token_expired"
         assert (await client.final(None))["error"]["code"] == "token_expired"
         with pytest.raises(AdapterUnavailable):
             await who(world, token)
         issuer.status = b"200 OK"
+        stepped.advance(4000)
         assert (await who(world, token)).name == "ann"
 
 
 async def test_keys_that_lapsed_are_good_again_only_by_a_longer_lifetime(
-    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+    issuer: Issuer, stepped: SteppedClock
 ) -> None:
-    monkeypatch.setattr(issuers, "_GAP", 0.01)
-    monkeypatch.setattr(jwt_config, "_FETCH", 0.0)
-    table = issuer.table('role = "operator"\nrefresh = 1\nlifetime = 1')
-    async with world_of(CONFIG + table) as world:
-        token = issuer.token()
+    table = issuer.table('role = "operator"\nrefresh = 600\nlifetime = 3600')
+    async with world_of(CONFIG + table, clock=stepped.clock) as world:
+        token = issuer.token(exp=int(time.time()) + 86_400)
         await who(world, token)
         client = world.client(token)
         issuer.status = b"500 No"
+        stepped.advance(4000)
         assert (await client.final(None))["error"]["code"] == "token_expired"
         await apply(world.server, prepared(parse(CONFIG + table, "test"), []))
         with pytest.raises(AdapterUnavailable):
             await who(world, token)
-        longer = table.replace("lifetime = 1", "lifetime = 600")
+        longer = table.replace("lifetime = 3600", "lifetime = 80000")
         await apply(world.server, prepared(parse(CONFIG + longer, "test"), []))
         assert (await who(world, token)).name == "ann"

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from kernel.world import BOUND, CONFIG, Client, World, kept_in, settled, world_of
+from rcp_kernel.clock import Clock
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
@@ -32,8 +34,8 @@ AGENT, ADMIN = "agent-agent-agent", "admin-admin-admin"
 
 
 @pytest.fixture
-async def world() -> AsyncGenerator[World]:
-    async with world_of(CONFIG + PEOPLE) as made:
+async def world(gateway_clock: Clock) -> AsyncGenerator[World]:
+    async with world_of(CONFIG + PEOPLE, clock=gateway_clock) as made:
         yield made
 
 
@@ -121,10 +123,15 @@ async def test_an_equal_priority_waits(world: World) -> None:
     assert code(await lease(two)) == "completed"
 
 
-async def test_a_lapsed_lease_brings_to_rest_what_its_holder_left_moving(world: World) -> None:
+async def test_a_lapsed_lease_brings_to_rest_what_its_holder_left_moving(
+    world: World, stepped: SteppedClock
+) -> None:
     holder = world.client()
-    await lease(holder, ttl=0.05)
-    await drive(holder, valid_for=100)
+    await lease(holder, ttl=300)
+    await drive(holder, valid_for=1000)
+    stepped.advance(200)
+    assert code(await drive(world.client("admin-admin-admin"))) == "lease_held"
+    stepped.advance(200)
     told = await holder.notice("lease_lost")
     assert "expired" in told["reason"]
     id_ = holder.send(type="subscribe", path=DRIVE)
@@ -138,19 +145,24 @@ async def test_a_lapsed_lease_brings_to_rest_what_its_holder_left_moving(world: 
     assert code(await drive(holder)) == "completed"
 
 
-async def test_who_gives_up_a_lost_lease_goes_on_without(world: World) -> None:
+async def test_who_gives_up_a_lost_lease_goes_on_without(
+    world: World, stepped: SteppedClock
+) -> None:
     holder = world.client()
-    await lease(holder, ttl=0.01)
+    await lease(holder, ttl=300)
+    stepped.advance(400)
     await holder.notice("lease_lost")
     assert code(await drive(holder)) == "lease_lost"
     assert code(await lease(holder, "release")) == "lease_lost"
     assert code(await drive(holder)) == "completed"
 
 
-async def test_a_renewed_lease_stands(world: World) -> None:
+async def test_a_renewed_lease_stands(world: World, stepped: SteppedClock) -> None:
     holder = world.client()
-    first = (await lease(holder, ttl=1))["body"]
-    again = (await lease(holder, "renew", ttl=100))["body"]
+    first = (await lease(holder, ttl=200))["body"]
+    stepped.advance(100)
+    again = (await lease(holder, "renew", ttl=300))["body"]
+    stepped.advance(200)
     assert again["lease"] == first["lease"]
     assert again["expires"] > first["expires"]
     named = await holder.ask(

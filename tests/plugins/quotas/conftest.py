@@ -9,12 +9,6 @@ from plugins.quotas.home import SLOW, at_home
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    """Run on asyncio: the gateway's event loop."""
-    return "asyncio"
-
-
-@pytest.fixture
 async def slow() -> AsyncGenerator[World]:
     """Three requests, and then no more for a long time."""
     async with world_of(at_home(SLOW)) as world:

@@ -37,13 +37,13 @@ async def follow(
     out: Output,
     args: dict[str, Any],
     value: Any,
-    told: Callable[[Output, Feedback], str] | None = None,
+    feedback_line: Callable[[Output, Feedback], str] | None = None,
     ended: Callable[[Output, Reply], None] = show.reply,
     failed: Callable[[Output, RcpError], None] | None = None,
 ) -> int:
     """Start a command and follow it to its end; the functions define how it is displayed."""
     run = _Run(client, out, args, value)
-    run.told, run.ended, run.failed = told or _line, ended, failed
+    run.feedback_line, run.ended, run.failed = feedback_line or _line, ended, failed
     with _interrupts(run):
         return await run.until_the_end()
 
@@ -59,7 +59,7 @@ class _Run:
         value: Any,
     ) -> None:
         self._client = client
-        self.told: Callable[[Output, Feedback], str] = _line
+        self.feedback_line: Callable[[Output, Feedback], str] = _line
         self.ended: Callable[[Output, Reply], None] = show.reply
         self.failed: Callable[[Output, RcpError], None] | None = None
         self._out = out
@@ -68,7 +68,7 @@ class _Run:
         wanted: bool | None = args["feedback"]
         self._shows = args["wait"] and (not out.json if wanted is None else wanted)
         self._handle: CommandHandle | None = None
-        self.asked = False
+        self.interrupted_once = False
         """Whether Ctrl-C was pressed."""
         self._left = asyncio.Event()
         self._cancelling: asyncio.Task[None] | None = None
@@ -92,10 +92,10 @@ class _Run:
             if self.failed is not None:
                 self.failed(self._out, error)
             self._out.error(error)
-            return _INTERRUPTED if self.asked else exit_code(error)
+            return _INTERRUPTED if self.interrupted_once else exit_code(error)
         if reply is not None:
             self.ended(self._out, reply)
-        return _INTERRUPTED if self.asked else 0
+        return _INTERRUPTED if self.interrupted_once else 0
 
     async def _follow(self) -> Reply | None:
         args = self._args
@@ -107,9 +107,9 @@ class _Run:
             approval=args["approval"],
             on_feedback=self._heard,
         )
-        if self.asked:
+        if self.interrupted_once:
             self._cancel()
-        if not args["wait"] and not handle.done and not self.asked:
+        if not args["wait"] and not handle.done and not self.interrupted_once:
             self._accepted(handle)
             return None
         return await handle.reply()
@@ -128,16 +128,16 @@ class _Run:
         if out.json:
             out.document({"path": self._args["path"], **_facts(feedback)})
         elif feedback.status == "in_progress":
-            out.line(self.told(out, feedback).rstrip())
+            out.line(self.feedback_line(out, feedback).rstrip())
         else:
             out.line(f"{out.paint(feedback.status)} {out.dim(feedback.command or '')}".rstrip())
 
     def interrupted(self) -> None:
         """Cancel the command on the first Ctrl-C, stop waiting on the second."""
-        if self.asked:
+        if self.interrupted_once:
             self._left.set()
             return
-        self.asked = True
+        self.interrupted_once = True
         self._out.aside("\nrcpctl: cancelling; press Ctrl-C again to stop waiting")
         if self._handle is not None:
             self._cancel()
@@ -177,6 +177,6 @@ def _interrupts(run: _Run) -> Generator[None]:
         yield
     finally:
         loop.remove_signal_handler(signal.SIGINT)
-        if run.asked:
+        if run.interrupted_once:
             # It is already exiting: another Ctrl-C changes nothing.
             signal.signal(signal.SIGINT, signal.SIG_IGN)

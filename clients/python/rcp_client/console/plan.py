@@ -23,7 +23,9 @@ async def plan(client: Client, out: Output, args: dict[str, Any]) -> int:
     body = plan_of(args["input"])
     args = {**args, "path": _PATH}
     if not args["dry_run"]:
-        return await follow(client, out, args, body, told=_told, ended=_ended, failed=_faults)
+        return await follow(
+            client, out, args, body, feedback_line=_feedback_line, ended=_ended, failed=_faults
+        )
     envelope = {"type": "execute", "path": _PATH, "body": body, "dry_run": True}
     try:
         _checked(out, await client.request(envelope))
@@ -33,7 +35,7 @@ async def plan(client: Client, out: Output, args: dict[str, Any]) -> int:
     return 0
 
 
-def _told(out: Output, feedback: Feedback) -> str:
+def _feedback_line(out: Output, feedback: Feedback) -> str:
     step: dict[str, Any] = feedback.body or {}
     share = "" if feedback.progress is None else f"{feedback.progress:4.0%} "
     what = f"{step.get('step', '')}  {step.get('do', '')} {step.get('path', '')}".rstrip()

@@ -27,7 +27,7 @@ async def estop(client: Client, out: Output, args: dict[str, Any]) -> int:
         state = await client.estop(reset=args["reset"], scope=args["scope"], reason=args["reason"])
     except DeviceTimeout as error:
         late = error
-        state = _told(error)
+        state = _state_of(error)
         with suppress(RcpError):  # otherwise show the robots named in the error
             state = await client.read("/system/estop")
     return _shown(out, args, state, late)
@@ -40,11 +40,11 @@ async def estop_without_session(client: Client, out: Output, args: dict[str, Any
     try:
         reply = await whole.request(client, envelope)
     except DeviceTimeout as error:
-        return _shown(out, args, _told(error), error)
+        return _shown(out, args, _state_of(error), error)
     return _shown(out, args, reply.body, None)
 
 
-def _told(error: DeviceTimeout) -> dict[str, Any]:
+def _state_of(error: DeviceTimeout) -> dict[str, Any]:
     return {"active": True, "robots": (error.details or {}).get("robots") or {}, "scopes": {}}
 
 
