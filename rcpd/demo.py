@@ -231,6 +231,7 @@ Try:
   {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
 {fly}
 {motors}
+{physics}
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"
