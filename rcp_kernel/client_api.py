@@ -43,6 +43,7 @@ from rcp_kernel.sessions.connections import Connection, ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.store.plugin_store import PluginStore
@@ -136,6 +137,7 @@ class ClientApi:
     def __init__(self, parts: ClientApiParts, name: str, mounts: list[Mount]) -> None:
         self._parts = parts
         self._handle = parts.connections.handle
+        self._read_at_once = parts.connections.at_once["read"]
         self.name = name
         """The transport's word in sessions, counts and metrics."""
         self.mounts = mounts
@@ -321,6 +323,13 @@ class ClientApi:
         It may be called before `submit` returns.
         """
         self._handle(session, request, answer)
+
+    def read_at_once(self, session: Session, request: Request) -> PromptReply | None:
+        """Return the reply to a read of one value in JSON, or None where `submit` has to be used.
+
+        What is returned is counted as the request's final reply.
+        """
+        return self._read_at_once(session, request)
 
     async def request(self, session: Session, request: Request) -> Reply:
         """Handle a request and return its final reply."""

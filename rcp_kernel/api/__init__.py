@@ -27,6 +27,7 @@ from rcp_kernel.requests.discovery import Query
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.unsent import left_out
 from rcp_kernel.store.modes import others_may
@@ -54,6 +55,7 @@ __all__ = [
     "Peer",
     "PluginStore",
     "Principal",
+    "PromptReply",
     "Query",
     "Rights",
     "Sample",

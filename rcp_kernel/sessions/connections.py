@@ -21,6 +21,7 @@ from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Handler, Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.sessions.unsent import ESTOP, left_out
@@ -44,7 +45,7 @@ _HELD = 256  # messages that wait for a `hello`
 
 
 _HELLO = value_type(Hello)
-AtOnce = Mapping[str, Callable[[Session, Request], bytes | None]]
+AtOnce = Mapping[str, Callable[[Session, Request], PromptReply | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,8 +178,9 @@ class Connection:
             outbox = self.outbox
             at_once = self._at_once.get(request.type)
             if at_once is not None and outbox.waiting <= SHARE:
-                reply = at_once(self.session, request)
-                if reply is not None:
+                prompt = at_once(self.session, request)
+                if prompt is not None:
+                    reply = prompt.data
                     outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
                     return
             self._carry_out(request)
