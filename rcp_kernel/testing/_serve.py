@@ -50,7 +50,7 @@ class Life(msgspec.Struct, frozen=True):
 
 
 class Served:
-    """A gateway that is up, and the backends that were opened in it."""
+    """A running gateway, and the backends opened in it."""
 
     def __init__(self, server: Server, lives: list[Life]) -> None:
         self.server = server
@@ -140,7 +140,7 @@ async def serve(
 
 
 def _patient(config: GatewayConfig) -> GatewayConfig:
-    """Have the guard not take a busy machine for a gateway that stands still."""
+    """Let the guard tolerate a busy machine."""
     if config.safety.guard_after != Safety().guard_after:
         return config
     safety = msgspec.structs.replace(config.safety, guard_after=_GUARD_AFTER)
