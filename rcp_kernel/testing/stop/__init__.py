@@ -29,12 +29,13 @@ _STAYS = float(os.environ.get("RCP_STOP_STAYS", "1"))
 
 
 class StopSuite(InterleavingTests):
-    """Every proof that the house asks of a stop.
+    """All tests of a stop.
 
-    Subclass it together with what you give to `BackendSuite` (`kind`, `goals`, `at_rest`, …), and give
-    the faults that can be injected: `break_link` with `mend_link`, `freeze_device` with `thaw_device`,
-    `freeze_feedback` with `thaw_feedback`, and `foreign_commander`. A situation whose fault is not given is
-    skipped. RCP_STOP_STAYS sets for how many seconds each robot is watched; a release wants 10.
+    Subclass it together with what you provide to `BackendSuite` (`kind`, `goals`, `at_rest`, …), and
+    provide the faults that can be injected: `break_link` with `mend_link`, `freeze_device` with
+    `thaw_device`, `freeze_feedback` with `thaw_feedback`, and `foreign_commander`. Situations without
+    their fault are skipped. RCP_STOP_STAYS sets for how many seconds each robot is watched; use 10 for
+    a release.
     """
 
     stop_within: ClassVar[float] = 3.0
