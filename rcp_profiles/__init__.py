@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_profiles.bounds import Keyed, bounded
+from rcp_profiles.bounds import Keyed, bounded, twist_limits
 from rcp_profiles.claim import Offer, claim, offer
 from rcp_profiles.document import Change, changes, document, unannounced
 from rcp_profiles.profile import Definition, Profile
@@ -21,5 +21,6 @@ __all__ = [
     "document",
     "offer",
     "profile_named",
+    "twist_limits",
     "unannounced",
 ]

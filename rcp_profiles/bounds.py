@@ -11,13 +11,16 @@ from msgspec import NODEFAULT, Meta, Struct
 
 from rcp_protocol.errors import PluginError
 
-__all__ = ["Bound", "Bounds", "Keyed", "bounded"]
+__all__ = ["Bound", "Bounds", "Keyed", "bounded", "twist_limits"]
 
 Bound = tuple[float | None, float | None]
 """The lowest and the highest value; None: no bound on that side."""
 Bounds = Mapping[str, Bound]
 """By the place in the value: `linear.x`, or an empty text for the value itself. Lists are passed
 through (`points.positions.elbow`); a map has the given keys only, each of them optional."""
+
+
+_AXES = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
 
 
 class Keyed(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -28,6 +31,15 @@ class Keyed(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         fields = msgspec.structs.fields(self)
         found = {one.encode_name: getattr(self, one.name) for one in fields}
         return {key: value for key, value in found.items() if value is not None}
+
+
+def twist_limits(*, x: float, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Bounds:
+    """Return the bounds of a velocity: m/s ahead and back, to the sides, up and down, and rad/s.
+
+    What is 0 the robot cannot do; it does not roll or pitch.
+    """
+    most = {"linear.x": x, "linear.y": y, "linear.z": z, "angular.z": yaw}
+    return {place: (-most.get(place, 0.0), most.get(place, 0.0)) for place in _AXES}
 
 
 def bounded(type_: Any, bounds: Bounds) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rcp_kernel.model import Operation, Resource
-from rcp_profiles import Offer, claim, offer
+from rcp_profiles import Offer, claim, offer, twist_limits
 from rcp_sim import messages as m
 from rcp_sim.body import DESCRIPTION
 from rcp_sim.config import SimConfig
@@ -152,22 +152,13 @@ def _seen() -> list[Resource]:
 
 
 def _commands() -> list[Resource | Offer]:
-    none, turn = (0, 0), (-m.TOP_TURN, m.TOP_TURN)
-    drive = {
-        "linear.x": (-m.TOP_SPEED, m.TOP_SPEED),
-        "linear.y": none,
-        "linear.z": none,
-        "angular.x": none,
-        "angular.y": none,
-        "angular.z": turn,
-    }
     goal = {
         "yaw": (-m.FULL_TURN, m.FULL_TURN),
         "tolerance": (0.02, 2),
         "speed": (None, m.TOP_SPEED),
     }
     return [
-        offer("actuator/cmd_vel", drive, live=True),
+        offer("actuator/cmd_vel", twist_limits(x=m.TOP_SPEED, yaw=m.TOP_TURN), live=True),
         offer("param/speed_limit", (0, m.TOP_SPEED), examples=(1.0, 0.5), live=True),
         offer(
             "action/move_to",

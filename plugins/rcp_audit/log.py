@@ -120,10 +120,14 @@ class AuditLog:
             what, event, who
         ):
             return False
-        facts = {**who, "path": event.path, **more}
+        facts = {**who, "path": event.path and event.path[:_TEXT], **more}
         if event.request is not None:
             facts |= requested(event.request, event.what, hide=event.hide)
-        facts |= {key: value for key, value in event.facts.items() if value is not None}
+        facts |= {
+            key: value[:_TEXT] if isinstance(value, str) and key != "value" else value
+            for key, value in event.facts.items()
+            if value is not None
+        }
         value = facts.get("value")
         if value is not None and type(value) is not msgspec.Raw:
             facts["value"] = bounded(value)
@@ -144,9 +148,6 @@ class AuditLog:
         return self.throttle.passes(key, who, event.path, event.outcome, full=full)
 
     def _write(self, what: str, facts: dict[str, Any]) -> None:
-        for key, value in facts.items():
-            if isinstance(value, str) and len(value) > _TEXT:
-                facts[key] = value[:_TEXT]
         try:
             data = self._ledger.add(what, facts)
         except (TypeError, ValueError, OverflowError, RecursionError):

@@ -14,6 +14,7 @@ from rcp_kernel.store.touches import EVERYTHING
 __all__ = ["owners_of", "who_did"]
 
 _KNOWN = 1024  # principals that are worked out once
+_NAME = 500  # characters of a name
 
 
 def owners_of(event: Event, touches: Iterable[str] | None) -> tuple[str, ...]:
@@ -40,7 +41,7 @@ def _tenant(principal: Principal, acting: str | None, own: str | None) -> str | 
 @lru_cache(_KNOWN)
 def _person(principal: Principal, owners: tuple[str, ...]) -> dict[str, Any]:
     roles = [r for t, held in principal.grants if t in ("*", *owners) for r in held]
-    return {"principal": principal.name, "roles": roles, "proof": principal.proof}
+    return {"principal": principal.name[:_NAME], "roles": roles, "proof": principal.proof}
 
 
 def who_did(event: Event, owners: tuple[str, ...]) -> dict[str, Any]:

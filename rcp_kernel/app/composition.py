@@ -252,7 +252,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
 def _records(base: _Base, store: Store) -> _Records:
     events = EventBus()
     replies = ReplyGate(base.settings, base.loop)
-    journal = CommandJournal(store, base.inflight, base.counts, replies)
+    journal = CommandJournal(store, base.inflight, base.counts, replies, base.clock)
     return _Records(store, events, SafetyEvents(events), replies, journal)
 
 
@@ -309,7 +309,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.journal, arming.arm, base.turns, base.loop)
+    commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
     return _Motion(
         arming,
         partners,

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
@@ -53,12 +53,14 @@ class Commands:
         began: Callable[[Entry], None],
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         """`began` is told before a command runs, and must cost nothing."""
         self._journal = journal
         self._began = began
         self._turns = turns
         self._loop = loop
+        self._now = clock.now
         self._active: dict[str, Command] = {}
         """The command that holds each path, where the policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -107,7 +109,7 @@ class Commands:
             self._run(command, call, timeout, confirm)
         else:
             text = f"Waiting for command {busy.id} on {entry.path}."
-            self._journal.write(command, Record("pending", now(), message=text))
+            self._journal.write(command, Record("pending", self._now(), message=text))
             self._starts[command.id] = partial(self._run, command, call, timeout, confirm)
             self._queue(command, call, busy)
 
@@ -185,7 +187,7 @@ class Commands:
                 return
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
-        self._journal.write(command, Record("in_progress", now(), body, fraction))
+        self._journal.write(command, Record("in_progress", self._now(), body, fraction))
 
     def _expire(self, command: Command, timeout: float) -> None:
         """End a command in time for its client, whatever the backend makes of the cancel."""
@@ -265,11 +267,11 @@ class Commands:
             command.timer.cancel()
             command.timer = None
         if isinstance(outcome, RcpError):
-            self._journal.write(command, _failed(command, outcome))
+            self._journal.write(command, _failed(command, outcome, self._now()))
         else:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
-            self._journal.write(command, Record("completed", now(), body, message=text))
+            self._journal.write(command, Record("completed", self._now(), body, message=text))
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End what runs on a path whose backend is gone, with the reason."""
@@ -295,7 +297,7 @@ def _shared(entry: Entry) -> bool:
     return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
 
 
-def _failed(command: Command, error: RcpError) -> Record:
+def _failed(command: Command, error: RcpError, moment: int) -> Record:
     """Return the final step of a command that ends with an error."""
     entry = command.entry
     error.path = error.path or command.path
@@ -305,4 +307,4 @@ def _failed(command: Command, error: RcpError) -> Record:
             tell_loss(entry, error)
     body = NO_BODY if command.work is None else command.work.report(over=True)
     status = status_of(command, error)
-    return Record(status, now(), body, message=error.message, error=error_body(error))
+    return Record(status, moment, body, message=error.message, error=error_body(error))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from rcp_kernel.clock import now
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.metrics import Histogram
 from rcp_kernel.requests.command_rows import TABLE, as_row, cut_off, from_rows
 from rcp_kernel.requests.finished import Finished
@@ -36,13 +36,19 @@ class CommandJournal:
     """Every command of the gateway: running, waiting, and the recently finished."""
 
     def __init__(
-        self, store: Store, inflight: InFlight, counts: RequestCounts, replies: ReplyGate
+        self,
+        store: Store,
+        inflight: InFlight,
+        counts: RequestCounts,
+        replies: ReplyGate,
+        clock: Clock,
     ) -> None:
         """Take in the commands of earlier runs; those that were cut off are `failed` now."""
         self._store = store
         self._inflight = inflight
         self._requests = counts
         self._replies = replies
+        self._now = clock.now
         self.on_step: list[CommandListener] = []
         """Who hears of each step of each command, before its followers do; they raise nothing."""
         self.running: dict[str, Command] = {}
@@ -58,7 +64,7 @@ class CommandJournal:
     def _load(self) -> None:
         for command in from_rows(self._store.load(TABLE).values()):
             if not command.final:
-                cut_off(command)
+                cut_off(command, self._now())
                 self.keep(command)
                 self.cut_off.append(command)
             self._finished.add(command)
@@ -74,7 +80,7 @@ class CommandJournal:
     def open(self, command: Command) -> None:
         """Write a command down that is accepted."""
         self.running[command.id] = command
-        self.write(command, Record("accepted", now(), message="Command accepted."))
+        self.write(command, Record("accepted", self._now(), message="Command accepted."))
 
     def write(self, command: Command, step: Record) -> None:
         """Write a step down, and tell of it; a final one closes the command."""

@@ -89,7 +89,7 @@ class RequestRouter:
             account = session.account
             if account is not None and not is_exempt(request):
                 try:
-                    taken = account.take(started)
+                    taken = account.take(session.monotonic())
                 except Exception:  # a feature has a bug: what stops a robot passes even so
                     log.exception("account_failed", feature=type(account).__module__)
                     taken = False
@@ -99,7 +99,7 @@ class RequestRouter:
                     and request.type != "batch"
                     and not self._stops(session, request)
                 ):
-                    raise account.refusal(started)
+                    raise account.refusal(session.monotonic())
             long = len(request.body) > LONG and self._long_bodies.takes(request)
             if (long or self._dear(session, request)) and not self._stops(session, request):
                 stepped = None if long else self._stepped.get(request.type)

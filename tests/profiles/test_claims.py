@@ -11,7 +11,7 @@ from rcp_kernel.errors import InvalidValue, OutOfRange, PluginError
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.types import PoseStamped, Twist, quantity
 from rcp_kernel.values import value_type
-from rcp_profiles import STANDARD, Definition, Profile, claim, offer
+from rcp_profiles import STANDARD, Definition, Profile, claim, offer, twist_limits
 from rcp_profiles import messages as m
 
 MOBILE = (
@@ -76,6 +76,19 @@ def test_limits_bound_the_types_of_the_profile() -> None:
             type_.convert(beyond)
     x = type_.schema["$defs"]["LinearVelocity"]["properties"]["x"]
     assert (x["unit"], x["minimum"], x["maximum"]) == ("m/s", -1.0, 1.0)
+
+
+def test_what_a_velocity_is_not_limited_to_is_zero() -> None:
+    limits = twist_limits(x=1.5, yaw=2.0)
+    (_, drive) = claim(["drive"], "sensor/velocity", offer("actuator/cmd_vel", limits))
+    type_ = value_type(drive.value)
+    type_.convert({"linear": {"x": -1.5}, "angular": {"z": 2.0}})
+    for axis in ("y", "z"):
+        with pytest.raises(OutOfRange):
+            type_.convert({"linear": {axis: 0.01}})
+    for axis in ("x", "y"):
+        with pytest.raises(OutOfRange):
+            type_.convert({"angular": {axis: 0.01}})
 
 
 def test_limits_of_a_number_take_the_place_of_wider_ones() -> None:

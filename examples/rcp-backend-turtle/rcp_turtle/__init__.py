@@ -22,13 +22,12 @@ from rcp_kernel.types import (
     Quaternion,
     Twist,
 )
-from rcp_profiles import claim, offer
+from rcp_profiles import claim, offer, twist_limits
 from rcp_profiles.messages import MoveFeedback, MoveResult, MoveTo, TwistStamped
 
 TICK = 0.02  # s
 TOP, TURN = 1.0, 3.0  # m/s, rad/s
 NEAR, FACING = 0.02, 0.03  # m, rad
-NONE = (0.0, 0.0)
 Half = Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m"})]
 Pen = Literal["up", "down"]
 
@@ -37,13 +36,11 @@ class TurtleConfig(Struct, frozen=True, forbid_unknown_fields=True):
     half: Half = 5.0  # of the sheet's width and height
 
 
-WALKS = {"linear.x": (-TOP, TOP), "linear.y": NONE, "linear.z": NONE}
-TURNS = {"angular.x": NONE, "angular.y": NONE, "angular.z": (-TURN, TURN)}
 RESOURCES = claim(
     ["mobile"],
     offer("sensor/pose", live=True, deadline=1.0),
     offer("sensor/velocity", live=True, deadline=1.0),
-    offer("actuator/cmd_vel", {**WALKS, **TURNS}),
+    offer("actuator/cmd_vel", twist_limits(x=TOP, yaw=TURN)),
     offer("action/move_to", {"speed": (None, TOP)}, timeout=120.0),
     offer("param/speed_limit", (0, TOP)),
     Resource(name="sensor/ink", description="Length drawn so far.", value=Metres, live=True),

@@ -68,7 +68,7 @@ class ProfileRig(BackendTests):
     speed: ClassVar[float] = 0.4
     """A moderate speed, m/s."""
     turn: ClassVar[float] = 0.5
-    """A moderate yaw rate, rad/s."""
+    """A moderate yaw rate, rad/s; 0: it cannot turn."""
     turn_speed: ClassVar[float] = 0.0
     """The speed that it needs in order to turn, m/s; 0: it turns on the spot."""
     near: ClassVar[float] = 0.2

@@ -356,3 +356,19 @@ async def test_one_trajectory_at_a_time_and_no_joint_of_it_for_others() -> None:
         with pytest.raises(ModeForbids, match="a stop of 'arm'"):
             await asyncio.wait_for(running, 20)
         assert rig.still()
+
+
+async def test_a_drive_that_cannot_follow_goes_into_fault_and_the_others_stop() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        twin: Any = rig.twins["tilt"]
+
+        def tight() -> None:  # 1 mrad, for 10 ms: what a drive that was set up for its load has
+            twin.local.set_data(0x6065, 0, round(twin.scale / 1000).to_bytes(4, "little"))
+            twin.local.set_data(0x6066, 0, (10).to_bytes(2, "little"))
+
+        rig.bench.order(tight)
+        with pytest.raises(ModeForbids, match=r"'tilt' is no longer enabled: .*0x8611"):
+            await asyncio.wait_for(running, 20)
+        await rig.until(rig.still)
+        assert twin.state == "fault"

@@ -10,6 +10,7 @@ from kernel.world import CONFIG, Client, World, prepared, world_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"
@@ -218,3 +219,23 @@ async def test_a_cut_leaves_the_source_at_the_rate_that_was_wanted(world: World)
     await greeted(client, session=session)
     await client.ask(type="ping")
     assert [rate for name, rate in world.robot.watched if name == "sensor/lazy"] == [2.0]
+
+
+async def test_a_session_waits_for_its_client_as_long_as_it_is_kept_and_no_longer(
+    world: World, stepped: SteppedClock
+) -> None:
+    ttl = world.server.kernel.settings.limits.session_ttl
+    first = world.client()
+    session = (await greeted(first))["session"]
+    first.connection.close()
+    stepped.advance(ttl / 2)
+    second = world.client()
+    assert (await greeted(second, session=session))["session"] == session
+    second.connection.close()
+    stepped.advance(ttl / 2)
+    await world.client().ask(type="ping")
+    assert session in world.server.kernel.sessions.known, "its time began anew"
+    stepped.advance(ttl)
+    await world.client().ask(type="ping")
+    late = await world.client().ask(type="hello", body={"session": session})
+    assert late["error"]["code"] == "gap"

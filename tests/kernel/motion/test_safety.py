@@ -7,6 +7,7 @@ import time
 import pytest
 
 from kernel.world import BOUND, Client, World
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import LinearVelocity, Twist
 
 pytestmark = pytest.mark.anyio
@@ -66,11 +67,13 @@ async def test_a_renewed_velocity_stands(world: World) -> None:
     assert [value for _, value in world.robot.writes] == [FORWARD] * 5 + [Twist()]
 
 
-async def test_a_command_from_the_past_is_refused(world: World) -> None:
-    old = await drive(world.client(), timestamp=time.time() - 2)
+async def test_a_command_from_the_past_is_refused(world: World, stepped: SteppedClock) -> None:
+    sent = time.time()
+    stepped.advance(2)
+    old = await drive(world.client(), timestamp=sent)
     assert old["error"]["code"] == "stale_command"
     assert world.robot.writes == []
-    assert (await drive(world.client(), timestamp=time.time()))["status"] == "completed"
+    assert (await drive(world.client(), timestamp=stepped.now() / 1e9))["status"] == "completed"
 
 
 async def test_valid_for_needs_a_path_with_a_safe_value(world: World) -> None:

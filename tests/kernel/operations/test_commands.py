@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from kernel.world import World, kept_in, settled, world_of
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 GO = "/tenant/alpha/action/go"
@@ -235,6 +236,18 @@ async def test_the_robot_hears_of_a_key_only_once_it_is_committed(tmp_path: Path
             assert world.robot.writes == []
             assert world.robot.started.empty()
             other.rollback()
+
+
+async def test_a_key_is_remembered_for_a_day(world: World, stepped: SteppedClock) -> None:
+    client = world.client()
+    write = {"type": "write", "path": "/param/limit", "body": 1.0, "idempotency_key": "k"}
+    await client.ask(**write)
+    stepped.advance(23 * 3600)
+    await client.ask(**write)
+    assert len(world.robot.writes) == 1
+    stepped.advance(2 * 3600)
+    await client.ask(**write)
+    assert len(world.robot.writes) == 2
 
 
 async def test_ended_commands_are_remembered_within_a_number_of_bytes(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from time import perf_counter
 from typing import Any
 
@@ -14,6 +13,7 @@ from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home, u
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RateLimited
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request
 from rcp_quotas import Quota
@@ -35,12 +35,15 @@ async def test_what_is_over_the_rate_is_refused_and_told_when_to_come_back(slow:
     assert error["details"] == {"quota": "tenant", "what": "requests", "limit": 0.01, "burst": 3}
 
 
-async def test_who_waits_as_long_as_he_is_told_is_served() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\nrequests = 20\nburst = 1\n")) as world:
+async def test_who_waits_as_long_as_he_is_told_is_served(stepped: SteppedClock) -> None:
+    text = at_home("[tenants.alpha.quota]\nrequests = 0.01\nburst = 1\n")
+    async with world_of(text, clock=stepped.clock) as world:
         client = world.client(ANN)
         assert (await client.ask(type="ping"))["status"] == "completed"
         refused = await client.ask(type="ping")
-        await asyncio.sleep(refused["error"]["retry_after"])
+        stepped.advance(refused["error"]["retry_after"] / 2)
+        assert (await client.ask(type="ping"))["status"] == "rejected"
+        stepped.advance(refused["error"]["retry_after"] / 2)
         assert (await client.ask(type="ping"))["status"] == "completed"
 
 

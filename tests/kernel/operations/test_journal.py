@@ -1,0 +1,85 @@
+"""The order in which a step of a command is kept, recorded and answered, and what is let go of at the end."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from kernel.world import World, world_of
+from rcp_kernel.requests.journal import CommandJournal
+from rcp_kernel.sessions.command import Command, Record
+
+pytestmark = pytest.mark.anyio
+GO = {"type": "execute", "path": "/tenant/alpha/action/go", "body": 4.0}
+
+
+class Order:
+    """Notes what becomes of each step, in the order in which it happens."""
+
+    def __init__(self, journal: CommandJournal) -> None:
+        self.noted: list[tuple[str, str]] = []
+        journal.on_step.append(self.heard)
+
+    def kept(self, command: Command) -> None:
+        self.noted.append(("kept", command.status))
+
+    def heard(self, command: Command, step: Record) -> None:
+        assert command.history[-1] is step
+        self.noted.append(("heard", step.status))
+        if step.status == "accepted":
+            command.followers.append(self.followed)
+
+    def followed(self, _command: Command, step: Record) -> None:
+        self.noted.append(("followed", step.status))
+
+
+@asynccontextmanager
+async def watched(monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[tuple[World, Order]]:
+    async with world_of() as world:
+        journal = world.server.kernel.journal
+        order = Order(journal)
+        monkeypatch.setattr(world.server.kernel.store, "keeps", True)
+        monkeypatch.setattr(journal, "keep", order.kept)
+        yield world, order
+
+
+async def test_each_step_is_kept_then_recorded_then_answered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with watched(monkeypatch) as (world, order):
+        world.robot.release.set()
+        assert (await world.client().ask(**GO))["status"] == "completed"
+    assert order.noted == [
+        ("kept", "accepted"),
+        ("heard", "accepted"),
+        ("followed", "accepted"),
+        ("heard", "in_progress"),
+        ("followed", "in_progress"),
+        ("kept", "completed"),
+        ("heard", "completed"),
+        ("followed", "completed"),
+    ]
+
+
+async def test_a_finished_command_lets_go_of_its_task_and_of_who_asked(world: World) -> None:
+    world.robot.release.set()
+    reply: dict[str, Any] = await world.client().ask(**GO)
+    command = world.server.kernel.journal.find(reply["command"])
+    assert command is not None
+    assert (command.task, command.asker, command.request) == (None, None, None)
+    assert command.followers == []
+
+
+async def test_requests_that_follow_one_command_are_answered_under_their_own_ids(
+    world: World,
+) -> None:
+    client = world.client()
+    ids = [client.send(**GO, idempotency_key="one") for _ in range(2)]
+    await world.robot.started.get()
+    world.robot.release.set()
+    finals = [await client.final(id_) for id_ in ids]
+    assert [final["id"] for final in finals] == ids
+    assert len({final["command"] for final in finals}) == 1
