@@ -1,4 +1,4 @@
-"""Plain ASGI for whoever serves a `Mount`: who calls, and how an envelope is answered over HTTP."""
+"""ASGI helpers for serving a `Mount`: the caller of a request, and replies over HTTP."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def bearer(authorization: bytes | None) -> str | None:
 
 
 def peer_of(scope: Scope) -> Peer:
-    """Return who is at the other end of a request's connection, as the listener knows it."""
+    """Return the peer of a request's connection, as the listener knows it."""
     extensions = scope.get("extensions")
     found = None if extensions is None else extensions.get("rcp.peer")
     return UNKNOWN if found is None else found
@@ -85,7 +85,7 @@ async def read_body(receive: Receive, limit: int, patience: float | None) -> byt
     """Read a request's body.
 
     :raises PayloadTooLarge: it is longer than `limit` bytes.
-    :raises DeadlineExceeded: it did not come within `patience` seconds, if there is a limit.
+    :raises DeadlineExceeded: it did not arrive within `patience` seconds, if there is a limit.
     :raises BadRequest: the connection ended before.
     """
     parts: list[bytes] = []
@@ -127,9 +127,9 @@ async def session_of(client_api: ClientApi, scope: Scope, tenant: str | None = N
 
 
 def status_of(reply: Reply) -> int:
-    """Return the HTTP status of a reply, by the contract's table of codes.
+    """Return the HTTP status of a reply, by the protocol's table of codes.
 
-    2xx is for what is completed or goes on, never for what failed.
+    2xx is for completed or continuing requests, never for failed ones.
     """
     if reply.error is None:
         return _WITHOUT_ERROR.get(reply.status, 202)
@@ -153,12 +153,12 @@ async def respond(
 
 
 def retry_after(seconds: float | None) -> Headers:
-    """Return the header that says when to come back, never too early."""
+    """Return the Retry-After header, rounded up."""
     return [] if seconds is None else [(b"retry-after", b"%d" % max(1, ceil(seconds)))]
 
 
 def refusal_headers(error: RcpError) -> Headers:
-    """Return the headers that go with an error: how to log in, and when to come back."""
+    """Return the headers for an error: how to log in, and when to retry."""
     headers = retry_after(error.retry_after)
     if error.http == 401:
         headers.append((b"www-authenticate", b"Bearer"))

@@ -1,8 +1,8 @@
-"""What a transport or adapter is given: the way in for clients, and nothing else of the gateway.
+"""The interface to the gateway for transports and adapters.
 
-A transport proves who its client is (`authenticate`), opens a `Connection` for a stream or takes
-the shared stateless session for single requests, and may offer `Mount`s to whichever transport
-serves HTTP. It translates; every decision is the kernel's.
+A transport authenticates its client (`authenticate`), opens a `Connection` for a stream or uses the
+shared stateless session for single requests, and may offer `Mount`s to the transport that serves
+HTTP. It only translates; all decisions are the kernel's.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from rcp_kernel.sessions.connections import Connection, ConnectionParts
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.store.plugin_store import PluginStore
@@ -74,8 +75,9 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     app: Asgi
     """A plain ASGI application; `scope["path"]` is the whole path."""
     openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
-    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount;
-    what they hold may be written already (`msgspec.Raw`). What takes long waits for `turns`."""
+    """Returns `paths` and `components` of the OpenAPI document for what a session sees of this
+    mount;
+    parts may be encoded already (`msgspec.Raw`). Long work waits for `turns`."""
 
 
 class Proofs(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,20 +94,20 @@ class Proofs(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StatusView(Protocol):
-    """What the gateway tells of its health."""
+    """The gateway's health report."""
 
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
         ...
 
     def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
-        """Write the Prometheus exposition for somebody, in steps."""
+        """Write the Prometheus exposition for a principal, in steps."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientApiParts:
-    """What is behind the API, the same for every transport and adapter."""
+    """The parts behind the API, shared by all transports and adapters."""
 
     connections: ConnectionParts
     settings: Settings
@@ -135,6 +137,7 @@ class ClientApi:
     def __init__(self, parts: ClientApiParts, name: str, mounts: list[Mount]) -> None:
         self._parts = parts
         self._handle = parts.connections.handle
+        self._read_at_once = parts.connections.at_once["read"]
         self.name = name
         """The transport's word in sessions, counts and metrics."""
         self.mounts = mounts
@@ -159,7 +162,7 @@ class ClientApi:
         return self._parts.turns
 
     def generation(self, session: Session) -> int:
-        """Return a number that rises when what a session sees of the tree changes, for ETags."""
+        """Return a number that increases when the visible tree of a session changes, for ETags."""
         return self._parts.discovery.generation(session.rights)
 
     @property
@@ -169,17 +172,17 @@ class ClientApi:
 
     @property
     def serves(self) -> bool:
-        """Whether anybody can prove to be somebody who may do anything."""
+        """Whether any client can authenticate as a principal with rights."""
         return self._parts.settings.config.serves or self._parts.identities.serves
 
     @property
     def closing(self) -> bool:
-        """Whether the gateway is on its way down."""
+        """Whether the gateway is shutting down."""
         return self._parts.shutdown.begun
 
     @property
     def title(self) -> str:
-        """What the configuration calls the gateway."""
+        """The name of the gateway in the configuration."""
         return self._parts.settings.config.name
 
     @property
@@ -213,18 +216,18 @@ class ClientApi:
         self.mounts.append(mount)
 
     def unmount(self, mount: Mount) -> None:
-        """Take an offered part back."""
+        """Remove a mount."""
         if mount in self.mounts:
             self.mounts.remove(mount)
 
     def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
-        """Return whom a bearer token, or the certificate of `peer`, proves; else who is anonymous.
+        """Return the principal of a token, else of `peer`'s certificate, else anonymous.
 
-        None says that it takes a while to know: then await `identify`.
+        None means that it takes time to determine: then await `identify`.
 
-        :raises Unauthenticated: the token is not known, or nobody is served without one.
-        :raises TokenExpired: it was good once.
-        :raises RateLimited: `peer` has sent too many that were not good.
+        :raises Unauthenticated: the token is unknown, or authentication is required.
+        :raises TokenExpired: the token has expired.
+        :raises RateLimited: `peer` has sent too many invalid tokens.
         """
         try:
             return self._parts.identities.known(token, peer)
@@ -233,9 +236,9 @@ class ClientApi:
             raise
 
     def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
-        """Do as `known` does, for who cannot wait.
+        """Return the principal as `known`, for callers that cannot wait.
 
-        :raises AdapterUnavailable: it takes a while to know.
+        :raises AdapterUnavailable: it takes time to determine.
         """
         principal = self.known(token, peer)
         if principal is None:
@@ -247,7 +250,7 @@ class ClientApi:
         return principal
 
     async def identify(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
-        """Do as `known` does, and wait where it cannot tell.
+        """Return the principal as `known`, and wait if necessary.
 
         :raises AdapterUnavailable: the keys of the token's issuer cannot be fetched.
         """
@@ -271,14 +274,16 @@ class ClientApi:
         one_way: bool = False,
         wraps: bool = False,
     ) -> Connection:
-        """Open a connection with a session of its own; `flush` is called when it has to send.
+        """Open a connection with its own session; `flush` is called to send messages.
 
-        It is called once more when the session was ended or taken over (`Connection.expelled`).
-        One that is `one_way` takes no requests from its client (SSE). One that `wraps` puts each
-        message into what is this client's own, so there are no frames to share.
+        `flush` is called once more when the session has ended or was taken over
+        (`Connection.expelled`). A
+        `one_way` connection accepts no requests from its client (SSE). A connection that `wraps`
+        encloses
+        each message in data of its own client, so that no frames are shared.
 
-        :raises Forbidden: the principal does not act in `tenant`.
-        :raises QueueFull: the gateway holds too many sessions.
+        :raises Forbidden: the principal has no role in `tenant`.
+        :raises QueueFull: the gateway has too many sessions.
         """
         try:
             session = self._parts.sessions.open(principal, self.name, tenant, peer)
@@ -292,10 +297,10 @@ class ClientApi:
         return connection
 
     def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
-        """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
+        """Perform `hello` for a client that cannot; `session` and `resume_from` resume a session.
 
-        :raises Gap: the session is not there any more.
-        :raises Unauthenticated: it belongs to somebody else.
+        :raises Gap: the session no longer exists.
+        :raises Unauthenticated: it belongs to another principal.
         """
         return self._parts.handshake.greet(connection, hello)
 
@@ -313,14 +318,21 @@ class ClientApi:
             raise
 
     def submit(self, session: Session, request: Request, answer: Answer) -> None:
-        """Have a request handled; `answer` gets every reply, exactly one of them final.
+        """Handle a request; `answer` receives every reply, exactly one of them final.
 
         It may be called before `submit` returns.
         """
         self._handle(session, request, answer)
 
+    def read_at_once(self, session: Session, request: Request) -> PromptReply | None:
+        """Return the reply to a read of one value in JSON, or None where `submit` has to be used.
+
+        What is returned is counted as the request's final reply.
+        """
+        return self._read_at_once(session, request)
+
     async def request(self, session: Session, request: Request) -> Reply:
-        """Have a request handled and return its final reply."""
+        """Handle a request and return its final reply."""
         final: asyncio.Future[Reply] = self._parts.loop.create_future()
 
         def answer(reply: Reply) -> None:
@@ -343,18 +355,18 @@ class ClientApi:
 
     @property
     def outbound(self) -> Outbound:
-        """What waits for all clients, for a transport to count what it holds itself."""
+        """The data queued for all clients, to which a transport adds its own buffers."""
         return self._parts.outbound
 
     def charge(self, session: Session) -> None:
         """Count a request that is answered without `submit`.
 
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         session.charge()
 
     def is_stop(self, session: Session, request: Request) -> bool:
-        """Tell whether a request stops something, which no feature keeps anybody from."""
+        """Return whether a request stops something, which no feature may prevent."""
         return self._parts.is_stop(session, request)
 
     def command(self, session: Session, id_: str) -> Command:
@@ -367,19 +379,19 @@ class ClientApi:
         return self._parts.access.find(session, id_)
 
     def commands(self, session: Session) -> Iterator[Command | None]:
-        """Go through the commands, newest first; None stands for one that the session may not see.
+        """Iterate over the commands, newest first; None stands for a hidden one.
 
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         session.charge()
         return self._parts.access.visited(session)
 
     def service(self, key: ServiceKey[T]) -> T | None:
-        """Return what a feature offers under a key; None where no feature does."""
+        """Return a feature's service by its key; None if no feature provides it."""
         return self._parts.features.service(key)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
-        """Have `answer` called with each further reply of a command; return what ends that."""
+        """Call `answer` with each further reply of a command; return a function that ends this."""
         held = self._parts.replies.follower(answer)
 
         def on_step(command: Command, step: Record) -> None:
@@ -421,7 +433,7 @@ class ClientApi:
         return self._parts.rules.rights(principal)
 
     def rights_of_anyone(self) -> Rights | None:
-        """Return the rights of those who prove nothing; None where nobody is served without proof."""
+        """Return the rights of anonymous clients; None if authentication is required."""
         with suppress(Unauthenticated):
             return self.rights(self._parts.identities.anonymous())
         return None
@@ -431,7 +443,7 @@ class ClientApi:
         return self._parts.visibility.names_hidden(session.rights, session.tenant, names)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
-        """Take notice which client certificates are not good any more; their sessions end."""
+        """Revoke client certificates; their sessions end."""
         self._parts.identities.revoke(serials)
 
     def refused(self, type_: str, code: str) -> None:

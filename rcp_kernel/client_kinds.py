@@ -1,4 +1,4 @@
-"""What a plugin offers that brings clients in: a transport, or an adapter."""
+"""The kinds of plugins that connect clients: transports and adapters."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ __all__ = ["AdapterKind", "TransportKind"]
 
 
 class TransportKind(msgspec.Struct, frozen=True):
-    """A wire that clients come in by; offered by the hook `rcp_transports`.
+    """A transport, registered by the hook `rcp_transports`.
 
-    `open(config, client_api)` is an async context manager: entered, it accepts clients; left, it has
-    let go of them. It is yielded to as a mapping of facts for `/system/status` (its address).
+    `open(config, client_api)` is an async context manager: entered, it accepts clients; left, it
+    has
+    released them. It yields a mapping of facts for `/system/status` (its address).
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What time it is: the gateway's clock, and times as the wire writes them."""
+"""The gateway's clock, and the format of times on the wire."""
 
 from __future__ import annotations
 

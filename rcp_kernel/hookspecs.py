@@ -1,7 +1,8 @@
-"""The hooks, one page. All are synchronous, run once before the event loop starts, and declare.
+"""The hooks. All are synchronous, run once before the event loop starts, and declare.
 
-An async hook, a name that is no hook, or two records with one name stop the start-up with the
-culprits' names. Nothing asynchronous and no message ever goes through a hook.
+An async hook, an unknown hook name, or two records with one name stop the start-up with an error
+that
+names the plugins. Nothing asynchronous and no message ever passes through a hook.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from rcp_kernel.client_kinds import AdapterKind, TransportKind
     from rcp_kernel.features import FeatureKind
     from rcp_kernel.spi import BackendKind
+    from rcp_profiles import Profile
 
 __all__ = ["PROJECT", "hookimpl"]
 
@@ -37,7 +39,7 @@ def rcp_backends() -> Iterable[BackendKind]:  # pyright: ignore[reportReturnType
 
 @hookspec
 def rcp_transports() -> Iterable[TransportKind]:  # pyright: ignore[reportReturnType]
-    """Offer wires that clients come in by, used by `[transports.<name>]`.
+    """Register transports, used by `[transports.<name>]`.
 
     Example::
 
@@ -61,11 +63,23 @@ def rcp_adapters() -> Iterable[AdapterKind]:  # pyright: ignore[reportReturnType
 
 @hookspec
 def rcp_features() -> Iterable[FeatureKind]:  # pyright: ignore[reportReturnType]
-    """Offer what the gateway itself can do, used by `[features.<name>]`.
+    """Register features, used by `[features.<name>]`.
 
     Example::
 
         @hookimpl
         def rcp_features():
             return [FeatureKind("maintenance", MaintenanceConfig, make_maintenance)]
+    """
+
+
+@hookspec
+def rcp_profiles() -> Iterable[Profile]:  # pyright: ignore[reportReturnType]
+    """Publish profiles of a vendor's own, listed and exported by `rcpd profiles`.
+
+    Example::
+
+        @hookimpl
+        def rcp_profiles():
+            return [CRANE]
     """

@@ -1,9 +1,9 @@
-"""What a plugin implements and what it is given: the narrow waist on both sides.
+"""The interfaces that plugins implement, and those that they receive.
 
-A robot-facing plugin offers `BackendKind` records and implements `Backend` (through
-`BaseBackend`); a client-facing one offers `TransportKind` or `AdapterKind` records and talks to
-the gateway through `ClientApi` and `Session` only. Nothing here runs by itself: hooks declare,
-context managers live, method calls work.
+A robot-facing plugin registers `BackendKind` records and implements `Backend` (through
+`BaseBackend`);
+a client-facing one registers `TransportKind` or `AdapterKind` records and uses the gateway only
+through `ClientApi` and `Session`. Hooks declare, context managers run, method calls do the work.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ __all__ = [
 
 @runtime_checkable
 class Native(Protocol):
-    """A value still in the backend's own serialised form; decoded only if somebody asks.
+    """A value in the backend's own serialized form, decoded only on demand.
 
-    A backend that publishes one vouches for it: what `decode` returns is not validated again.
+    The backend guarantees its validity: the result of `decode` is not validated again.
     """
 
     data: bytes
@@ -66,13 +66,13 @@ class MotionState(msgspec.Struct, frozen=True):
     """False: it moves, or is not yet where the stop is to bring it (on the ground, for `land`);
     None: unknown, because it cannot be reached or its feedback is too old."""
     detail: str = ""
-    """Why it is not at rest, or what is not known: `moves at 0.8 m/s`, `no feedback for 1.2 s`."""
+    """Why it is not at rest, or what is unknown: `moves at 0.8 m/s`, `no feedback for 1.2 s`."""
     energised: bool | None = None
     """Whether it is armed or its motors hold torque; None: unknown."""
 
 
 class Watchdog(msgspec.Struct, frozen=True):
-    """What stops a robot by itself when it no longer hears the gateway."""
+    """A mechanism that stops a robot when it no longer receives messages from the gateway."""
 
     mechanism: str
     """In the field's words: `ArduPilot GCS failsafe (FS_GCS_ENABLE=1, FS_GCS_TIMEOUT=5)`."""
@@ -85,7 +85,7 @@ class Watchdog(msgspec.Struct, frozen=True):
 
 
 class StopPlan(msgspec.Struct, frozen=True):
-    """What the guard process sends to stop a robot when the gateway's loop has stopped.
+    """What the guard process sends to stop a robot when the gateway's event loop is blocked.
 
     Plain data for a sender of `rcp_guard`, which imports nothing of the gateway.
     """
@@ -110,10 +110,10 @@ class Progress(Protocol):
 
 
 class Host(Protocol):
-    """What a backend is given: the tree below its tenant and robot, and nothing else.
+    """The interface that a backend receives: the tree below its tenant and robot.
 
-    Names are the backend's own (`sensor/pose`). Every method is for the event loop's thread
-    except `call_soon` and `publish_batch`.
+    Names are the backend's own (`sensor/pose`). Every method is for the event loop's thread except
+    `call_soon` and `publish_batch`.
     """
 
     tenant: str
@@ -127,11 +127,11 @@ class Host(Protocol):
         ...
 
     def withdraw(self, *names: str) -> None:
-        """Remove resources; their commands and subscriptions are told. Unknown names are ignored."""
+        """Remove resources and notify their commands and subscriptions, if they exist."""
         ...
 
     def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
-        """Hand over a new value; never blocks, never raises for a bad value (that is a fault)."""
+        """Publish a new value; never blocks; an invalid value is a fault, not an exception."""
         ...
 
     def publish_batch(self, batch: Sequence[Publication]) -> None:
@@ -143,14 +143,15 @@ class Host(Protocol):
         ...
 
     def report(self, detail: str | None, *, down: bool = False) -> None:
-        """Say that the link is degraded (or down), with a sentence why; None: all is well again."""
+        """Report that the link is degraded (or down), with the reason; None: it has recovered."""
         ...
 
     def link_restored(self, robot: str | None = None) -> None:
-        """Say that a robot is heard again after it was lost, before anything else is sent to it.
+        """Report that a lost robot is connected again, before anything else is sent to it.
 
-        A robot under a latched e-stop gets the stop at once, from within this call. One whose
-        command was lost with the link gets `Backend.recover` soon.
+        A robot under a latched e-stop gets the stop at once, from within this call. For one whose
+        command
+        was lost with the link, `Backend.recover` is called soon.
         """
         ...
 
@@ -166,10 +167,11 @@ class Host(Protocol):
         ...
 
     def discovering(self, *, active: bool) -> None:
-        """Say that the backend still looks for what it has, or that it has looked long enough.
+        """Report whether the backend is still discovering resources.
 
-        Until then a path that it could have is refused as one that may come, and clients ask
-        again. A backend that is not open needs not say so.
+        Until discovery is finished, requests for paths that it could have are refused as retryable.
+        Not
+        needed before the backend is open.
         """
         ...
 
@@ -179,17 +181,18 @@ class Backend(Protocol):
     """A robot, as the kernel sees it. Every name is one the backend declared itself.
 
     All coroutines run on the event loop and may be cancelled at any await: deadlines and clients'
-    cancels arrive as cancellation. Values that come in fit the declared type already. Anything
-    raised should be an `RcpError`; anything else is `internal`.
+    cancels arrive as cancellation. Arguments already match the declared types. Exceptions should be
+    `RcpError`s; any other becomes `internal`.
     """
 
     async def read(self, name: str) -> Any:
-        """Return the present value; asked only where no fresh sample is at hand.
+        """Return the current value; called only if no fresh sample is available.
 
         :raises AdapterUnavailable: the link is down.
-        :raises DeviceTimeout: the robot did not answer.
-        :raises UnsupportedOperation: the value cannot be asked for, only watched; the kernel then
-            watches until the first one comes.
+        :raises DeviceTimeout: the robot did not respond.
+        :raises UnsupportedOperation: the value cannot be requested, only subscribed to; the kernel
+            then
+            waits for the first sample.
         """
         ...
 
@@ -211,26 +214,30 @@ class Backend(Protocol):
         ...
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Keep `name` published while entered; `rate` is the most that anybody wants, in Hz.
+        """Keep `name` published while entered; `rate` is the highest requested rate, in Hz.
 
-        Entered at the first subscriber and left after the last. When the wanted rate changes, the
-        new one is entered before the old one is left. None: as fast as the source goes.
+        Entered at the first subscriber and left after the last. When the requested rate changes,
+        the new
+        context is entered before the old one is left. None: as fast as the source provides.
         """
         ...
 
     on_loss: str
-    """What becomes of a robot whose command was lost with its link: `hold`, `continue`, `land`,
-    `return`. Clients are told in the command's error; `recover` does it."""
+    """Policy for a robot whose command was lost with its link: `hold`, `continue`, `land`,
+    `return`.
+    Included in the command's error; `recover` applies it."""
 
     async def halt(self) -> None:
-        """Bring everything that moves to rest, at once, by the strongest means that work.
+        """Bring everything that moves to rest at once, by the strongest effective means.
 
         Return when it is *measured* to be at rest; a robot that cannot be reached is an error,
-        never a success. Called by the e-stop and before the backend closes; again until one call
-        returns, also beside one that has not answered yet: what was sent may have got lost.
+        never a
+        success. Called by the e-stop and before the backend closes, repeatedly until one call
+        returns, also
+        while an earlier call is still waiting: its commands may have been lost.
 
         :raises AdapterUnavailable: a robot cannot be reached.
-        :raises DeviceTimeout: it was told and does not come to rest.
+        :raises DeviceTimeout: it was commanded to stop and does not come to rest.
         """
         ...
 
@@ -262,7 +269,7 @@ class Backend(Protocol):
         ...
 
     async def recover(self, robot: str | None) -> str:
-        """Do what `on_loss` says, now that the link has returned; say what was done.
+        """Apply `on_loss` after the link has returned; return what was done.
 
         Called once for a robot whose command ended with its link, or with an earlier gateway.
         """
@@ -279,7 +286,7 @@ class BaseBackend:
     on_loss: str = "hold"
 
     async def read(self, name: str) -> Any:
-        """Refuse: there is nothing but what is published."""
+        """Refuse: only published values are available."""
         raise UnsupportedOperation(f"'{name}' cannot be read")
 
     async def write(self, name: str, value: Any) -> Any:
@@ -291,7 +298,7 @@ class BaseBackend:
         raise UnsupportedOperation(f"'{name}' cannot be executed")
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Do nothing: what is published unasked needs no watching."""
+        """Do nothing: everything is published without subscribers."""
         return nullcontext()
 
     async def halt(self) -> None:
@@ -306,10 +313,10 @@ class BaseBackend:
         return None
 
     def hold_stop(self, robot: str | None) -> None:
-        """Do nothing: a robot that is at rest stays there."""
+        """Do nothing: a robot at rest stays there."""
 
     async def hold(self, robot: str | None) -> None:
-        """Do as the e-stop does."""
+        """Stop as for the e-stop."""
         await (self.halt() if robot is None else self.halt_robot(robot))
 
     async def recover(self, robot: str | None) -> str:
@@ -323,7 +330,7 @@ class BaseBackend:
 
 
 def has_watch(backend: Backend) -> bool:
-    """Tell whether a backend, contained or not, has a `watch` of its own: else it publishes unasked."""
+    """Return whether a backend, contained or not, implements `watch`."""
     inner: object = getattr(backend, "inner", backend)
     return getattr(type(inner), "watch", None) not in (None, BaseBackend.watch)
 

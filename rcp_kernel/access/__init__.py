@@ -1,1 +1,1 @@
-"""Who asks, and what they may do: proofs of identity, rules and their conditions."""
+"""Authentication and authorization: credentials, access rules and their conditions."""

@@ -1,11 +1,11 @@
-"""What a principal may do: roles of allow and deny rules, compiled to one bit mask for each path.
+"""Authorization: roles of allow and deny rules, compiled to one bit mask per path.
 
-Deny wins, and nothing is allowed that no rule allows. Roles are given per tenant: a rule reaches
-only into the tenant in which its role is held, whatever its pattern says, and into `/system/`.
-The mask of a path is worked out once for each set of roles and kept until the rules change, so a
-request costs one dictionary access. Where no rule tells apart what is in a folder, it is worked out
-once for all of it: twenty thousand paths under new rules cost milliseconds. A rule with a condition is looked at only where the rest does
-not decide.
+Deny takes precedence, and anything that no rule allows is denied. Roles are granted per tenant: a
+rule applies only in the tenant in which its role is held, whatever its pattern, and to `/system/`.
+The mask of a path is computed once per set of roles and cached until the rules change, so a request
+costs one dictionary lookup. Where no rule distinguishes the paths of a folder, it is computed once for
+the folder: twenty thousand paths under new rules cost milliseconds. Conditions are evaluated only if
+the other rules do not decide.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Rights", "Rules", "reach"]
 
-_MAX_KNOWN = 200_000  # paths whose masks are kept, of all sets of roles together
-_MAX_COMPILED = 1000  # sets of roles whose rights are kept at hand
+_MAX_KNOWN = 200_000  # paths with cached masks, over all sets of roles
+_MAX_COMPILED = 1000  # sets of roles with cached rights
 _NAMED = re.compile(r"/tenant/[\w./-]+")
-_RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
+_RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
 _CONDITIONAL_SHIFT = 8  # bits by which operations are shifted that hang on a condition
 # Masks are plain integers: Python makes a new flag of each `&` of two flags, at thirty times the cost.
 _DISCOVER = int(Operation.DISCOVER)
@@ -50,7 +50,7 @@ class _Reach(NamedTuple):
 
 
 class _Terms(NamedTuple):
-    """What of the rules for one path hangs on conditions."""
+    """The rules for one path that depend on conditions."""
 
     allowed: int
     """Allowed without one."""
@@ -110,7 +110,7 @@ class Rights:
             if role.approve
             for r in _reaches(Rule(("write", "execute"), role.approve), t)
         ]
-        """Where a person has to approve commands; empty for nearly everybody."""
+        """Where a person must approve commands; usually empty."""
         self._asked: dict[str, bool] = {}
         self._conditions = conditions
         self._room = room or Room()
@@ -119,7 +119,7 @@ class Rights:
         self._folders: dict[str, int | None] = {}
         """The mask of all that is in a folder; None where the rules tell it apart."""
         self.masks: dict[str | None, int] = {}
-        """What is known so far, by path."""
+        """Cached masks, by path."""
 
     def may_reset(self, tenant: str | None) -> bool:
         """Tell whether a latched e-stop of a tenant's robot may be reset."""
@@ -140,11 +140,11 @@ class Rights:
         return found
 
     def may_approve(self, tenant: str | None) -> bool:
-        """Tell whether what others ask for in a tenant may be approved."""
+        """Return whether requests of other principals in a tenant may be approved."""
         return any(role.may_approve for place, role in self._held if place in ("*", tenant))
 
     def may_approve_own(self, tenant: str | None) -> bool:
-        """Tell whether the person at an adapter's client may approve what is asked for there."""
+        """Return whether the person at an adapter's client may approve its own requests."""
         return any(role.approve_own for place, role in self._held if place in ("*", tenant))
 
     def priority(self, tenant: str | None) -> int:
@@ -154,7 +154,7 @@ class Rights:
     def places(self, path: str, operation: Operation) -> tuple[str, ...]:
         """List the tenants whose own roles allow an operation on a path of `/system/`.
 
-        Such a path is one for all tenants: what it shows has to be told apart by this.
+        Such a path is shared by all tenants: what it shows has to be separated by these.
         """
         if not self.mask(path) & operation:
             return ()
@@ -167,9 +167,10 @@ class Rights:
         )
 
     def mask(self, path: str) -> int:
-        """Return the operations that are allowed on an existing path, as bits of `Operation`.
+        """Return the operations allowed on an existing path in any state, as bits of `Operation`.
 
-        Zero is a path that is hidden. Higher bits stand for what hangs on conditions: see `reach`.
+        Zero means that the path is hidden. Higher bits stand for conditional operations: see
+        `reach`.
         """
         mask = self.masks.get(path)
         if mask is None:
@@ -196,7 +197,7 @@ class Rights:
         return (r for r in (*self._allow, *self._deny) if r.place in ("*", tenant))
 
     def hides(self, text: str) -> bool:
-        """Tell whether a text names a path, of a resource or of none, that is hidden."""
+        """Return whether a text is a path, existing or not, that is hidden."""
         for found in _NAMED.findall(text):
             path = found.rstrip(".")
             if path.count("/") >= _RESOURCE and not (
@@ -279,7 +280,7 @@ class Rights:
         return all(one and self.mask(one[0].path) & Operation.READ for one in found)
 
     def forget(self) -> None:
-        """Let go of what is known of single paths."""
+        """Clear the cached masks."""
         self.masks.clear()
         self._folders.clear()
         self._terms.clear()
@@ -325,7 +326,7 @@ def _pattern(text: str) -> Pattern:
 
 
 def _implied(role: Role) -> tuple[Rule, ...]:
-    """Return what goes without saying: who decides, or has to ask, sees what there is to decide."""
+    """Return the implied rules: a role that decides on or needs approvals may see them."""
     if role.may_approve:
         return (DECIDE,)
     return (ASK,) if role.approve else ()
@@ -353,7 +354,7 @@ class Rules:
         self.configure(roles)
 
     def configure(self, roles: dict[str, Role]) -> None:
-        """Take over other roles; what was compiled from those before counts for nothing new."""
+        """Apply other roles; new sessions do not use rights compiled from previous ones."""
         self.roles = {**BUILTIN_ROLES, **roles}
         self._room = Room()
         self._compiled: dict[Grants, Rights] = {}

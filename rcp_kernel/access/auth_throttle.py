@@ -1,9 +1,9 @@
-"""Failed logins of an address: after too many it has to wait before anything costly is looked at.
+"""Throttling of failed logins per address.
 
-Whoever shares an address with one who guesses (a proxy, a NAT) is not locked out. A right key is
-found by its hash before anybody comes here, and so is what was good before. A signed token, which
-nobody guesses, is verified even so, at a pace that costs the gateway next to nothing. All else has
-to wait: each address gets its patience back with time, whatever comes.
+Other clients behind the same address (a proxy, a NAT) are not locked out: valid keys are found by
+their hash before this check, and so are previously valid ones. Signed tokens, which cannot be
+guessed, are still verified, at a rate that costs the gateway next to nothing. All others must wait
+until the allowance of the address has recovered.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["AuthThrottle"]
 
 _ADDRESSES = 20_000
 _GOOD = 20_000  # credentials
-_PERIOD = 60.0  # s in which a whole allowance comes back
+_PERIOD = 60.0  # s in which the whole allowance recovers
 _SIGNED = 0.01  # s from a wrong signature to the next one of an address without patience left
 
 
@@ -34,9 +34,9 @@ class AuthThrottle:
         """When the next signature of a network may be verified."""
 
     def check(self, address: str | None, digest: str, *, signed: bool = False) -> None:
-        """Let a credential be looked at; `signed` says that it cannot be guessed.
+        """Check that a credential may be verified; `signed` means that it cannot be guessed.
 
-        :raises RateLimited: too many of this address were wrong; `retry_after` says when to come.
+        :raises RateLimited: too many failures from this address; see `retry_after`.
         """
         if address is None or not self._spent or digest in self._good:
             return
@@ -61,7 +61,7 @@ class AuthThrottle:
         if address is None:
             return
         network = _network(address)
-        spent = min(self._left(network) + 1, self.allowance)  # however many came at once
+        spent = min(self._left(network) + 1, self.allowance)  # however many arrived together
         self._spent.pop(network, None)
         if len(self._spent) >= _ADDRESSES:
             self._forget(next(iter(self._spent)))

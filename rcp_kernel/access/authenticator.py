@@ -1,4 +1,4 @@
-"""What a feature offers that authenticates clients by tokens of its own kind."""
+"""The interface of features that authenticate clients by their own kind of token."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class TokenIssuer(msgspec.Struct, frozen=True):
 
 
 class Authenticator(ABC):
-    """Verifies tokens that the gateway did not make itself. For the event loop's thread.
+    """Verifies tokens not created by the gateway. For the event loop's thread.
 
-    The gateway looks for its own keys and tokens first. A token that is none of them goes to the
-    first authenticator, by name, that recognises it, and to no other. The gateway bounds how often
-    an address may try invalid ones, checks `expires`, and compares the principal with the client
-    certificate of the connection.
+    The gateway checks its own keys and tokens first. Any other token goes to the first
+    authenticator, by
+    name, that recognises it. The gateway limits how often an address may try invalid tokens, checks
+    `expires`, and compares the principal with the client certificate of the connection.
     """
 
     name: str
@@ -48,36 +48,37 @@ class Authenticator(ABC):
 
     @abstractmethod
     def verify(self, token: str, digest: str, *, fetched: bool = False) -> Principal | None:
-        """Return whom a token proves; `digest` is its SHA-256, the principal's `credential`.
+        """Return the principal of a token; `digest` is its SHA-256, the principal's `credential`.
 
-        Must not block. None says that something has to be fetched first: the gateway then awaits
-        `fetch` and calls this again with `fetched`.
+        Must not block. None means that something must be fetched first: the gateway then awaits
+        `fetch`
+        and calls this again with `fetched`.
 
         :raises Unauthenticated: the token is not valid.
-        :raises TokenExpired: it was valid once.
-        :raises Forbidden: it is valid, and gives no role here.
-        :raises AdapterUnavailable: what was to be fetched is not there.
+        :raises TokenExpired: it has expired.
+        :raises Forbidden: it is valid, but grants no role here.
+        :raises AdapterUnavailable: the fetch failed.
         """
 
     async def fetch(self, token: str, digest: str) -> None:  # noqa: B027 - most have nothing to fetch
         """Fetch what `verify` lacked for a token, within a bound."""
 
     def proves(self, digest: str) -> Principal | None:
-        """Return whom a token proves that was verified before and is still valid, by its hash."""
+        """Return the principal of a verified token that is still valid, by its hash."""
         return None
 
     def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a principal is worth at present; None: its token is not valid any more."""
+        """Return a principal with its current rights; None if its token is no longer valid."""
         return principal
 
     @property
     def serves(self) -> bool:
-        """Whether it can authenticate anybody who may do anything."""
+        """Whether it can authenticate any principal with rights."""
         return True
 
     @property
     def issuers(self) -> Sequence[TokenIssuer]:
-        """Who gives out its tokens, if that can be told."""
+        """The issuers of its tokens, if known."""
         return ()
 
     @property

@@ -1,7 +1,7 @@
-"""Who a client certificate proves: what it says, and which principal that is.
+"""Client certificates: their contents, and the principals they prove.
 
-The transport verifies it (chain, time, key); this module reads it and looks it up. `cryptography`
-is imported when there is something to read, not before.
+The transport verifies a certificate (chain, time, key); this module parses it and looks it up.
+`cryptography` is imported on demand.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["Certificates", "read_certificate", "read_pem", "revoked_by"]
 
 _STOPS = {"DNS": ".", "URI": "/", "email": "@"}
-"""What a `*` in a pattern does not reach over."""
-_KNOWN = 4096  # certificates kept to see what they prove under a new configuration
+"""Separators that a `*` in a pattern does not match."""
+_KNOWN = 4096  # certificates stored to re-evaluate them under a new configuration
 
 
 @lru_cache(maxsize=1024)
@@ -103,9 +103,9 @@ class Certificates:
         clock: Clock,
         before: Certificates | None = None,
     ) -> None:
-        """Compile the tables; `before` hands over what it knows.
+        """Compile the tables; the state of `before` is taken over.
 
-        :raises ConfigError: a table says something that no certificate has.
+        :raises ConfigError: a table contains something that no certificate can match.
         """
         self._clock = clock
         self._rules = [_Rule(config) for config in configs]
@@ -135,7 +135,7 @@ class Certificates:
         return principal
 
     def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a principal's certificate proves now, or None if it proves nothing any more."""
+        """Return the principal that the certificate proves now; None if it proves none."""
         certificate = self.known.get(principal.credential or "")
         if certificate is None or (certificate.issuer, certificate.serial) in self.revoked:
             return None

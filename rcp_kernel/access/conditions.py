@@ -1,8 +1,8 @@
-"""Conditions over the state of a robot: CEL expressions of rules, envelopes and preconditions.
+"""Conditions over the state of a robot: CEL expressions of rules, motion limits and preconditions.
 
-A name such as `sensor.battery.percentage` means the robot of whatever is asked for. What cannot
-be known (never seen, stale, gone, of another type) makes the whole unknown unless the rest of the
-expression decides without it.
+A name such as `sensor.battery.percentage` refers to the robot of the requested resource. An unknown
+value (never received, stale, removed, of another type) makes the result unknown unless the rest of
+the expression decides.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _FLOATS = {float, bool}
 
 
 class Placed(Protocol):
-    """What belongs to a robot: such as an entry."""
+    """An object that belongs to a robot, such as an entry."""
 
     @property
     def tenant(self) -> str | None:
@@ -57,7 +57,7 @@ class Demand(Protocol):
 
 
 class Sources(Protocol):
-    """What publishes the resources that conditions name."""
+    """The publishers of the resources used in conditions."""
 
     @property
     def registry(self) -> Registry:
@@ -66,11 +66,11 @@ class Sources(Protocol):
 
     @property
     def demand(self) -> Demand:
-        """What is published."""
+        """Published resources."""
         ...
 
     def sustain(self, entry: Entry, rate: float) -> None:
-        """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
+        """Keep an entry published at `rate` Hz or more; 0.0 ends it."""
         ...
 
 
@@ -87,7 +87,7 @@ class Conditions:
         self._registry.on_added.append(self._added)
 
     def use(self, part: str, conditions: Iterable[Condition]) -> None:
-        """Keep watched what a part of the configuration needs from now on, in place of before."""
+        """Keep published what a part of the configuration needs, instead of its previous needs."""
         refs = {ref for one in conditions for ref in one.refs}
         wanted = frozenset(name for ref in refs for name in _candidates(ref))
         before = self._used.pop(part, frozenset[str]())
@@ -95,7 +95,7 @@ class Conditions:
             self._used[part] = wanted
         self._names.update(wanted - before)
         self._names.subtract(before - wanted)
-        # Parts come and go by the dozen: only what nobody or nobody else needs is looked for.
+        # Parts change frequently: process only paths that no other part needs.
         changed = {n for n in wanted - before if self._names[n] == 1}
         for name in before - wanted:
             if not self._names[name]:
@@ -119,7 +119,7 @@ class Conditions:
         return condition.evaluate(values)
 
     def excess(self, condition: Condition, placed: Placed) -> str | None:
-        """Say why a condition is not evaluated for a robot: its values are too large for that."""
+        """Return why the values are too large to evaluate a condition for a robot; None if not."""
         for ref in condition.refs:
             found = self.resource(ref, placed)
             if found is not None and self._known(found[0]) and _too_large(*found):
@@ -127,7 +127,7 @@ class Conditions:
         return condition.excess(self.values(condition.refs, placed))
 
     def values(self, refs: Iterable[Ref], placed: Placed) -> dict[Ref, Any]:
-        """Return what names stand for now, for a robot; not what is unknown."""
+        """Return the current values of names for a robot; unknown ones are left out."""
         values: dict[Ref, Any] = {}
         for ref in refs:
             found = self.resource(ref, placed)
@@ -136,7 +136,7 @@ class Conditions:
         return values
 
     def resource(self, ref: Ref, placed: Placed) -> tuple[Entry, Ref] | None:
-        """Find what a name means for a robot: the resource, and the field in it."""
+        """Resolve a name for a robot: the resource, and the field within it."""
         if placed.tenant is None:
             return None
         for name in _candidates(ref):

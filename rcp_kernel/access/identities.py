@@ -1,7 +1,8 @@
-"""Who asks: from a token, or the certificate of a connection, to a principal, and for how long.
+"""Authentication: from a token or a certificate to a principal, and for how long it is valid.
 
-What is at hand is answered at once (`known`); a token whose issuer's keys have to be fetched is
-worth the wait (`wait`). A secret is neither kept nor shown: it is its hash that goes on.
+Cached results are returned immediately (`known`); a token whose issuer's keys must be fetched can
+be
+awaited (`wait`). Secrets are neither stored nor shown: only their hashes are used further.
 """
 
 from __future__ import annotations
@@ -91,9 +92,9 @@ class Identities:
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
 
     def ask(self, authenticators: Iterable[Authenticator]) -> None:
-        """Have authenticators asked by name, after the gateway's own keys.
+        """Set the authenticators, called by name after the gateway's own keys.
 
-        :raises PluginError: two authenticators have one name, or one has a name of the gateway's.
+        :raises PluginError: two authenticators have the same name, or one has a reserved name.
         """
         for one in sorted(authenticators, key=lambda each: each.name):
             if one.name in self._authenticators or one.name in _OWN:
@@ -139,21 +140,21 @@ class Identities:
         self._review()
 
     def reconfigure(self, config: GatewayConfig) -> None:
-        """Take over the proofs of another configuration; sessions are reviewed by the caller."""
+        """Apply the credentials of another configuration; the caller reviews the sessions."""
         self._certificates = Certificates(config.certificates, self._clock, self._certificates)
         self._keyring = _keyring(config, self._tokens)
         self._anonymous = _anonymous(config)
         self._attempts.allowance = config.limits.failed_logins
 
     def revoke(self, serials: frozenset[Serial]) -> None:
-        """Have client certificates count for nothing, in open sessions too."""
+        """Revoke client certificates, in open sessions too."""
         if serials != self._certificates.revoked:
             self._certificates.revoked = serials
             self._review()
 
     @property
     def serves(self) -> bool:
-        """Whether somebody proves something that no table of the kernel's configuration says."""
+        """Whether an authenticator outside the kernel's configuration can prove a principal."""
         return any(t.state(self._clock.now()) == "good" for t in self._tokens) or any(
             one.serves for one in self._authenticators.values()
         )
@@ -165,7 +166,7 @@ class Identities:
 
     @property
     def facts(self) -> list[dict[str, Any]]:
-        """How the authenticators are, for the health report."""
+        """The status of the authenticators, for the health report."""
         return [facts for one in self._authenticators.values() for facts in one.facts]
 
     # -- who -----------------------------------------------------------------------------------
@@ -204,7 +205,7 @@ class Identities:
         return wanted
 
     def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a principal's proof is worth now, or None if nothing any more."""
+        """Return the principal with its current rights; None if its credentials are invalid."""
         if principal.expires is not None and principal.expires <= self._clock.now():
             return None
         if principal.anonymous:
@@ -219,22 +220,23 @@ class Identities:
         return None if authenticator is None else authenticator.renewed(principal)
 
     def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
-        """Return whom a token proves, else the peer's certificate, else who is anonymous.
+        """Return the principal of a token, else of the peer's certificate, else anonymous.
 
-        None says that it takes a fetch to know. A token never falls back on the certificate, and
-        must not contradict it.
+        None means that a fetch is required. A token never falls back on the certificate, and must
+        not
+        contradict it.
 
-        :raises Unauthenticated: the token is not known, or the certificate is somebody else's.
-        :raises TokenExpired: it was good once.
-        :raises RateLimited: the peer has tried too many that were not good.
+        :raises Unauthenticated: the token is unknown, or the certificate is another principal's.
+        :raises TokenExpired: the token has expired.
+        :raises RateLimited: the peer has sent too many invalid tokens.
         """
         return self._look(token, peer)
 
     async def wait(self, token: str, peer: Peer = UNKNOWN) -> Principal:
-        """Return whom a token proves of which `known` could not tell, once that is fetched.
+        """Return the principal of a token for which `known` requires a fetch.
 
-        :raises AdapterUnavailable: it cannot be fetched.
-        :raises RcpError: as `known` does.
+        :raises AdapterUnavailable: the fetch failed.
+        :raises RcpError: as for `known`.
         """
         authenticator = self._authenticator_of(token)
         if authenticator is not None:
@@ -256,7 +258,7 @@ class Identities:
             if principal is None:
                 return None
             _agree(certified, check_time(principal, self._clock.now()))
-        except TokenExpired:  # it was good: nobody guesses such a thing
+        except TokenExpired:  # it was valid once, so it was not guessed
             raise
         except Unauthenticated:
             self._attempts.failed(peer.address, digest)
@@ -304,7 +306,10 @@ class Identities:
 
 
 def _guarded(call: Callable[_P, _T], *args: _P.args, **named: _P.kwargs) -> _T:
-    """Call a feature with a token; what it raises may hold that, so only its kind and place are told."""
+    """Call a feature with a token; report only kind and place of its errors.
+
+    Their text may contain the token.
+    """
     try:
         return call(*args, **named)
     except RcpError:
@@ -353,7 +358,7 @@ def _keyring(config: GatewayConfig, tokens: list[Token]) -> Keyring:
 
 
 def _there(token: Token, config: GatewayConfig) -> Grants:
-    """Return the grants of a token whose tenants and roles the configuration still has."""
+    """Return the grants of a token whose tenants and roles are still configured."""
     known = {**BUILTIN_ROLES, **config.roles}
     tenants = ("*", *config.tenant_names)
     held = tuple(

@@ -1,7 +1,8 @@
-"""How hard a key in plain text is to guess, by a rough estimate from its looks.
+"""Rough estimate of the entropy of plain-text keys.
 
-Wrong keys are slowed down, but never lock out the right ones, so nothing but its own entropy keeps a key from being guessed.
-Words, repetitions and sequences count little; what looks random counts in full.
+Throttling does not lock out valid keys, so only its entropy protects a key from being guessed.
+Words,
+repetitions and sequences count little; random-looking characters count fully.
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ _TEXT = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
 
 
 def weak_keys(keys: Iterable[KeyConfig]) -> list[str]:
-    """Return the names of keys that are easy to guess; of a hash nothing can be told."""
+    """Return the names of keys that are easy to guess; hashed keys cannot be judged."""
     return [one.name for one in keys if one.key is not None and entropy(one.key) < _ENOUGH]
 
 
 def log_weak_keys(keys: Iterable[KeyConfig], source: str) -> None:
-    """Log how many are easy to guess; which ones is nobody's business who may read the log."""
+    """Log the number of weak keys; readers of the log must not learn their names."""
     weak = weak_keys(keys)
     if weak:
         log.warning("weak_keys", keys=len(weak), remedy=f"`rcpd check {source}` names them")
 
 
 def entropy(key: str) -> float:
-    """Estimate the bits that somebody has to guess."""
+    """Estimate the entropy in bits."""
     key = key[: (key + key).find(key, 1)]  # of what repeats itself, one round
     symbols = set(re.sub("[A-Za-z0-9]", "", key))
     if len(symbols) > 1:
@@ -67,7 +68,7 @@ def _of_word(text: str) -> float:
 
 def _of_runs(text: str, each: float) -> float:
     runs: list[str] = _RUN.findall(text)
-    known = {run for run in runs if len(run) > 2}  # a word that comes again is no news
+    known = {run for run in runs if len(run) > 2}  # repeated words add no entropy
     return sum(_of_run(run, each) for run in (*known, *(r for r in runs if r not in known)))
 
 

@@ -1,7 +1,8 @@
-"""What somebody may do in a part of the tree, or with a robot.
+"""The rights of principals in parts of the tree, or over robots.
 
-A part may hold twenty thousand resources. So an answer is remembered: a yes with the resource that
-it is for, a no until the tree changes; and what is not known yet can be found out in steps.
+A part may contain twenty thousand resources, so answers are cached: a positive one with its
+resource,
+a negative one until the tree changes. Unknown answers can be computed in steps.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ __all__ = ["ScopeRights"]
 _Key = tuple[str, int]
 _Answer = TypeVar("_Answer", int, str)
 
-_STEP = 128  # resources that are judged at once: a millisecond where no rule was asked before
+_STEP = 128  # resources checked per step: a millisecond without cached rules
 _KNOWN = 1000  # answers that are kept for a set of rights
 
 
 class ScopeRights:
-    """Judges parts of the tree by the rights of whoever asks."""
+    """Checks parts of the tree by the rights of a principal."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
@@ -39,28 +40,28 @@ class ScopeRights:
         """The generation of the tree for each no."""
 
     def entries(self, scope: Scope) -> Iterator[Entry]:
-        """Find the resources in a scope, whoever may see them."""
+        """Iterate over the resources in a scope, regardless of visibility."""
         return scope.entries(self._registry)
 
     def sees(self, rights: Rights, scope: Scope) -> bool:
-        """Tell whether somebody sees a resource in a scope."""
+        """Return whether a principal sees a resource in a scope."""
         return at_once(self.look(rights, scope))
 
     def may(self, rights: Rights, scope: Scope, operations: Operation) -> bool:
-        """Tell whether somebody may ever do one of some operations in a scope.
+        """Return whether a principal may ever perform one of some operations in a scope.
 
-        Whether a condition of the rules holds at present is no matter.
+        The current state of conditions is not considered.
         """
         return at_once(self.look(rights, scope, operations))
 
     def look(
         self, rights: Rights, scope: Scope, operations: Operation = Operation.NONE
     ) -> Generator[None, None, bool]:
-        """Find out in steps what `may` tells, or without operations what `sees` tells."""
+        """Compute in steps what `may` returns, or without operations what `sees` returns."""
         return self._look(rights, scope.text, scope.entries(self._registry), int(operations))
 
     def sees_robot(self, rights: Rights, robot: StopGroup, scope: Scope | None = None) -> bool:
-        """Tell whether somebody sees a resource of a robot, in a scope if one is given."""
+        """Return whether a principal sees a resource of a robot, optionally within a scope."""
         own: Iterable[Entry] = robot.own.values()
         place = robot.name
         if scope is not None:

@@ -1,8 +1,9 @@
-"""What each set of rights sees of the tree: looked at in steps, and again only where it changes.
+"""Visible parts of the tree per set of rights, updated in steps and only where the tree changes.
 
-A tree of twenty thousand resources takes a seventh of a second to be judged by the rules. So every
-change is noted by tenant, and a set of rights catches up with the notes: a few at once when it is
-asked for, the rest in the turns that have time for it.
+Checking twenty thousand resources against the rules takes a seventh of a second. Changes are
+therefore
+recorded per tenant, and each set of rights processes them: a few immediately when it is used, the
+rest in spare turns of the event loop.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ if TYPE_CHECKING:
 __all__ = ["Hidden", "Sight", "Sights"]
 
 _STEP = 128  # paths that are judged at once: a millisecond
-_NAMES = 1000  # hidden resources of a backend whose names are kept
+_NAMES = 1000  # hidden resources of a backend whose names are stored
 _LONG = 1000  # notes, beyond as many as there are resources, that are kept of a tenant
 _ALL = Pattern("/**")
 
 
 class _Change(NamedTuple):
-    """What became of a path."""
+    """A change of one path."""
 
     path: str
     name: str
@@ -39,11 +40,11 @@ class _Change(NamedTuple):
 
 
 class _Changes:
-    """What has become of one tenant's part of the tree."""
+    """The changes of one tenant's part of the tree."""
 
     def __init__(self) -> None:
         self.base: list[_Change] = []
-        """What was there before the first of the changes; never changed itself."""
+        """The paths before the first recorded change; never modified."""
         self.begin = 0
         """Number of the first."""
         self.kept: list[_Change] = []
@@ -61,7 +62,7 @@ class _Changes:
     def withdrawn(self, path: str) -> None:
         gone = self._present.get(path)
         if gone is not None:
-            self._append(gone._replace(more=-1))  # which may begin anew with what is present
+            self._append(gone._replace(more=-1))  # which may start again with the current tree
             del self._present[path]
 
     def _append(self, change: _Change) -> None:
@@ -72,7 +73,7 @@ class _Changes:
 
 
 class Hidden:
-    """What of one backend is hidden from somebody."""
+    """The parts of one backend that are hidden from a principal."""
 
     __slots__ = ("count", "names")
 
@@ -95,7 +96,7 @@ class Hidden:
 
 
 class _Part:
-    """What somebody sees of one tenant's part of the tree."""
+    """The visible part of one tenant's tree."""
 
     __slots__ = ("_base", "_first", "_place", "hidden", "visible")
 
@@ -107,18 +108,18 @@ class _Part:
         self._base = iter(changes.base)
         self._place = changes.begin
         self._first = changes.end if known else changes.begin
-        """Number of the first change that is news."""
+        """Number of the first unprocessed change."""
 
     def missed(self, changes: _Changes) -> bool:
-        """Tell whether changes that it has not looked at are kept no more."""
+        """Return whether unprocessed changes have been discarded."""
         return self._place < changes.begin
 
     def behind(self, changes: _Changes) -> bool:
-        """Tell whether there are more to look at."""
+        """Return whether there are unprocessed changes."""
         return self._place < changes.end
 
     def look(self, rights: Rights, changes: _Changes) -> Generator[None, None, bool]:
-        """Look at all changes in steps; return whether something that is seen is news."""
+        """Process all changes in steps; return whether anything visible has changed."""
         seen = False
         for number, change in enumerate(self._base, 1):
             self._judge(rights, change)
@@ -134,7 +135,7 @@ class _Part:
         return seen
 
     def _judge(self, rights: Rights, change: _Change) -> bool:
-        """Count a change; tell whether it is of something visible."""
+        """Process a change; return whether it is visible."""
         path = change.path
         if change.more < 0:  # not to be kept
             mask = rights.masks.get(path) or rights.compute_mask(path)
@@ -148,30 +149,30 @@ class _Part:
 
 
 class Sight:
-    """What a set of rights sees, as far as the changes of the tree have been looked at."""
+    """What a set of rights sees, as far as changes have been processed."""
 
     __slots__ = ("busy", "current", "growing", "number", "parts", "tree")
 
     def __init__(self, growing: set[str]) -> None:
-        self.number = now() // 1_000_000  # a count would tell of others' changes
-        """Rises when what is seen of the tree changes, and only then."""
+        self.number = now() // 1_000_000  # a count would reveal changes of hidden resources
+        """Incremented only when the visible part of the tree changes."""
         self.growing = growing
-        """Tenants of those in which it acts whose backends are not all open."""
+        """Its tenants whose backends are not all open."""
         self.parts: dict[str | None, _Part] = {}
         self.tree: int | None = None
-        """Generation of the tree up to which everything was looked at."""
+        """Generation of the tree up to which changes have been processed."""
         self.current = False
-        """Whether that was the tree's own when this was returned: what is not known counts as hidden."""
+        """Whether it was up to date when returned; unknown resources count as hidden."""
         self.busy = False
-        """Whether the rest is being looked at."""
+        """Whether the remaining changes are being processed."""
 
     @property
     def visible(self) -> int:
-        """How many resources are seen."""
+        """The number of visible resources."""
         return sum(part.visible for part in self.parts.values())
 
     def rise(self) -> None:
-        """Take notice that something else is seen than before."""
+        """Record that the visible part has changed."""
         self.number = max(self.number + 1, now() // 1_000_000)
 
     def hides(self, tenant: str | None, backend: str) -> Hidden:
@@ -195,7 +196,7 @@ class Sight:
 
 
 class Sights:
-    """What all sets of rights see that are in use."""
+    """The sights of all sets of rights in use."""
 
     def __init__(self, registry: Registry, turns: Turns) -> None:
         self._registry = registry
@@ -212,12 +213,12 @@ class Sights:
         self._changes[entry.tenant].withdrawn(entry.path)
 
     def growing(self, rights: Rights, pattern: Pattern = _ALL) -> set[str]:
-        """Return those of somebody's tenants in which a pattern may yet reach more."""
+        """Return the tenants of a principal in which a pattern may match more resources later."""
         tenants = self._registry.growing(pattern)
         return tenants if "*" in rights.tenants else tenants.intersection(rights.tenants)
 
     def look(self, rights: Rights) -> Sight:
-        """Return what is seen, as far as it is known within a step; the rest is looked at soon."""
+        """Return the sight after one step; remaining changes are processed soon."""
         sight = self._sight(rights)
         if sight.tree != self._registry.generation and not sight.busy:
             work = self._look_further(rights, sight)
@@ -229,7 +230,7 @@ class Sights:
         return sight
 
     def catch_up(self, rights: Rights) -> Generator[None, None, Sight]:
-        """Look at everything in steps; return what is seen."""
+        """Process all changes in steps; return the sight."""
         sight = self._sight(rights)
         while sight.tree != self._registry.generation:
             if sight.busy:
@@ -256,7 +257,7 @@ class Sights:
         return known
 
     def _held(self, rights: Rights) -> list[tuple[str | None, _Changes]]:
-        """List the parts of the tree in which somebody may see something."""
+        """List the parts of the tree of which a principal may see something."""
         held = (None, *rights.tenants)
         return [(t, c) for t, c in self._changes.items() if "*" in held or t in held]
 

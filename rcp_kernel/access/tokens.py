@@ -1,6 +1,6 @@
-"""API keys made and taken back while the gateway runs: a table of hashes beside what else is kept.
+"""API keys created and revoked at run time: a table of hashes in the store.
 
-`rcpd token` writes it from a process of its own; a thread of the gateway looks whether it changed.
+`rcpd token` writes the table from its own process; a thread of the gateway watches it for changes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes", "make_table"
 
 log = structlog.get_logger("rcp.tokens")
 PREFIX = "rcp_"
-"""What every key made here begins with, for those who look for leaked ones."""
+"""Prefix of every key created here, for scanners that search for leaked keys."""
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS tokens (
     id TEXT PRIMARY KEY, name TEXT NOT NULL, hash TEXT NOT NULL UNIQUE, grants BLOB NOT NULL,
@@ -36,7 +36,7 @@ CREATE INDEX IF NOT EXISTS tokens_changed ON tokens (changed);
 _NEXT = "(SELECT coalesce(max(changed), 0) + 1 FROM tokens)"
 _BUSY = 5.0  # s to wait for another process
 _PERIOD = 0.5  # s between looks
-_FORGET = 90 * 86_400 * 1_000_000_000  # ns after which what is not good any more is deleted
+_FORGET = 90 * 86_400 * 1_000_000_000  # ns after which invalid keys are deleted
 
 
 class Token(msgspec.Struct, frozen=True):
@@ -57,14 +57,14 @@ class Token(msgspec.Struct, frozen=True):
         return "expired" if self.expires is not None and self.expires <= moment else "good"
 
     def principal(self, grants: Grants) -> Principal:
-        """Return whom it proves, with what is left of its grants."""
+        """Return the principal it proves, with its remaining grants."""
         return Principal(self.name, grants, "token", self.hash, self.expires)
 
 
 def make_table(base: sqlite3.Connection) -> None:
-    """Have the table of keys in a database.
+    """Create the table of keys in a database.
 
-    :raises sqlite3.Error: there can be none.
+    :raises sqlite3.Error: it cannot be created.
     """
     base.executescript(_SCHEMA)
 
@@ -78,11 +78,11 @@ class TokenFile:
         :raises ConfigError: that cannot be done, or others may write it.
         """
         self.warning = check_store_modes(path)
-        """What to tell the operator of who may read it."""
+        """A warning for the operator if others can read the file."""
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not there:
-                with suppress(FileExistsError):  # nobody else's to read
+                with suppress(FileExistsError):  # readable only by the owner
                     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             place = f"{path.absolute().as_uri()}?mode=rw"
             self._base = sqlite3.connect(place, timeout=_BUSY, uri=True)
@@ -96,7 +96,7 @@ class TokenFile:
         self._base.close()
 
     def create(self, name: str, grants: Grants, expires: int | None) -> tuple[Token, str]:
-        """Make a key; return what is kept of it, and the key, which is kept nowhere."""
+        """Create a key; return its stored form, and the key itself, which is not stored."""
         key = PREFIX + secrets.token_urlsafe(32)
         id_ = "t-" + secrets.token_hex(4)
         token = Token(id_, name, fingerprint(key), grants, now(), expires, None)
@@ -112,7 +112,7 @@ class TokenFile:
         return token, key
 
     def revoke(self, named: str) -> list[Token]:
-        """Take back the key of an id, or all of a name; return those that were not yet."""
+        """Revoke a key by id, or all keys of a name; return those that were still valid."""
         gone = [t for t in self.every() if t.revoked is None and named in (t.id, t.name)]
         with self._base:
             self._base.executemany(
@@ -175,7 +175,7 @@ class TokenWatch:
                     self._version = version
                 broken = False
             except (ConfigError, sqlite3.Error, msgspec.DecodeError) as error:
-                if not broken:  # what was known goes on
+                if not broken:  # keep the last known keys
                     log.error("tokens_unreadable", path=str(self._path), error=str(error))
                 broken = True
                 if table is not None:

@@ -1,7 +1,8 @@
-"""Whether something that was written down tells a reader of what the rules hide from him.
+"""Checks whether stored information would reveal hidden resources to a reader.
 
-A record, a command or a log line is about one path and may name others: in a message, a value, a
-condition, the name of a robot. Who may not see one of those is not told of it either.
+A record, a command or a log line belongs to one path and may mention others: in a message, a value,
+a
+condition, the name of a robot. It is hidden from readers that may not see one of them.
 """
 
 from __future__ import annotations
@@ -30,30 +31,30 @@ _KINDS = tuple(map(str, BRANCHES))
 _PATHS = re.compile(r"/tenant/[\w.-]+(?:/[\w.-]+)*", re.ASCII)
 _SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
 _encode = msgspec.json.encode
-_LONGEST = 65_536  # bytes that are looked through: that takes 2 ms
+_LONGEST = 65_536  # bytes that are searched, which takes 2 ms
 _STRANGE = 32  # names that mean nothing there is, and so are weighed by the rules one by one
-_RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
+_RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
 _ROBOT = 3  # slashes of the key of a robot
 
 
 def names_in(value: Any) -> frozenset[str]:
-    """Return what may be a path or the name of a resource in plain data, keys included.
+    """Return the possible paths and resource names in plain data, including keys.
 
-    What is too long to be looked through may name `EVERYTHING`.
+    Data that is too long to search may name `EVERYTHING`.
     """
     try:
         text = _encode(value)
-    except Exception:  # what has to be written by the rules of the contract
+    except Exception:  # encodable only by the protocol's rules
         try:
             text = dump(value, Encoding.JSON)
-        except Exception:  # what cannot be written is not told either
+        except Exception:  # data that cannot be encoded is not shown either
             return frozenset()
     if len(text) > _LONGEST:
         return frozenset((EVERYTHING,))
     plain = text.decode(errors="replace")
     found = _PATHS.findall(plain)
     rest = _PATHS.sub("", plain)
-    if any(kind in rest for kind in _KINDS):  # looked for ten times as fast as the pattern
+    if any(kind in rest for kind in _KINDS):  # ten times as fast as the pattern
         found += _SHORT.findall(rest)
     return frozenset(found)
 
@@ -96,12 +97,12 @@ class Visibility:
         """Return a number that changes when something may be named that was not there before."""
         return self._registry.generation
 
-    # -- what is named -------------------------------------------------------------------------
+    # -- names -----------------------------------------------------------------------------------
 
     def names_hidden(self, rights: Rights, tenant: str | None, names: Iterable[str]) -> bool:
-        """Tell whether one of the names means something that is hidden.
+        """Return whether one of the names refers to a hidden resource.
 
-        A name without a tenant means a resource of `tenant`, or of any if that is None.
+        A name without a tenant refers to a resource of `tenant`, or of any tenant if that is None.
         """
         strange = 0
         for name in names:
@@ -116,7 +117,7 @@ class Visibility:
         if name.startswith("/tenant/"):
             return self.hides_path(rights, name.rstrip("."))
         segments = name.replace(".", "/").split("/")
-        for end in range(2, len(segments) + 1):  # what follows a name may be a field of its value
+        for end in range(2, len(segments) + 1):  # the rest of a name may be a field of the value
             for path in self._named.get("/".join(segments[:end]), ()):
                 if tenant in (None, tenant_of(path)) and not rights.mask(path):
                     return True
@@ -146,14 +147,14 @@ class Visibility:
                 return
             yield index[place]
 
-    # -- what has to be seen -------------------------------------------------------------------
+    # -- required visibility -------------------------------------------------------------------
 
     def sees_all(
         self, rights: Rights, paths: Iterable[str], operation: Operation = Operation.NONE
     ) -> bool:
-        """Tell whether every path may be seen; of those that offer `operation`, if that may be done.
+        """Return whether all paths are visible; those that offer `operation` must also allow it.
 
-        Whether a condition of the rules holds at present is no matter.
+        The current state of conditions is not considered.
         """
         return all(self._sees(rights, path, operation) for path in paths)
 
@@ -167,9 +168,10 @@ class Visibility:
         return bool(mask & operation)
 
     def sees_robot(self, rights: Rights, name: str, tenant: str | None) -> bool:
-        """Tell whether something of a robot may be seen, by the name or key of its stop group.
+        """Return whether any part of a robot is visible, by the name or key of its stop group.
 
-        One that is not there may be whatever is hidden: it is for those who see all of the tenant.
+        A robot that does not exist could be any hidden one: it is visible only to those who see the
+        whole tenant.
         """
         paths = self._robots.get(name)
         if paths is None:
@@ -177,9 +179,9 @@ class Visibility:
         return any(map(rights.mask, paths))
 
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
-        """Tell whether nothing of a tenant is hidden; None means all tenants.
+        """Return whether nothing of a tenant is hidden; None means all tenants.
 
-        It is denied while changes of a large tree are not looked at to the end.
+        False while changes of a large tree are being processed.
         """
         held = rights.tenants
         if "*" not in held and tenant not in held:

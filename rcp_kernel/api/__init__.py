@@ -1,8 +1,8 @@
-"""What transports and adapters are built with, beside `ClientApi` and `rcp_kernel.asgi`.
+"""The parts for transports and adapters, besides `ClientApi` and `rcp_kernel.asgi`.
 
-A plugin that brings clients in imports the public modules and nothing deeper: `api`, `api.pages`,
-`asgi`, `client_api`, `client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`,
-`values` and `wire`. These names stay where the kernel behind them is rearranged.
+A plugin that connects clients imports only the public modules: `api`, `api.pages`, `asgi`,
+`client_api`, `client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`, `values`
+and `wire`. These names are stable when the kernel behind them is rearranged.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rcp_kernel.requests.discovery import Query
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.unsent import left_out
 from rcp_kernel.store.modes import others_may
@@ -54,6 +55,7 @@ __all__ = [
     "Peer",
     "PluginStore",
     "Principal",
+    "PromptReply",
     "Query",
     "Rights",
     "Sample",

@@ -1,8 +1,8 @@
-"""What a plugin raises to end the process ends the plugin's own work, and nothing else.
+"""Containment of plugins that raise `SystemExit` or `KeyboardInterrupt`.
 
-`SystemExit` and `KeyboardInterrupt` pass by every `except Exception`, and asyncio lets them out of
-the event loop. So they become an ordinary error at the plugin's edge, and where they come out of
-the loop all the same (a task or timer of the plugin's own), the loop is entered again.
+Both pass every `except Exception`, and asyncio lets them escape the event loop. They are therefore
+converted to ordinary errors where plugins are called; if one still leaves the loop (from a plugin's
+own task or timer), the loop is entered again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["ContainedBackend", "PluginExit", "contained", "end_in_time", "run_co
 
 log = structlog.get_logger("rcp.plugins")
 _Result = TypeVar("_Result")
-_LEAVE = 3.0  # s that threads which plugins have left behind may go on after the gateway's end
+_LEAVE = 3.0  # s that threads left behind by plugins may run after the gateway's end
 
 
 class PluginExit(RuntimeError):
@@ -55,7 +55,7 @@ def contained() -> Generator[None]:
 class ContainedBackend:
     """A plugin's backend as the kernel calls it.
 
-    What every request passes has its `try` written out: a context manager costs 5,000 instructions.
+    Hot methods have an explicit `try`: a context manager costs 5,000 instructions.
     """
 
     def __init__(self, backend: Backend) -> None:
@@ -64,11 +64,11 @@ class ContainedBackend:
 
     @property
     def inner(self) -> Backend:
-        """The plugin's own object, for tests that look at it."""
+        """The plugin's own object, for tests that inspect it."""
         return self._backend
 
     def __getattr__(self, name: str) -> Any:
-        """Find what else a backend has: tests and adapters of its own kind know of it."""
+        """Return other attributes of the backend, which its own tests and adapters may use."""
         return getattr(self._backend, name)
 
     async def read(self, name: str) -> Any:
@@ -99,7 +99,7 @@ class ContainedBackend:
             raise _plugin_exit(error) from error
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Have a value published while entered."""
+        """Publish a value while entered."""
         return self._watch(name, rate)
 
     @asynccontextmanager
@@ -134,7 +134,7 @@ class ContainedBackend:
             await self._backend.hold(robot)
 
     async def recover(self, robot: str | None) -> str:
-        """Do what the policy says after a lost link."""
+        """Apply the policy after a lost link."""
         with contained():
             return await self._backend.recover(robot)
 
@@ -145,10 +145,11 @@ class ContainedBackend:
 
 
 def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) -> _Result:
-    """Run the gateway to its end and return its result, whatever a task or timer of a plugin raises in its loop.
+    """Run the gateway to its end and return its result, whatever a plugin's task or timer raises.
 
-    Ctrl-C comes as a signal that the gateway handles itself, so a `KeyboardInterrupt` out of the
-    loop is a plugin's as well.
+    Ctrl-C arrives as a signal that the gateway handles itself, so a `KeyboardInterrupt` out of the
+    loop
+    comes from a plugin as well.
     """
     loop = runner.get_loop()
     task = loop.create_task(main, name="gateway")
@@ -158,15 +159,15 @@ def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) ->
         except (SystemExit, KeyboardInterrupt) as error:
             if task.done():
                 raise
-            # Without the traceback: writing it down may ask the plugin's own values.
+            # Without traceback: formatting it may call the plugin's objects.
             with suppress(BaseException):
                 log.error("plugin_would_end_the_process", error=repr(error))
 
 
 def end_in_time(code: int = 0) -> None:
-    """End the process with a code within a bound, though a plugin has left threads behind.
+    """Exit with a code within a bound, even if a plugin has left threads behind.
 
-    Python waits for every thread that is no daemon, and the loop for its executor's.
+    Python waits for every non-daemon thread, and the event loop for those of its executor.
     """
 
     def end() -> None:

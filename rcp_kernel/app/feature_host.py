@@ -1,4 +1,4 @@
-"""What each feature receives of the gateway."""
+"""The implementation of the interface that each feature receives."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ class GatewayFeatureHost:
 
     @property
     def fault(self) -> str | None:
-        """What of the feature failed last, since the start."""
+        """The last failure of the feature since the start."""
         return self._health.fault
 
     @property
     def closing(self) -> bool:
-        """Whether the gateway is on its way down."""
+        """Whether the gateway is shutting down."""
         return self._shutdown.begun
 
     def in_steps(self, work: Work) -> None:
@@ -85,7 +85,7 @@ class GatewayFeatureHost:
         self._turns.oblige(self, work)
 
     def store(self, table: str) -> PluginStore:
-        """Return a table that is named after the feature."""
+        """Return a table named after the feature."""
         return PluginStore(self._store, f"{self._health.name}.{table}")
 
     def note(
@@ -114,7 +114,7 @@ class GatewayFeatureHost:
         self._events.tell(event)
 
     def sees_all(self, rights: Rights, paths: Iterable[str]) -> bool:
-        """Tell whether somebody may see each of some paths."""
+        """Return whether a principal may see all of the paths."""
         return self.visibility.sees_all(rights, paths)
 
     def unread_bytes(self, session: Session) -> int:
@@ -122,7 +122,7 @@ class GatewayFeatureHost:
         return waiting_bytes(session)
 
     def shed(self, session: Session, reason: str) -> int:
-        """Let go of what waits for a client; return the bytes that still wait."""
+        """Drop data queued for a client; return the bytes still queued."""
         return shed(session, reason)
 
     def check_place(self, session: Session, request: Request) -> None:

@@ -91,7 +91,7 @@ class Features:
 
     @property
     def resources(self) -> list[SystemResource]:
-        """What they add below `/system/`."""
+        """Their resources below `/system/`."""
         return [one for _, feature in self._made for one in feature.resources]
 
     @property
@@ -100,7 +100,7 @@ class Features:
         return {one.path: one.action for one in self.resources if one.action is not None}
 
     def resources_of(self, name: str) -> list[SystemResource]:
-        """What one of them adds."""
+        """The resources of one feature."""
         return [one for own, feature in self._made if own == name for one in feature.resources]
 
     @property
@@ -110,7 +110,7 @@ class Features:
 
     @property
     def observers(self) -> list[tuple[CommandObserver, FeatureHealth]]:
-        """What hears of commands under the configuration in force."""
+        """The command observers under the current configuration."""
         return [
             (feature.observer, self._health[name])
             for name, feature in self._made
@@ -119,32 +119,32 @@ class Features:
 
     @property
     def authenticators(self) -> list[Authenticator]:
-        """What finds the principals of tokens."""
+        """The authenticators of tokens."""
         found = (feature.authenticator for _, feature in self._made)
         return [one for one in found if one is not None]
 
     @property
     def event_listeners(self) -> list[Hear]:
-        """What hears of events."""
+        """The listeners for events."""
         return [one.hear for one in self._listeners if one.on_event is not None]
 
     @property
     def command_listeners(self) -> list[CommandListener]:
-        """What hears the steps of commands."""
+        """The listeners for steps of commands."""
         return [one.follow for one in self._listeners if one.on_command is not None]
 
     @property
     def recorders(self) -> list[Recorder]:
-        """What replies have to wait for."""
+        """The features for which replies wait."""
         return [one for one in self._listeners if isinstance(one, Recorder)]
 
     @property
     def accounting(self) -> list[Accounting]:
-        """What counts sessions."""
+        """The features that count sessions."""
         return [one for _, feature in self._made if (one := feature.accounting) is not None]
 
     def reader_status(self, session: Session) -> dict[str, Any]:
-        """Return what they tell a reader of `/system/status` about itself."""
+        """Return the items of `/system/status` about its reader."""
         facts: dict[str, Any] = {}
         for name, feature in self._made:
             if feature.reader_status is not None:
@@ -168,7 +168,7 @@ class Features:
         return next((f.services[key] for _, f in self._made if key in f.services), None)
 
     def dry_run(self, call: Call) -> dict[str, Any]:
-        """Return what they tell of a dry run."""
+        """Return the items for a dry run."""
         facts: dict[str, Any] = {}
         for _, feature in self._made:
             if feature.dry_run is not None:
@@ -185,7 +185,7 @@ class Features:
                 feature.foresee(session, entry, value)
 
     def describe(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> dict[str, Any]:
-        """Return what they add to a resource in discovery, for somebody who may command it."""
+        """Return the additions to a resource in discovery, for a principal that may command it."""
         facts: dict[str, Any] = {}
         for _, feature in self._made:
             if feature.describe is not None:
@@ -266,6 +266,6 @@ def _tell(health: FeatureHealth, listener: Callable[..., None], *facts: Any) -> 
 def make(
     features: Iterable[ActiveFeature], host: Callable[[FeatureHealth], FeatureHost]
 ) -> Features:
-    """Make each feature with a host of its own."""
+    """Create each feature with its own host."""
     found = [(one, FeatureHealth(one.kind.name)) for one in features]
     return Features([(health, one.kind.make(one.table, host(health))) for one, health in found])

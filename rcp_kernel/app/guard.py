@@ -1,8 +1,9 @@
-"""The gateway's side of the guard: who may move, the heartbeat, and what follows a stop by it.
+"""The gateway's side of the guard: arming, heartbeat, and handling of stops by the guard.
 
-The heartbeat comes from the event loop, so it is missing whenever the loop stands still, whatever
-the reason. A backend is armed from before the first command that may move it until it is measured at
-rest, and while an e-stop holds it. See `rcp_guard` for the other side.
+The heartbeat is sent from the event loop, so it stops whenever the loop is blocked. A backend is
+armed
+from before the first command that may move it until it is measured at rest, and while an e-stop is
+latched. See `rcp_guard` for the other side.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ __all__ = ["GuardLink"]
 
 log = structlog.get_logger("rcp.guard")
 _LINGER = 1.0  # s that a backend stays armed after its last command: it takes time to brake
-_UNKNOWN = 30.0  # s that it stays armed if nobody can know whether it rests
+_UNKNOWN = 30.0  # s that it stays armed if its state of motion is unknown
 _SETTLE = 10.0  # s that a backend has to verify its watchdogs before their lack is a warning
-_HOLD = 10.0  # s that a robot is told to rest after a stop by the guard
+_HOLD = 10.0  # s that a robot is commanded to rest after a stop by the guard
 
 
 class GuardLink:
@@ -69,7 +70,7 @@ class GuardLink:
         self.lag = 0.0
         """The most that the event loop was late, s."""
         self.stops = 0
-        """How often the guard has stopped robots."""
+        """Number of times the guard has stopped robots."""
 
     # -- the heartbeat ---------------------------------------------------------------------------
 
@@ -107,7 +108,7 @@ class GuardLink:
         self._process.beat(self._arming.armed)
 
     def _look(self) -> None:
-        """Take over plans that changed, and warn of robots that nothing would stop."""
+        """Update changed plans, and warn of robots that nothing would stop."""
         seen = [(supervisor.name, supervisor.plans_changed) for supervisor in self._supervisors]
         if self._on and seen != self._seen:
             self._seen = seen
@@ -174,7 +175,7 @@ class GuardLink:
         )
 
     def _rests(self, supervisor: BackendSupervisor, since: float) -> bool:
-        """Tell whether a backend rests, as it measures, or else as far as anybody can know."""
+        """Return whether a backend is at rest: as measured, or else as far as can be known."""
         backend, state = supervisor.backend, None
         if backend is not None:
             with suppress(Exception):
@@ -186,7 +187,7 @@ class GuardLink:
         measures_nothing = backend is not None and state is None
         return measures_nothing or since > _UNKNOWN
 
-    # -- what the guard says ---------------------------------------------------------------------
+    # -- messages from the guard -----------------------------------------------------------------
 
     def _on_report(self, message: dict[str, Any]) -> None:
         match message:
@@ -209,7 +210,7 @@ class GuardLink:
                 pass
 
     def _end(self, supervisor: BackendSupervisor, reason: str) -> None:
-        """End what ran on a backend that the guard has stopped: nothing is to resume by itself."""
+        """End the commands of a backend stopped by the guard: nothing may resume by itself."""
         if self._shutdown.begun:
             return
         self._events.note(
@@ -241,7 +242,7 @@ class GuardLink:
 
     @property
     def state(self) -> str:
-        """Say how it is: `off`, `idle` (no plans), `starting`, `ready`, `degraded`."""
+        """Return the state: `off`, `idle` (no plans), `starting`, `ready`, `degraded`."""
         if not self._on:
             return "off"
         if not self._plans:

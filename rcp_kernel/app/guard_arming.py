@@ -1,4 +1,4 @@
-"""Which backends may move, as the guard is told, and whether the event loop stood still meanwhile."""
+"""Arming of the guard, and detection of a blocked event loop."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rcp_kernel.tree.entry import Entry
 __all__ = ["GuardArming"]
 
 _PERIOD = 0.1  # s between two heartbeats at most; a fifth of `guard_after` if that is less
-_THAW = 0.5  # s after a freeze in which what comes in may have been sent before or during it
+_THAW = 0.5  # s after a freeze during which received requests may be old
 
 
 class GuardArming:
-    """Arms the guard before anything moves, and refuses what a freeze may have held back."""
+    """Arms the guard before anything moves, and refuses requests that a freeze has delayed."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, safety: Safety) -> None:
         self._loop = loop
@@ -29,7 +29,7 @@ class GuardArming:
         """Seconds between two heartbeats."""
         self.process = GuardProcess(loop, safety)
         self.moved: dict[BackendSupervisor, float] = {}
-        """When a backend that may move was last told to."""
+        """When an armed backend last received a command."""
         self.armed: frozenset[str] = frozenset()
         self.expected = float("inf")
         """When the next heartbeat is due, by the loop's clock."""
@@ -48,11 +48,11 @@ class GuardArming:
             self.process.arm(self.armed)
 
     def check_thaw(self, entry: Entry) -> None:
-        """Refuse motion of a robot that the guard has stopped while a client's requests waited.
+        """Refuse motion of a robot that the guard has stopped while requests were queued.
 
-        The loop may read these before anything else, also before it hears of the guard's stop.
+        The loop may read these requests before it is notified of the guard's stop.
 
-        :raises StaleCommand: the loop stood still until just now.
+        :raises StaleCommand: the event loop was blocked until just now.
         """
         supervisor = entry.owner
         if (
@@ -73,7 +73,7 @@ class GuardArming:
             )
 
     def look_for_freeze(self) -> None:
-        """Take notice of a heartbeat that is later than the guard waits for it."""
+        """Detect a heartbeat later than the guard allows."""
         now = time.monotonic()
         if now - self.expected > self.after and now > self._thawed + _THAW:
             self._thawed, self._frozen = now, self.armed

@@ -1,6 +1,6 @@
-"""The guard process, as the gateway sees it: started, fed, heard and started again.
+"""The guard process from the gateway's side: start, heartbeat, messages and restart.
 
-Nothing here waits: what the guard does not take at once stays here, or is left out.
+Nothing here blocks: what the guard does not accept immediately is kept, or dropped.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Report = Callable[[dict[str, Any]], None]
 
 
 class GuardProcess:
-    """At most one guard at a time, with the plans and the armed groups that it was told."""
+    """At most one guard process, with the plans and armed groups it has been sent."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, safety: Safety) -> None:
         self._loop = loop
@@ -48,7 +48,7 @@ class GuardProcess:
         self._pause = _FIRST_RETRY
         self._due = 0.0
         self.plans: dict[str, dict[str, Any]] = {}
-        """What the guard has, or is to be given when it is there."""
+        """The plans that the guard has, or will receive once it runs."""
         self.restarts = 0
 
     @property
@@ -58,11 +58,11 @@ class GuardProcess:
 
     @property
     def running(self) -> bool:
-        """Whether there is a guard that has given a sign of life."""
+        """Whether there is a guard that has sent a message."""
         return self._process is not None and self._heard > 0.0
 
     def replace_plans(self, plans: dict[str, dict[str, Any]]) -> None:
-        """Give the guard all plans anew; the first one starts it."""
+        """Send all plans to the guard again; the first plan starts it."""
         self.plans = plans
         if self._process is not None:
             self._send({"plans": plans})
@@ -91,7 +91,7 @@ class GuardProcess:
             self._send({"armed": sorted(armed)})
 
     async def close(self) -> None:
-        """Say goodbye, and see the guard end."""
+        """Shut the guard down, and wait for its end."""
         process, connection = self._process, self._socket
         if process is None or connection is None:
             return
@@ -122,7 +122,7 @@ class GuardProcess:
                 *("--bound", str(safety.guard_bound)),
             ]
             try:
-                # A session of its own: signals to the gateway's group do not reach it.
+                # A separate session: signals to the gateway's group do not reach it.
                 self._process = subprocess.Popen(  # noqa: S603 - our own module
                     command,
                     stdin=subprocess.DEVNULL,
@@ -148,7 +148,7 @@ class GuardProcess:
         self._pause = min(self._pause * 2, _LAST_RETRY)
 
     def _drop(self, why: str) -> None:
-        """End what is left of a guard; another one is started after a pause."""
+        """End the guard; another one is started after a pause."""
         process, connection = self._process, self._socket
         assert process is not None
         assert connection is not None

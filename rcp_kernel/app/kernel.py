@@ -38,7 +38,7 @@ __all__ = ["Kernel"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kernel:
-    """What was composed. No part of it holds this record."""
+    """The composed parts. No part holds this record."""
 
     settings: Settings
     shutdown: Shutdown
@@ -75,7 +75,7 @@ class Kernel:
         return self.deadman.driving or bool(self.commands.running)
 
     def reconfigure(self, config: GatewayConfig, features: Sequence[ActiveFeature] = ()) -> None:
-        """Take over the rules, keys and limits of another configuration; open sessions feel it.
+        """Apply the rules, keys and limits of another configuration, to open sessions too.
 
         A feature that is not among `features` keeps its table.
         """

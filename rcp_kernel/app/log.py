@@ -16,7 +16,7 @@ _KEPT = 100  # warnings that `/system/status` shows
 
 
 class Recent:
-    """The last warnings and errors, and who wants to be told of new ones."""
+    """The last warnings and errors, and the callbacks for new ones."""
 
     def __init__(self) -> None:
         self.records: deque[dict[str, Any]] = deque(maxlen=_KEPT)

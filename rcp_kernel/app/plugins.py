@@ -1,9 +1,11 @@
-"""Load what the configuration names, and nothing else; refuse what breaks the rules, by name.
+"""Loading of the plugins that the configuration names; invalid plugins are refused by name.
 
 Entry-point groups are `rcp.transports`, `rcp.plugins`, `rcp.backends` and `rcp.features`; an entry
-point's name is the word of the configuration. A plugin that cannot be imported is `unavailable`,
-with the line that would mend it, and does not stop the gateway; a feature does: what it would have
-kept out must not come in because it is broken.
+point's name is the name used in the configuration. A plugin that cannot be imported is
+`unavailable`,
+with the command that fixes it, and does not stop the gateway. A feature does: commands that it
+would
+have refused must not pass because it is broken.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import difflib
 import importlib
 import inspect
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
@@ -26,8 +29,9 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind
+from rcp_profiles import STANDARD, Profile
 
-__all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle"]
+__all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle", "published_profiles"]
 
 GROUPS = {
     "transports": "rcp.transports",
@@ -38,11 +42,11 @@ GROUPS = {
 _OWN = "rcp-gateway"
 """The distribution of the built-in features."""
 _KINDS = ("rcp_backends", "rcp_adapters", "rcp_features")
-"""Hooks whose records may need the libraries of an extra."""
+"""Hooks whose records may need libraries of an extra."""
 
 
 class Missing(msgspec.Struct, frozen=True):
-    """A plugin that is named and cannot be imported."""
+    """A configured plugin that cannot be imported."""
 
     group: str
     name: str
@@ -67,8 +71,25 @@ def installed(group: str) -> dict[str, EntryPoint]:
     return found
 
 
+def published_profiles() -> dict[str, Profile]:
+    """Return the profiles by name: the standard ones, and those of the installed plugins.
+
+    A plugin that cannot be imported has none to show.
+
+    :raises PluginError: two of them have one name.
+    """
+    found = dict(STANDARD)
+    points = {point.value for group in GROUPS for point in installed(group).values()}
+    for name in sorted(points):
+        with suppress(ImportError):
+            offer = getattr(importlib.import_module(name), "rcp_profiles", None)
+            if offer is not None and hasattr(offer, "rcp_impl"):
+                _collect(found, [offer()], "profile")
+    return found
+
+
 def _lacking(kind: BackendKind | AdapterKind | FeatureKind) -> str | None:
-    """Return the first module that a kind needs and that is not installed."""
+    """Return the first required module that is not installed; None if all are."""
     return next((name for name in kind.needs if find_spec(name) is None), None)
 
 
@@ -85,9 +106,9 @@ def obstacle(point: EntryPoint) -> str | None:
 
 
 def _remedy(point: EntryPoint) -> str:
-    """Return the command that installs what a plugin lacks.
+    """Return the command that installs the missing requirement of a plugin.
 
-    An extra that has the plugin's name brings its libraries.
+    An extra named like the plugin contains its libraries.
     """
     if point.dist is None:
         return "install the distribution that offers it again"
@@ -129,7 +150,7 @@ class Plugins:
         self._check_features()
 
     def _load_features(self, config: GatewayConfig) -> None:
-        """Load the features; one that is built in need not be installed unless it is used."""
+        """Load the features; a built-in one need not be installed unless it is used."""
         wanted = set(config.active_features)
         lost = (wanted & set(BUILTIN)) - set(installed("features"))
         for name in sorted(lost):
@@ -137,7 +158,7 @@ class Plugins:
         self._load("features", wanted - lost)
 
     def _check_features(self) -> None:
-        """Make sure that every feature is there that the configuration uses; no other is missed.
+        """Check that every feature used by the configuration is available.
 
         :raises PluginError: one is not.
         """
@@ -158,7 +179,7 @@ class Plugins:
         self.missing = [one for one in self.missing if one.group != "features"]
 
     def _offers(self, hook: str) -> list[list[Any]]:
-        """Ask each plugin by itself; one whose hook raises is missing, and the others are there."""
+        """Call a hook of each plugin; one whose hook raises is skipped and recorded as missing."""
         found: list[list[Any]] = []
         for name, module in self._manager.list_name_plugin():
             offer = getattr(module, hook, None)
@@ -212,9 +233,9 @@ class Plugins:
 
 
 def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
-    """Register a module whose hooks follow the rules.
+    """Register a module whose hooks are valid.
 
-    :raises PluginError: it has an async hook, a hook that does not exist, or none at all.
+    :raises PluginError: it has an async hook, an unknown hook, or none at all.
     """
     known = {key for key, value in vars(hookspecs).items() if hasattr(value, "rcp_spec")}
     own: dict[str, Any] = dict(module.__dict__)

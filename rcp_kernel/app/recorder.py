@@ -14,7 +14,7 @@ __all__ = ["Listener", "Recorder"]
 
 
 class Listener:
-    """Passes on what a feature hears: its bug keeps nobody from commanding or stopping a robot."""
+    """Passes events to a feature, whose errors must not prevent commands or stops."""
 
     def __init__(
         self, on_event: Hear | None, on_command: CommandListener | None, health: FeatureHealth
@@ -24,7 +24,7 @@ class Listener:
         self.health = health
 
     def hear(self, event: Event) -> bool:
-        """Have the feature hear of an event; return whether replies about it should wait."""
+        """Pass an event to the feature; return whether replies about it should wait."""
         try:
             return self.on_event is not None and bool(self.on_event(event))
         except Exception as error:
@@ -33,7 +33,7 @@ class Listener:
             return False
 
     def follow(self, command: Command, step: Record) -> None:
-        """Have the feature hear of a step of a command."""
+        """Pass a step of a command to the feature."""
         try:
             if self.on_command is not None:
                 self.on_command(command, step)
@@ -42,19 +42,22 @@ class Listener:
             self.missed_step(command, step)
 
     def missed(self, event: Event) -> None:
-        """Do what follows when the feature did not take an event: nothing."""
+        """Handle an event that the feature did not accept: do nothing."""
 
     def missed_step(self, command: Command, step: Record) -> None:
-        """Do what follows when the feature did not take a step of a command: nothing."""
+        """Handle a step that the feature did not accept: do nothing."""
 
 
 class Recorder(Listener):
-    """The same of a feature that keeps a record, and its `Durability`.
+    """The listener of a feature that keeps records, and its `Durability`.
 
-    What it did not take is not confirmed: a write or command that has acted is answered with an error,
-    a command that has not is refused. The record gets an event `unrecorded` in its place. While the
-    feature cannot take even that, writes and commands are refused, as while a store cannot be
-    written; each refusal is an event too, and the first one that it takes ends this.
+    Events that it did not accept are not confirmed: a write or command that was executed gets an
+    error, a
+    command that was not is refused. An event `unrecorded` is recorded instead. While the feature
+    cannot
+    accept even that, writes and commands are refused, as if a store could not be written; each
+    refusal
+    is an event too, and the first one that is accepted ends this state.
     """
 
     def __init__(
@@ -69,10 +72,10 @@ class Recorder(Listener):
         self._failing = False
         self.hold = durability.hold
         self.lost = 0
-        """How many events were not recorded."""
+        """Number of events that were not recorded."""
 
     def hear(self, event: Event) -> bool:
-        """Have the feature hear of an event; return whether replies about it should wait."""
+        """Pass an event to the feature; return whether replies about it should wait."""
         lost = self.lost
         waits = super().hear(event)
         if self.lost == lost:
@@ -80,7 +83,7 @@ class Recorder(Listener):
         return waits
 
     def missed(self, event: Event) -> None:
-        """Have the record tell of the gap: with the little that is known to be sound."""
+        """Record the gap, with the few facts known to be valid."""
         self.lost += 1
         if self.on_event is None:
             return
@@ -112,7 +115,7 @@ class Recorder(Listener):
         )
 
     def check(self) -> None:
-        """Refuse a write or command whose record could not be kept.
+        """Refuse a write or command whose record could not be stored.
 
         :raises QueueFull: it could not.
         """

@@ -1,4 +1,4 @@
-"""Read the configuration again, on SIGHUP, and change what can be changed while running."""
+"""Reloading the configuration on SIGHUP, as far as it can change at run time."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["apply", "reload"]
 
 log = structlog.get_logger("rcp.reload")
 _FIXED = ("transports", "plugins", "store", "log", "name")
-"""What a running gateway cannot change."""
+"""Tables that cannot change at run time."""
 _GUARD = ("guard", "guard_after", "guard_bound")
-"""What a guard that runs cannot change, of `[safety]`."""
+"""Keys of `[safety]` that cannot change while a guard runs."""
 
 
 async def reload(server: Server, path: Path) -> None:
-    """Apply a configuration file; a faulty one changes nothing and is logged.
+    """Apply a configuration file; an invalid one changes nothing and is logged.
 
-    Its rules have to be safe with its own listeners, and with those that go on as they are.
+    Its rules must be safe with its own listeners, and with those that continue unchanged.
     """
     running = server.kernel.settings.config
     try:
@@ -54,10 +54,11 @@ async def reload(server: Server, path: Path) -> None:
 
 
 async def apply(server: Server, prepared: Prepared) -> None:
-    """Change rules, keys, limits and backends of a running gateway to those of a configuration.
+    """Apply the rules, keys, limits and backends of a configuration to a running gateway.
 
-    What clients may do changes at once. Backends change one reload after the other: one that
-    takes long to close must not delay a revoked key, nor may what came before be applied after it.
+    Rights change at once. Backends change one reload after the other: a backend that takes long to
+    close
+    must not delay the revocation of a key, and reloads must not be applied out of order.
     """
     kernel, turn = server.kernel, server.reloading
     turn.newest = prepared

@@ -18,7 +18,7 @@ log = structlog.get_logger("rcp.features")
 
 
 class _Watch:
-    """Listens to one path for one feature, whose exceptions do not reach the sample's source."""
+    """Watches one path for one feature, whose exceptions must not reach the publisher."""
 
     __slots__ = ("_feature", "_offer")
 
@@ -45,7 +45,7 @@ class _Conditions:
         self.resource = conditions.resource
 
     def use(self, conditions: Iterable[Condition]) -> None:
-        """Keep published what they name."""
+        """Keep the values of these conditions published."""
         self._conditions.use(f"feature {self._feature}", conditions)
 
 

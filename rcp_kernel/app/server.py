@@ -40,13 +40,13 @@ __all__ = [
 ]
 
 log = structlog.get_logger("rcp.server")
-_HALT_WAIT = 3.0  # s the robots have to come to rest before their backends are closed
+_HALT_WAIT = 3.0  # s for the robots to come to rest before their backends are closed
 _CLOSE_WAIT = 5.0  # s a backend has to close
-_FIRST_OPEN = 1.0  # s that backends have from their start until clients are let in, ready or not
+_FIRST_OPEN = 1.0  # s from the start of backends until clients are admitted, ready or not
 
 
 class Prepared(msgspec.Struct, frozen=True):
-    """A configuration whose every table was decoded, and the plugins that it names."""
+    """A decoded configuration, and the plugins that it names."""
 
     config: GatewayConfig
     plugins: Plugins
@@ -58,7 +58,7 @@ class Prepared(msgspec.Struct, frozen=True):
 
 
 class Reloading:
-    """What reloads of one gateway share, so that they are applied in order."""
+    """The shared state of a gateway's reloads, which are applied in order."""
 
     def __init__(self) -> None:
         self.lock = asyncio.Lock()
@@ -67,7 +67,7 @@ class Reloading:
 
 
 class Server(msgspec.Struct, frozen=True):
-    """A gateway that is up."""
+    """A running gateway."""
 
     kernel: Kernel
     client_api: ClientApi
@@ -235,7 +235,7 @@ def start_backend(server: Server, prepared: Prepared, config: BackendConfig, tab
 
 
 async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
-    """Close one backend, within a bound, and take what it declared out of the tree."""
+    """Close one backend, within a bound, and remove its resources from the tree."""
     supervisor.close()
     task = server.tasks.pop(supervisor.name, None)
     if task is not None:
@@ -244,7 +244,7 @@ async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
             log.error("backend_does_not_close", backend=supervisor.name)
             task.cancel()
     for entry in supervisor.entries.values():
-        server.kernel.deadman.begin(entry)  # there is nobody left to be told to stop
+        server.kernel.deadman.begin(entry)  # nothing is left that could stop it later
     supervisor.withdraw(*list(supervisor.entries))
     if supervisor in server.supervisors:
         server.supervisors.remove(supervisor)
@@ -267,7 +267,7 @@ def _cancel_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None
 
 
 async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
-    """Bring backends to rest that the gateway goes on without, then close them."""
+    """Bring removed backends to rest, then close them."""
     for supervisor in supervisors:
         supervisor.retire()
     _cancel_writes(server.kernel, supervisors)

@@ -37,7 +37,7 @@ from rcp_kernel.tree.registry import Registry
 __all__ = ["StatusReport"]
 
 _LAG_PERIOD = 0.5  # s
-_PART = 50  # resources whose metrics are written in one step
+_PART = 50  # resources whose metrics are written per step
 
 
 class StatusReport:
@@ -114,7 +114,7 @@ class StatusReport:
         return all(state in ("ready", "degraded") for state in states.values()), states
 
     def plain(self, rights: Rights | None = None) -> dict[str, Any]:
-        """Write the report as far as it concerns the tenants of somebody, or all of it."""
+        """Return the report, limited to the tenants of a principal, or all of it."""
         every = rights is None or "*" in rights.tenants
         tenants = ("*",) if rights is None else rights.tenants
         supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
@@ -179,7 +179,7 @@ class StatusReport:
         return sight.names_hidden(supervisor.tenant, supervisor.name, text)
 
     def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
-        """Describe a backend without what somebody may not know to be there."""
+        """Describe a backend without anything hidden from the principal."""
         facts = supervisor.plain()
         if rights is None:
             return facts
@@ -193,7 +193,7 @@ class StatusReport:
         return facts
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
-        """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
+        """Return whether a log record is of a principal's tenants and names nothing hidden."""
         if rights is None:
             return True
         if "*" not in rights.tenants and self.tenant_of(record) not in rights.tenants:
@@ -273,7 +273,7 @@ class StatusReport:
     # -- Prometheus ----------------------------------------------------------------------------
 
     def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
-        """Write the exposition for somebody, in steps."""
+        """Write the exposition for a principal, in steps."""
         return self.metrics.exposition(self._families(rights))
 
     def _families(self, rights: Rights) -> Iterable[Metric]:
@@ -394,7 +394,7 @@ def _conflated(subscriptions: Iterable[Subscription]) -> int:
 
 
 def _part(facts: dict[str, Any]) -> dict[str, Any]:
-    """Tell of a transport or adapter what is no other tenant's business."""
+    """Return the facts of a transport or adapter without those of other tenants."""
     return {key: facts[key] for key in ("name", "state") if key in facts}
 
 
@@ -406,5 +406,5 @@ def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], floa
 
 
 def _backend(facts: dict[str, Any]) -> str:
-    """Return the backend that a log record names: of one of its robots, what stands before it."""
+    """Return the backend that a log record names; for one of its robots, the part before it."""
     return str(facts.get("backend", "")).partition("/")[0]

@@ -95,13 +95,13 @@ class BackendSupervisor:
         self.samples = 0
         self.faults = 0
         self.plans: dict[str, StopPlan] = {}
-        """What stops its robots without the gateway, by name."""
+        """The mechanisms that stop its robots without the gateway, by name."""
         self.plans_changed = 0
-        """How often they have changed."""
+        """Number of changes of these."""
         self._units: dict[str, StopGroup] = {}
         self._recoveries: dict[StopGroup, asyncio.Task[None]] = {}
         self._cut_off: list[Command] = []
-        """Commands that an earlier gateway began, of which the policy is not told yet."""
+        """Commands of an earlier gateway whose loss policy has not been reported yet."""
         self.whole = StopGroup(self, self._latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
@@ -121,7 +121,7 @@ class BackendSupervisor:
         return self._backend if self.state in ("ready", "degraded", "closing") else None
 
     def unit(self, robot: str | None) -> StopGroup:
-        """Return what an e-stop stops: one of the backend's robots, or all of them."""
+        """Return a stop group: one of the backend's robots, or all of them."""
         if robot is None:
             return self.whole
         unit = self._units.get(robot)
@@ -133,7 +133,7 @@ class BackendSupervisor:
 
     @property
     def on_loss(self) -> str:
-        """What becomes of a robot whose command was lost with its link."""
+        """The policy for a robot whose command was lost with its link."""
         return self._on_loss
 
     @property
@@ -173,7 +173,7 @@ class BackendSupervisor:
                 self._find_lost(entry)
 
     def _offer_hold(self, unit: StopGroup) -> None:
-        """Give a robot that moves the verb that brings it to rest, unless it has one of its own."""
+        """Add the hold service to a robot that moves, unless it has its own."""
         name = _hold_name(unit.robot)
         if name in self.entries:
             return
@@ -199,7 +199,7 @@ class BackendSupervisor:
             self._regain(entry.unit)
 
     def _tell_cut_off(self) -> None:
-        """Add to the errors of those commands what becomes of the robot, once that is known."""
+        """Add the loss policy to the errors of those commands, once it is known."""
         if self.backend is None:
             return
         for command in self._cut_off:
@@ -208,7 +208,7 @@ class BackendSupervisor:
         self._cut_off.clear()
 
     def withdraw(self, *names: str) -> None:
-        """Take resources out of the tree; commands that run on them end."""
+        """Remove resources from the tree; their running commands end."""
         for name in names:
             entry = self.entries.pop(name, None)
             if entry is not None:
@@ -276,14 +276,14 @@ class BackendSupervisor:
         return self.unit(robot).latch is not None
 
     def guard(self, name: str, plan: StopPlan | None) -> None:
-        """Keep what the guard process is to send."""
+        """Store a plan for the guard process."""
         self.plans.pop(name, None)
         if plan is not None:
             self.plans[name] = plan
         self.plans_changed += 1
 
     def discovering(self, *, active: bool) -> None:
-        """Note whether an open backend still looks for what it has."""
+        """Record whether an open backend is still discovering resources."""
         self._discovering = active
         self._note_growth()
 
@@ -342,7 +342,7 @@ class BackendSupervisor:
         self._backend = None
 
     def _regain(self, unit: StopGroup) -> None:
-        """Stop a latched robot that is there again; else settle what it was left with."""
+        """Stop a latched robot that is available again; otherwise settle its lost commands."""
         if self.backend is None:
             return
         if unit.latch is not None:
@@ -396,7 +396,7 @@ class BackendSupervisor:
             self._commands.interrupt(entry.path, error)
 
     def _note_growth(self) -> None:
-        """Have paths that are not there answered by whether they may come."""
+        """Update whether requests for missing paths should be refused as retryable."""
         opens = self.state in _OPENS or (self.state == "down" and self._backend is None)
         looks = self._discovering and self._backend is not None
         growing = not self._closing.is_set() and (opens or looks)
@@ -422,7 +422,7 @@ class BackendSupervisor:
         self._interrupt("it was removed from the configuration")
 
     def close(self) -> None:
-        """Have `run` end; the backend is closed by leaving its context."""
+        """Make `run` end; leaving its context closes the backend."""
         if self.state in ("ready", "degraded"):
             self._enter("closing", None)
         self._closing.set()

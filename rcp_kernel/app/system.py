@@ -93,12 +93,13 @@ class System(BaseBackend):
             "/system/commands": self._list_commands,
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
         }
-        """Resources whose value depends on who asks, by path."""
+        """Resources whose value depends on the reader, by path."""
         self.filters: dict[str, Filter] = {_LOG: self._shown}
-        """Resources of whose samples everybody sees their own only, and what they see of them: by
-        path, what returns None for a sample that is hidden."""
+        """Filters of resources of whose samples each reader sees only its own, by path; a filter
+        returns
+        None for a hidden sample."""
         self.services: dict[str, Service] = {}
-        """What else of the gateway's own branch can be executed, by path."""
+        """Other executable resources of `/system`, by path."""
         for one in features:
             self._add(one)
         changes.on_change.append(self._changed)
@@ -137,7 +138,7 @@ class System(BaseBackend):
         self.entries[path].publish(value, None)
 
     def _publish(self, name: str, value: Any) -> None:
-        """Say that a view has changed."""
+        """Notify subscribers that a view has changed."""
         self.entries["/system/" + name].publish(value, None)
 
     def _estop_changed(self) -> None:
@@ -164,14 +165,14 @@ class System(BaseBackend):
         return []
 
     def unavailable(self) -> RcpError:
-        """Never asked for."""
+        """Never called."""
         return UnknownPath("the gateway is closing")
 
     def fault(self, detail: str) -> None:
         """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
 
     def _logged(self, record: dict[str, Any]) -> None:
-        # Warnings come from any thread.
+        # Warnings may come from any thread.
         loop = self._loop
         if not loop.is_closed():
             loop.call_soon_threadsafe(self._publish_record, record)
@@ -180,13 +181,13 @@ class System(BaseBackend):
         self.entries[_LOG].publish(record | {"tenant": self._status.tenant_of(record)}, None)
 
     def _shown(self, session: Session, record: LogRecord) -> LogRecord | None:
-        """Return a log record that is of a session's tenants, and of what it may see there."""
+        """Return a log record of a session's tenants, as far as the session may see it."""
         plain = {"message": record.message, "facts": record.facts}
         return record if self._status.concerns(plain, session.rights) else None
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
-        """Publish what has to be looked at to be known, while somebody watches it."""
+        """Publish values that must be polled, while a client subscribes."""
         if name not in _POLLED:
             yield
             return
@@ -197,7 +198,7 @@ class System(BaseBackend):
             task.cancel()
 
     async def _repeat(self, name: str, period: float) -> None:
-        """Say again and again that a view may have changed; each subscriber's is its own."""
+        """Notify periodically that a view may have changed; each subscriber has its own."""
         entry = self.entries["/system/" + name.partition("/")[2]]
         while True:
             entry.publish([] if name != "sensor/status" else {}, None)
@@ -222,7 +223,7 @@ class System(BaseBackend):
         return (command and command.listed for command in self._access.judged(session))
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """What is executable here is done before it gets this far."""
+        """Never called: these resources are executed before."""
         raise UnknownPath(f"{name} cannot be executed")
 
 

@@ -1,1 +1,1 @@
-"""The configuration file: its tables, their types and defaults, and what is wrong with one."""
+"""The configuration file: its tables with types and defaults, and their validation."""

@@ -1,7 +1,7 @@
-"""One TOML file, decoded strictly: a wrong key or type is an error with file, table and way out.
+"""The TOML configuration file, decoded strictly: errors name file, table and remedy.
 
-Each plugin's table is decoded by the type that the plugin declares, so that no plugin parses.
-`${NAME}` in a text is taken from the environment, for secrets.
+Each plugin's table is decoded as the type that the plugin declares, so that no plugin parses.
+`${NAME}` in a string is replaced from the environment, for secrets.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class TenantConfig(Table, frozen=True):
-    """A tenant; one that only stands in `[[backends]]` needs no table of its own."""
+    """A tenant; one that is named only in `[[backends]]` needs no table."""
 
     description: str = ""
     quota: dict[str, Any] | None = None
@@ -88,7 +88,7 @@ class LogConfig(Table, frozen=True):
 
 
 class StoreConfig(Table, frozen=True):
-    """Where everything that survives is kept; without a path only in memory."""
+    """The location of the store; without a path, everything is in memory only."""
 
     path: str | None = None
 
@@ -128,7 +128,7 @@ class GatewayConfig(Table, frozen=True):
 
     @property
     def used_features(self) -> frozenset[str]:
-        """The features without which this configuration would not do what it says."""
+        """The features that this configuration requires."""
         used = set(self.features) & set(self.active_features)
         if any(role.approve for role in self.roles.values()):
             used.add("approvals")
@@ -154,11 +154,11 @@ class GatewayConfig(Table, frozen=True):
 
     @property
     def serves(self) -> bool:
-        """Whether somebody who proves something by the tables of the kernel may do anything."""
+        """Whether the kernel's own tables authenticate any principal with rights."""
         return any(self._allows(given) for given in (*self.keys, *self.certificates))
 
     def acts(self, roles: Iterable[str]) -> bool:
-        """Tell whether any of some roles lets something be written or executed at a robot."""
+        """Return whether any of the roles allows writes or executes on a robot."""
         known = {**BUILTIN_ROLES, **self.roles}
         change = Operation.WRITE | Operation.EXECUTE
         rules = [rule for role in roles if role in known for rule in known[role].allow]
@@ -185,7 +185,7 @@ class GatewayConfig(Table, frozen=True):
 def load(path: Path) -> GatewayConfig:
     """Read a configuration file.
 
-    :raises ConfigError: it is not there, not TOML, or says something that is not allowed.
+    :raises ConfigError: it does not exist, is not TOML, or is invalid.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -247,7 +247,7 @@ def _split(table: Any, place: int, source: str) -> dict[str, Any]:
 
 
 class _Secret(str):
-    """A text that came from the environment, or stands where secrets do: errors do not show it."""
+    """A string from the environment, or in a place for secrets: not shown in errors."""
 
     __slots__ = ()
 
@@ -275,7 +275,7 @@ def _with_secrets(node: Any, source: str, where: str) -> Any:
 
 
 _DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
-"""Keys of tables, the kernel's or a plugin's, whose texts are secrets by their name."""
+"""Keys of tables, of the kernel or plugins, whose values are secrets by name."""
 
 
 def decode_table(raw: Any, type_: type[Any], where: str) -> Any:

@@ -1,4 +1,4 @@
-"""`[[keys]]`, `[[certificates]]`, `[anonymous]`: who may prove what, and which roles it gives."""
+"""`[[keys]]`, `[[certificates]]`, `[anonymous]`: credentials and the roles they grant."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class KeyConfig(Granting, frozen=True, kw_only=True):
 
 
 class CertificateConfig(Granting, frozen=True, kw_only=True):
-    """Client certificates and whom they prove; the first table that fits counts."""
+    """Client certificates and their principals; the first matching table applies."""
 
     name: str
     subject: Annotated[str, Meta(min_length=1)] | None = None
@@ -69,7 +69,7 @@ class CertificateConfig(Granting, frozen=True, kw_only=True):
 
 
 class Anonymous(Granting, frozen=True):
-    """What those may do who prove nothing; `anonymous = false` refuses them."""
+    """The roles of anonymous clients; `anonymous = false` refuses them."""
 
     role: str | tuple[str, ...] | None = "viewer"
 
@@ -93,9 +93,9 @@ def instant(text: str) -> int:
 def check_grants(
     grants: Grants, where: str, tenants: Iterable[str], roles: dict[str, Role]
 ) -> None:
-    """Make sure that there are the tenants and roles that are given.
+    """Check that the tenants and roles of grants exist.
 
-    :raises ConfigError: one is not there.
+    :raises ConfigError: one does not exist.
     """
     there = list(tenants)
     for tenant, held in grants:
@@ -121,9 +121,9 @@ def check_identity(
     certificates: Iterable[CertificateConfig],
     source: str,
 ) -> list[tuple[Granting, str]]:
-    """Check the tables of proofs; return all that give roles, each with where it stands.
+    """Check the tables of credentials; return those that grant roles, each with its location.
 
-    :raises ConfigError: one of them does not say what it needs to.
+    :raises ConfigError: one of them is incomplete.
     """
     found: list[tuple[Granting, str]] = []
     for key in keys:
@@ -147,9 +147,9 @@ def check_identity(
 
 
 def needs_role(given: Granting, where: str) -> None:
-    """Make sure that a table gives a role.
+    """Check that a table grants a role.
 
-    :raises ConfigError: it gives none.
+    :raises ConfigError: it grants none.
     """
     if not given.roles and given.role is None:
         raise ConfigError(f"{where} needs a `role`, or `roles` by tenant")

@@ -1,4 +1,4 @@
-"""`[limits]`: what the gateway takes of one client, and of all of them."""
+"""`[limits]`: what the gateway accepts from one client, and from all of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What must be true of `[roles.<name>]`."""
+"""Validation of `[roles.<name>]`."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def _check(rule: Rule, where: str, *, deny: bool) -> None:
 
 
 def check_pattern(path: str, where: str) -> None:
-    """Refuse what is no pattern.
+    """Check a pattern.
 
-    :raises ConfigError: it is none.
+    :raises ConfigError: it is not valid.
     """
     try:
         if not path.startswith("/"):

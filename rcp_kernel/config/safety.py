@@ -1,4 +1,4 @@
-"""`[safety]`: what holds for everybody who commands a robot."""
+"""`[safety]`: settings for all commands to robots."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     lease_ttl_max: Annotated[float, Meta(gt=0)] = 300.0
     """Maximum duration of a lease."""
     approval_ttl: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
-    """How long a command can be approved and then sent."""
+    """Time in s for which an approval can be decided and used."""
     guard: bool = True
     """Whether the guard process stops the robots when the gateway's event loop is blocked."""
     guard_after: Annotated[float, Meta(ge=0.1, le=10)] = 0.5
-    """How long the event loop may be blocked while something may move."""
+    """Time in s for which the event loop may be blocked while something may move."""
     guard_bound: Annotated[float, Meta(ge=1, le=3600)] = 10.0
     """Maximum time for which the guard sends stops."""
     groups: dict[str, tuple[str, ...]] = {}

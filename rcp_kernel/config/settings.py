@@ -1,4 +1,4 @@
-"""The configuration in force: what a reload replaces while everything else goes on."""
+"""The current configuration, replaced by a reload at run time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Settings"]
 
 
 class Settings:
-    """Holds the present configuration, for parts that follow it without being told."""
+    """Holds the current configuration, for parts that read it on use."""
 
     __slots__ = ("config", "limits")
 

@@ -1,1 +1,1 @@
-"""What a client, a robot and the gateway agree about, and what needs nothing of the gateway."""
+"""Definitions shared by all parts of the gateway, which depend on none of them."""

@@ -34,12 +34,12 @@ def bounded(value: Any) -> Any:
 
 
 def hashed(data: bytes) -> dict[str, Any]:
-    """Return what tells of bytes without holding them: their length and hash."""
+    """Return the length and hash of data, in place of the data."""
     return {"length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
 def hashing(data: bytes) -> Generator[None, None, dict[str, Any]]:
-    """Do as `hashed` does, in steps."""
+    """Compute `hashed` in steps."""
     digest, whole = hashlib.sha256(), memoryview(data)
     for start in range(0, len(data), _PIECE):
         digest.update(whole[start : start + _PIECE])

@@ -1,4 +1,4 @@
-"""What happens in the gateway, told to whoever records it or acts on it."""
+"""Events of the gateway, for features that record them or react to them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Acting(Protocol):
 
     @property
     def transport(self) -> str | None:
-        """How its client is connected."""
+        """The transport of its client."""
         ...
 
 
@@ -40,17 +40,18 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     """Who did it; None for the gateway itself, and for those who proved nothing."""
     session: Acting | None = None
     request: Request | None = None
-    """The envelope that asked for it."""
+    """The envelope that caused it."""
     hide: bool = False
-    """Whether the value of the request belongs to other paths, so that only its hash may be told."""
+    """Whether the value of the request belongs to other paths, so that only its hash may be
+    shown."""
     tenant: str | None = None
     path: str | None = None
     touches: Iterable[str] | None = None
     """All paths that it is about, where these are several."""
     outcome: str = "ok"
-    """`ok`, the code of an error, or what was reached."""
+    """`ok`, an error code, or the state reached."""
     facts: Mapping[str, Any] = {}
-    """What else is to be told of it; some may be None."""
+    """Further facts; some may be None."""
 
 
 Hear = Callable[[Event], bool | None]
@@ -58,7 +59,7 @@ Hear = Callable[[Event], bool | None]
 
 
 class EventBus:
-    """Tells each event to all who listen; costs nothing where nobody does."""
+    """Passes each event to all listeners; costs nothing without any."""
 
     def __init__(self) -> None:
         self.on_event: list[Hear] = []
@@ -99,6 +100,6 @@ class EventBus:
     def tell(self, event: Event) -> bool:
         """Tell of an event; return whether replies about it should wait."""
         wait = False
-        for listener in self.on_event:  # all of them hear of it
+        for listener in self.on_event:  # every listener gets the event
             wait = bool(listener(event)) or wait
         return wait

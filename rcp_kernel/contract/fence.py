@@ -1,9 +1,10 @@
-"""A fence between what was admitted before a stop and the robot.
+"""A fence that keeps commands admitted before a stop from reaching the robot after it.
 
 The kernel runs each write and command under a permit, a context variable that tasks and timers
-inherit. A stop revokes the permits of its robot. Whatever a backend sends to move something asks
-`check_fence` first, so that the clean-up of a cancelled action cannot overtake the stop, in
-whatever order the two run. A stop itself runs under no permit and always passes.
+inherit. A stop revokes the permits of its robot. Backends call `check_fence` before they send
+anything that moves, so that the clean-up of a cancelled action cannot overtake the stop, in
+whatever
+order the two run. A stop itself runs under no permit and always passes.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ __all__ = ["Fenced", "check_fence", "fenced_off", "permit", "permitted", "unfenc
 
 
 class Fenced(Protocol):
-    """What is stopped as one: it counts its stops."""
+    """A unit that is stopped as a whole and counts its stops."""
 
     name: str
 
     @property
     def stops(self) -> int:
-        """How many stops it has had."""
+        """The number of stops so far."""
         ...
 
 
@@ -33,7 +34,7 @@ _permit: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", defaul
 
 
 class permitted:  # noqa: N801 - used as a function is
-    """Run what is inside under a permit that the next stop of `unit` revokes.
+    """Run the body under a permit that the next stop of `unit` revokes.
 
     `stops` is the unit's count when the request was admitted.
     """
@@ -51,13 +52,13 @@ class permitted:  # noqa: N801 - used as a function is
 
 
 def permit(unit: Fenced, stops: int) -> None:
-    """Have the rest of the present task run under such a permit."""
+    """Put the rest of the current task under such a permit."""
     _permit.set((unit, stops))
 
 
 @contextmanager
 def unfenced() -> Generator[None]:
-    """Run what is inside under no permit: a stop, or work that outlives the request that began it."""
+    """Run the body without a permit: a stop, or work that outlives its request."""
     token = _permit.set(None)
     try:
         yield
@@ -72,9 +73,9 @@ def fenced_off() -> bool:
 
 
 def check_fence() -> None:
-    """Refuse to move anything on behalf of what was admitted before a stop.
+    """Refuse to move anything for a request admitted before a stop.
 
-    :raises EstopActive: the robot was stopped since.
+    :raises EstopActive: the robot has been stopped since.
     """
     if fenced_off():
         permit = _permit.get()

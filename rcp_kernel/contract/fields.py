@@ -23,7 +23,7 @@ _WORDS = (mi.StrType, mi.EnumType, mi.LiteralType, mi.BoolType, mi.IntType, mi.A
 
 
 class Leaf(msgspec.Struct, frozen=True):
-    """What a type says of a field."""
+    """The facts of a field's type."""
 
     number: bool
     """It can be a number."""
@@ -43,19 +43,19 @@ class Field:
         self.several = "*" in self._steps
 
     def one(self, value: Any) -> Any:
-        """Return what a field without `*` holds; None where there is nothing."""
+        """Return the value of a field without `*`; None if it is missing."""
         for step in self._steps:
             value = _into(value, step)
         return value
 
     def every(self, value: Any) -> Iterable[tuple[str, Any]]:
-        """Return every place that the field stands for with what it holds, None for nothing."""
+        """Yield every position that the field matches with its value, None if missing."""
         if not self.several:
             return ((self.text, self.one(value)),)
         return _walk(value, self._steps, ())
 
     def leaf(self, type_: Any) -> Leaf | None:
-        """Return what a type says of the field, or None if it has no such field."""
+        """Return the type's facts of the field, or None if it has no such field."""
         found = [mi.type_info(type_)]
         for step in self._steps:
             found = [child for info in found for child in _children(info, step)]
@@ -130,7 +130,7 @@ def _children(info: mi.Type, step: str) -> list[mi.Type]:
 
 
 def _bare(info: mi.Type, unit: str | None = None) -> Iterator[tuple[mi.Type, str | None]]:
-    """Go through what a field may be, beside nothing, with its unit."""
+    """Iterate over the possible types of a field, except null, with its unit."""
     match info:
         case mi.Metadata():
             yield from _bare(info.type, facts_of(info).get("unit", unit))

@@ -8,10 +8,10 @@ __all__ = ["HeldRequest"]
 
 
 class HeldRequest(Request, kw_only=True):
-    """A request of an adapter's making, which no client can send as such.
+    """A request created by an adapter, which no client can send as such.
 
-    An e-stop since then refuses an action of the gateway's own that is about the stopped robot.
+    An e-stop after its arrival refuses an action of the gateway that affects the stopped robot.
     """
 
     since: float
-    """When it came in, by `time.monotonic()`."""
+    """Time of arrival, by `time.monotonic()`."""

@@ -1,4 +1,4 @@
-"""Who asks: principals, and the keys that prove them."""
+"""Principals, and the keys that prove them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rcp_kernel.errors import TokenExpired
 __all__ = ["Grants", "Keyring", "Principal", "check_time", "fingerprint", "granted", "same"]
 
 _HOUSE = ("key", "token", "certificate")
-"""Proofs whose names the operator gives, so that alike names mean one person."""
+"""Proofs whose names the operator assigns, so that equal names mean the same person."""
 
 
 Grants = tuple[tuple[str, tuple[str, ...]], ...]
@@ -33,9 +33,10 @@ class Principal(msgspec.Struct, frozen=True):
     grants: Grants
     """The first tenant resolves its relative paths."""
     proof: str = "none"
-    """`none`, `key`, `token`, `certificate`, `jwt <issuer>`, or what a plugin's authenticator says."""
+    """`none`, `key`, `token`, `certificate`, `jwt <issuer>`, or the name of a plugin's
+    authenticator."""
     credential: str | None = None
-    """Hash of what proved it; never shown to anybody."""
+    """Hash of the credential; never shown to clients."""
     expires: int | None = None
     """When the proof is not good any more, ns since the UNIX epoch; None: it stays good."""
 
@@ -51,7 +52,7 @@ class Principal(msgspec.Struct, frozen=True):
 
     @property
     def identity(self) -> tuple[str, str]:
-        """What tells it from others: a name proved in another way is somebody else's."""
+        """The identity: a name proved in another way is a different principal."""
         return self.name, self.proof
 
     @property
@@ -72,9 +73,10 @@ class Keyring:
         self._principals = principals
 
     def proves(self, digest: str) -> Principal | None:
-        """Return what the secret of a hash proves now, or None if it proves nothing (any more).
+        """Return the principal proved by the secret with this hash; None if there is none.
 
-        What a look-up's time could tell is about a hash, from which no secret can be had.
+        The look-up time can reveal only something about the hash, from which no secret can be
+        derived.
         """
         found = self._principals.get(digest)
         if found is None or not hmac.compare_digest(found.credential or "", digest):
@@ -92,9 +94,9 @@ def _voucher(principal: Principal) -> str:
 
 
 def check_time(principal: Principal, moment: int) -> Principal:
-    """Return a principal whose time is not over.
+    """Check that a principal has not expired, and return it.
 
-    :raises TokenExpired: it is.
+    :raises TokenExpired: it has expired.
     """
     if principal.expires is not None and principal.expires <= moment:
         raise TokenExpired("the credentials have expired")

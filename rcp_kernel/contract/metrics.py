@@ -43,7 +43,7 @@ class Histogram:
 def counter(
     name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]
 ) -> Metric:
-    """Make a counter family of rows of label values and count."""
+    """Return a counter family, from rows of label values and count."""
     family = CounterMetricFamily(name, text, labels=labels)
     for values, count in rows:
         family.add_metric(values, count)
@@ -53,7 +53,7 @@ def counter(
 def gauge(
     name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]
 ) -> Metric:
-    """Make a gauge family of rows of label values and value."""
+    """Return a gauge family, from rows of label values and value."""
     family = GaugeMetricFamily(name, text, labels=labels)
     for values, value in rows:
         family.add_metric(values, value)
@@ -63,7 +63,7 @@ def gauge(
 def histogram(
     name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], Histogram]]
 ) -> Metric:
-    """Make a histogram family of rows of label values and histogram."""
+    """Return a histogram family, from rows of label values and histogram."""
     family = HistogramMetricFamily(name, text, labels=labels)
     for values, found in rows:
         below = 0
@@ -84,7 +84,7 @@ class _Single(Collector):
 
 
 class Metrics:
-    """What `/metrics` answers: the process's own families, and the gateway's."""
+    """The metrics of the process and of the gateway, for `/metrics`."""
 
     def __init__(self) -> None:
         registry = CollectorRegistry(auto_describe=False)
@@ -97,7 +97,7 @@ class Metrics:
     def exposition(self, families: Iterable[Metric]) -> Generator[None, None, bytes]:
         """Write the exposition, text format 0.0.4, in steps: one for each family.
 
-        A long family comes in parts, one behind the other.
+        A long family is written in several parts.
         """
         written: list[bytes] = []
         last = ""

@@ -1,4 +1,4 @@
-"""The other end of a connection, as far as the transport knows it without being told."""
+"""The other end of a connection, as the transport knows it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Peer(msgspec.Struct, frozen=True):
     """Who is at the other end."""
 
     address: str | None = None
-    """IP address of who is connected, which is the proxy's where there is one."""
+    """IP address of the client, or of the proxy in between."""
     certificate: Certificate | None = None
 
 

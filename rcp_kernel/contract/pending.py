@@ -1,4 +1,4 @@
-"""A request that is answered later: exactly one final reply, inside its deadline, whatever happens."""
+"""A request that is answered later: exactly one final reply, within its deadline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Settle = Callable[[Any, RcpError | None], None]
 
 
 def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
-    """Turn an exception that nobody expected into the error a client may see, and log the rest."""
+    """Convert an unexpected exception to the error that a client may see, and log the rest."""
     if isinstance(error, RcpError):
         return error
     if isinstance(error, (ConnectionError, TimeoutError)):
@@ -37,7 +37,7 @@ def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
 
 
 def attribute_error(error: Exception, origin: str, path: str) -> RcpError:
-    """Turn what a backend raised, and no client may see, into an error that says whose it is."""
+    """Convert a backend's confidential exception to an error that names the backend."""
     internal = to_internal_error(error, backend=origin, path=path)
     internal.origin = origin
     return internal
@@ -68,7 +68,7 @@ class Pending:
         self._timer = loop.call_later(timeout, self._expire)
 
     def start(self) -> None:
-        """Have the coroutine run, unless it is too late for that."""
+        """Run the coroutine, unless the deadline has passed."""
         if self._settle is None:
             self._work.close()
             return

@@ -11,10 +11,10 @@ __all__ = ["Prepared"]
 
 
 class Prepared(Request):
-    """A request that gives its body away without decoding it again; it never comes off the wire."""
+    """A request whose body is already decoded; it never comes off the wire."""
 
     type_of_body: ValueType
-    """By what the body was decoded."""
+    """The type used to decode the body."""
     outcome: Any
     """Its value, or the error that decoding ended with."""
     told: dict[str, Any]

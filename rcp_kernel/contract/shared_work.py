@@ -1,4 +1,4 @@
-"""What several ask for at once is done once: whoever asks for the same meanwhile shares it."""
+"""Deduplication of concurrent work: requests for the same result share one run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 
 
 class SharedWork(Generic[Result]):
-    """Work under way, by what tells it from other work."""
+    """Work in progress, by key."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -21,9 +21,9 @@ class SharedWork(Generic[Result]):
     async def result(
         self, key: Hashable, begin: Callable[[], Coroutine[Any, Any, Result]]
     ) -> Result:
-        """Return what the work under way for a key comes to; begin it if there is none.
+        """Return the result of the work in progress for a key; start it if there is none.
 
-        It goes on when one of those who wait for it gives up.
+        It continues if one of its waiters gives up.
         """
         task = self._under_way.get(key)
         if task is None:

@@ -1,4 +1,4 @@
-"""Whether the gateway is on its way down."""
+"""Whether the gateway is shutting down."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Shutdown:
         self.begun = False
 
     def begin(self) -> None:
-        """Have everything refused that would change something."""
+        """Refuse all further changes."""
         self.begun = True
 
     def check(self) -> None:
-        """Refuse what would change something while the robots are brought to rest.
+        """Refuse a change while the robots are brought to rest.
 
         :raises AdapterUnavailable: the gateway is closing.
         """

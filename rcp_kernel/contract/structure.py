@@ -1,7 +1,8 @@
-"""How many values a message holds, counted before anything is made of them.
+"""The number of values in a message, counted before it is decoded.
 
-The cost of a message grows with its values, not with its bytes: 16 MB may be one image or five
-million lists. It is counted in steps, so that not even the counting holds the event loop.
+The cost of a message depends on its values, not on its bytes: 16 MB may be one image or five
+million
+lists. Counting runs in steps, so that it does not block the event loop either.
 """
 
 from __future__ import annotations
@@ -19,16 +20,18 @@ _TEXT = 3  # numbers that cost as much as one text
 _NEST = 9  # or as one list or map, or an integer that JSON carries as a text
 _CBOR = 4  # of them cost as much as one in CBOR, which is translated into MessagePack
 _STEP = 65_536  # bytes of JSON in one step
-_TOKENS = 1024  # of the other encodings, which are looked at one by one
+_TOKENS = 1024  # tokens per step, for encodings that are scanned one by one
 _DIGITS = bytes.maketrans(b"0123456789-:[ \t\r\n", b"0" * 10 + b"," * 7)
 _WIDE = b"," + b"0" * 16
 _DROPPED = bytes(set(range(256)) - set(b',[{"'))
 
 
 def check_structure(data: bytes, encoding: Encoding, limit: int) -> Work:
-    """Refuse a message of more values than `limit`; a text counts for 3 of them, a list for 9.
+    """Refuse a message with more values than `limit`; a string counts as 3, a list as 9.
 
-    An integer of more than 15 digits counts for 9 too. In CBOR everything counts fourfold. A malformed message may pass: decoding it tells why.
+    An integer of more than 15 digits also counts as 9. In CBOR everything counts fourfold. A
+    malformed
+    message may pass: decoding it reports the error.
 
     :raises PayloadTooLarge: it has more.
     """
@@ -75,13 +78,13 @@ def _json(data: bytes) -> Generator[int]:
 
 
 Token = tuple[int, int, int]
-"""What a token counts, the bytes that follow its first one, and how many tell of yet more."""
+"""Weight of a token, number of bytes after the first, and number of those that give a length."""
 
 
 def _tokens(data: bytes, kinds: list[Token], nests: bytes) -> Generator[int]:
-    """Count the tokens of an encoding in which the first byte of each tells what it is.
+    """Count the tokens of an encoding in which the first byte defines each token.
 
-    It ends where nothing but lists in lists follows: no decoder goes that deep, or past it.
+    Ends where only nested lists follow: no decoder accepts that depth.
     """
     place, end = 0, len(data)
     while place < end:
@@ -141,7 +144,7 @@ def _cbor_token(lead: int) -> Token:
 
 
 _MSGPACK_NESTS = bytes((*range(0x81, 0x90), *range(0x91, 0xA0)))
-"""First bytes of lists and maps that are not empty, and that tell their size themselves."""
+"""First bytes of non-empty lists and maps that contain their own size."""
 _CBOR_NESTS = bytes((*range(0x81, 0x98), *range(0xA1, 0xB8)))
 _MSGPACK = [_msgpack_token(lead) for lead in range(256)]
 _CBOR_TOKENS = [_cbor_token(lead) for lead in range(256)]

@@ -11,7 +11,7 @@ __all__ = ["Timers"]
 
 
 class Timers:
-    """What is to be called later."""
+    """Scheduled callbacks."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -19,7 +19,8 @@ class Timers:
         self._count = itertools.count()
         self._alarm: asyncio.Handle | None = None
         self._rings = 0.0
-        """When the alarm goes off: uvloop's does not say, where that is less than half a millisecond away."""
+        """Time of the next alarm: uvloop does not report it if it is less than half a
+        millisecond away."""
 
     def later(self, delay: float, function: Callable[[], None]) -> None:
         """Call a function after `delay` seconds; one timer serves all."""

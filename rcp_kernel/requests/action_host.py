@@ -1,4 +1,4 @@
-"""What the gateway's long-running actions receive of the gateway."""
+"""The gateway's interface for long-running actions of features."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class GatewayActionHost:
         return any(path in paths for paths in self._personal)
 
     def check_read(self, options: Any) -> None:
-        """Refuse what is no body of a `read`."""
+        """Validate the body of a `read`."""
         READ_OPTIONS.decode(dump(options, Encoding.JSON), Encoding.JSON, "read")
 
     def foresee(
@@ -95,18 +95,18 @@ class GatewayActionHost:
 
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""
-        # Not by its id: the reply that tells it may wait for its record.
+        # Not by its id: the reply that contains it may wait for its record.
         running = self._journal.running.values()
         return next((c for c in running if c.custom is request.custom), None)
 
     def disown(self, session: Session, id_: str) -> None:
-        """Have a client that comes back not told of a command."""
+        """Do not report a command to a resuming client."""
         command = self._journal.find(id_)
         if command is not None and command.entry is not None and command.entry.resource.outlives:
             session.commands.pop(id_, None)
 
     async def record_read(self, session: Session, request: Request, reply: Reply) -> None:
-        """Record what was read for a session; a long value by its hash."""
+        """Record a read of a session; a long value by its hash."""
         path = reply.path or request.path or ""
         body, touches = reply.body, [path]
         if "*" in path:

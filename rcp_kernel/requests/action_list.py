@@ -29,7 +29,7 @@ class ActionList:
         self._ended: WeakKeyDictionary[Command, _Shown] = WeakKeyDictionary()
 
     def view(self, session: Session) -> Iterator[Body | None]:
-        """List those that a session may see, newest first; None stands for any other command."""
+        """List the visible commands, newest first; None stands for any other command."""
         left = _LISTED
         for command in self._access.judged(session, self._path):
             yield None if command is None else self._shown(command)
@@ -47,7 +47,7 @@ class ActionList:
 
 
 class _Shown(Body):
-    """A command as the list tells of it; what has ended and is short is written once."""
+    """A command as shown in the list; finished short ones are encoded once."""
 
     __slots__ = ("__weakref__", "_action", "_command", "_written")
 

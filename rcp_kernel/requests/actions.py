@@ -21,22 +21,22 @@ from rcp_kernel.wire import Request
 
 __all__ = ["ActionHandler", "PreparedRun"]
 
-_STEP = 256  # paths that are looked at in one step
+_STEP = 256  # paths checked per step
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedRun:
-    """A checked run of an action, and what may still keep it from beginning."""
+    """A checked run of an action, and the last checks before it starts."""
 
     run: ActionRun
     waiting: WaitingCommand
     units: list[StopGroup]
-    """What an e-stop stops of all that it is about."""
+    """The stop groups of all paths it affects."""
 
     def check_stops(self) -> None:
-        """Refuse what was sent before an e-stop on a robot that it is about.
+        """Refuse a request sent before an e-stop of a robot that it affects.
 
-        :raises EstopActive: it was, whether the e-stop is latched still or not.
+        :raises EstopActive: there was one, whether or not it is still latched.
         """
         for unit in self.units:
             if unit.stopped >= self.waiting.since:
@@ -124,7 +124,7 @@ class ActionHandler:
         return list(found)
 
     def follow(self, command: Command, step: Record) -> None:
-        """Take notice of a step of one of the commands: the list of them has changed."""
+        """Handle a step of a command: the list of commands has changed."""
         if self._told:
             self._told = False
             self._loop.call_soon(self._tell)

@@ -1,7 +1,6 @@
-"""What a write or an execute must pass: once when it comes in, and again at the moment it acts.
+"""The checks that a write or execute must pass: on arrival, and again just before it is executed.
 
-Between the two a command may wait in a queue, and the world may change meanwhile. A dry run
-passes the first and ends there.
+In between, a command may be queued and the state may change. A dry run ends after the first checks.
 """
 
 from __future__ import annotations
@@ -40,15 +39,16 @@ class Admission:
         self._replies = replies
         self._shutdown = shutdown
         self._check_thaw = check_thaw
-        """Refuses what may have waited while the event loop stood still and its robot was stopped."""
+        """Refuses requests that may have waited while the event loop was blocked and the robot
+        was stopped."""
         self._every = sorted(guards, key=lambda guard: guard.slot)
         self.active: tuple[Guard, ...] = ()
-        """Those that the configuration in force needs, in the order in which they are asked."""
+        """The active guards, in order."""
         self.control: tuple[Guard, ...] = ()
-        """Those of them that decide who has control: they come first, and are asked about safe
-        values too."""
+        """The active guards that decide who has control: they come first, and also check safe
+        values."""
         self._early: tuple[Guard, ...] = ()
-        """Those of `active` that are asked before the quota."""
+        """The active guards that are called before the quota."""
         self._late: tuple[Guard, ...] = ()
         self.configure()
 
@@ -61,19 +61,20 @@ class Admission:
         self._late = self.active[len(self._early) :]
 
     def admit(self, call: Call) -> None:
-        """Refuse what may not be done now, before quotas and the last guards are asked.
+        """Refuse a call that is not allowed now, before quotas and the last guards.
 
-        :raises StaleCommand: the request is older than its path allows, or came in a freeze.
+        :raises StaleCommand: the request is older than its path allows, or was received in a
+            freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
-        :raises AlreadyRunning: the same, and its robot is being brought to rest.
+        :raises AlreadyRunning: the path moves something, and its robot is being brought to rest.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
-        :raises QueueFull: a feature could not keep what its reply confirms.
-        :raises RcpError: a guard refuses that decides who has control, or how robots may move.
+        :raises QueueFull: a feature could not store the record that its reply confirms.
+        :raises RcpError: refused by a guard for control or motion.
         """
         entry, timestamp = call.entry, call.request.timestamp
         if timestamp is not None:
             check_age(entry, timestamp)
-        if entry.is_hold:  # bringing a robot to rest is open to whoever may execute it
+        if entry.is_hold:  # everyone with the right to execute it may bring a robot to rest
             self._shutdown.check()
             return
         if entry.barred:
@@ -92,7 +93,7 @@ class Admission:
             self._ask(self._early, call)
 
     def ask(self, call: Call) -> None:
-        """Ask the guards that come last, when nothing else is in the way.
+        """Call the last guards, when nothing else refuses the call.
 
         :raises RcpError: one refuses.
         """
@@ -104,22 +105,20 @@ class Admission:
             _ask(guards, call)
 
     def check_control(self, call: Call) -> None:
-        """Refuse what must not reach its robot any more, be it to bring something to rest.
+        """Refuse a call that must no longer reach its robot, even to bring something to rest.
 
         :raises EstopActive: the path moves something, and its robot is stopped.
-        :raises RcpError: a guard refuses that decides who has control.
+        :raises RcpError: refused by a guard for control.
         """
         check_motion(call.entry)
         if self.control and call.entry.tenant is not None:
             _confirm(self.control, call)
 
     def confirm(self, call: Call) -> Backend:
-        """Return the robot that takes it, or refuse what must not reach it any more.
+        """Check a call again with the session's current rights, and return its backend.
 
-        Its session has the rights that it has by now.
-
-        :raises StaleCommand: it has become too old while it waited.
-        :raises Forbidden: its rights are not there any more, or their condition does not hold.
+        :raises StaleCommand: it has become too old while it was queued.
+        :raises Forbidden: the rights were revoked, or their condition does not hold.
         :raises EstopActive, AlreadyRunning: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises RcpError: a guard refuses.
@@ -147,10 +146,10 @@ class Admission:
 
 
 def _concerns_guards(call: Call) -> bool:
-    """Tell whether guards other than those of control are asked.
+    """Return whether guards other than those for control are called.
 
-    None keeps anybody from bringing something to rest. An action of the gateway's own passes none:
-    the requests that it sends do.
+    None may prevent bringing something to rest. An action of the gateway itself passes none: the
+    requests that it sends do.
     """
     return call.entry.tenant is not None and not call.rests
 
@@ -176,5 +175,5 @@ def _confirm(guards: Sequence[Guard], call: Call) -> None:
 
 
 def _broken(guard: Guard, call: Call, error: Exception) -> RcpError:
-    """Refuse what a guard could not decide on: its exception is in the log."""
+    """Return the refusal for a guard that failed; its exception is logged."""
     return to_internal_error(error, guard=type(guard).__module__, path=call.entry.path)

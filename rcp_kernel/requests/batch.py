@@ -36,7 +36,7 @@ __all__ = ["BatchHandler"]
 
 _ESTOP = "/system/estop"
 _LOOKS = frozenset(("read", "discover", "status"))
-"""What changes nothing, and can be sent again by itself."""
+"""Requests that change nothing and can be repeated individually."""
 
 
 class BatchHandler:
@@ -77,7 +77,7 @@ class BatchHandler:
 
 
 class _Batch:
-    """One batch: its parts, and their replies as they come."""
+    """One batch: its parts and their replies."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class _Batch:
         self._whole = whole
 
     async def run(self, turns: Turns, owner: Hashable) -> Parts:
-        """Have all parts handled; return their replies."""
+        """Handle all parts; return their replies."""
         if self._parts:
             turns.run(owner, self._begin())
             await self._whole
@@ -112,7 +112,7 @@ class _Batch:
         return replies
 
     def _begin(self) -> Generator[None]:
-        """Have the parts handled in their order, but an e-stop first."""
+        """Handle the parts in order, but an e-stop first."""
         requests: list[tuple[int, Request]] = []
         for number, data in enumerate(self._parts):
             request = self._read(number, data)
@@ -150,7 +150,7 @@ class _Batch:
             failed = failure(internal, reply.type, reply.id, reply.path, command=reply.command)
             failed.custom = reply.custom
             reply, data = failed, b""
-        # The first one is told however long it is.
+        # The first one is included, however long it is.
         if len(data) > self._room and self._room < self._most:
             reply = _without_body(reply, len(data), self._most)
         else:
@@ -169,7 +169,7 @@ def _is_stop(request: Request) -> bool:
 
 
 def _without_body(reply: Reply, size: int, limit: int) -> Reply:
-    """Make the reply of a part for whose body there is no room."""
+    """Return the reply of a part whose body does not fit."""
     if reply.type not in _LOOKS:  # it has happened
         reply.body, reply.truncated = NO_BODY, True
         return reply
@@ -185,10 +185,10 @@ def _without_body(reply: Reply, size: int, limit: int) -> Reply:
 
 
 def _parts(request: Request, limit: int) -> list[bytes]:
-    """Cut a batch into its envelopes; what is too long is not read to its end.
+    """Split a batch into its envelopes; reading stops at the limit.
 
-    :raises InvalidValue: it is no list.
-    :raises BadRequest: it has too many.
+    :raises InvalidValue: it is not a list.
+    :raises BadRequest: it has too many parts.
     """
     module = msgspec.json if request.encoding is Encoding.JSON else msgspec.msgpack
     try:
@@ -203,6 +203,6 @@ def _parts(request: Request, limit: int) -> list[bytes]:
 
 @lru_cache(maxsize=4)
 def _places(limit: int) -> type[msgspec.Struct]:
-    """Make the type of a list of at most so many items, which are left as they were sent."""
+    """Create the type of a list with limited length, whose items stay encoded."""
     fields = [(f"part_{number}", Raw, NO_BODY) for number in range(limit)]
     return msgspec.defstruct("Batch", fields, array_like=True, forbid_unknown_fields=True)

@@ -14,7 +14,7 @@ __all__ = ["CataloguePage", "Description"]
 
 
 class Description:
-    """What is always the same of a resource, and that as bytes."""
+    """The constant part of a resource's description, and its encoding."""
 
     __slots__ = ("_written", "facts")
 
@@ -37,14 +37,14 @@ class CataloguePage(Body):
     __slots__ = ("_encoding", "_pieces", "_resources", "_size", "complete", "cursor", "generation")
 
     def __init__(self, encoding: Encoding) -> None:
-        # CBOR's library has no way to take bytes over: it is written once, at the end.
+        # The CBOR library cannot splice bytes: encode once, at the end.
         self._encoding = encoding
         self._resources: list[dict[str, Any]] = []
         self._pieces: list[bytes] = []
         self._size = 1  # of a bracket
         self.generation = 0
         self.complete = True
-        """Whether no robot that comes up yet may have more."""
+        """Whether robots that are still starting cannot add resources."""
         self.cursor: str | None = None
 
     def __len__(self) -> int:
@@ -53,7 +53,7 @@ class CataloguePage(Body):
     def add(
         self, description: Description, leave: tuple[str, ...], facts: dict[str, Any], longest: int
     ) -> bool:
-        """Add a resource, without the facts to `leave` out; tell whether there was room for it."""
+        """Add a resource, without the facts in `leave`; return whether it fitted."""
         encoding = Encoding.MSGPACK if self._encoding is Encoding.CBOR else self._encoding
         written = {k: v for k, v in description.written(encoding).items() if k not in leave}
         written |= {key: Raw(dump(fact, encoding)) for key, fact in facts.items()}

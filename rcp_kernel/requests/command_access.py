@@ -1,4 +1,4 @@
-"""Who may know of a command, and who may stop it."""
+"""Rights to see and to cancel commands."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ class CommandAccess:
         return [command for command in self.judged(session) if command is not None]
 
     def judged(self, session: Session, path: str | None = None) -> Iterator[Command | None]:
-        """Go through all commands, or those on a path, newest first.
+        """Iterate over all commands, or those on a path, newest first.
 
-        None stands for one that is left out: the session may not see it, or it is on another path.
+        None stands for a command that is hidden from the session or on another path.
         """
         for command in self._journal.every():
             wanted = path is None or command.path == path
             yield command if wanted and self.sees(session, command) else None
 
     def visited(self, session: Session) -> Iterator[Command | None]:
-        """Go through all commands, newest first; None stands for one that a session may not see."""
+        """Iterate over all commands, newest first; None stands for a hidden one."""
         known = sorted(self._journal.every(), key=lambda command: command.age, reverse=True)
         return (command if self.sees(session, command) else None for command in known)
 

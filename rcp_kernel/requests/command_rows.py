@@ -58,7 +58,7 @@ def _written(value: Any) -> Any:
     if isinstance(value, LongValue):
         try:
             return Raw(value.encoded(Encoding.MSGPACK))
-        except InvalidValue:  # an integer of more than 64 bits: the store finds a way
+        except InvalidValue:  # an integer of more than 64 bits: encoded by the store
             return to_plain(value.value)
     return to_plain(value)
 
@@ -70,7 +70,7 @@ def from_rows(rows: Iterable[dict[str, Any]]) -> list[Command]:
 
 
 def _read(row: dict[str, Any]) -> Command | None:
-    """Return the command of a row; one that cannot be read is left out and told of."""
+    """Return the command of a row; an unreadable one is skipped and logged."""
     try:
         steps = row.pop("history")
         unknown = (EVERYTHING,) if is_system(row["path"]) else ()  # of a gateway before this one
@@ -86,7 +86,7 @@ def _read(row: dict[str, Any]) -> Command | None:
 
 
 def cut_off(command: Command, moment: int) -> None:
-    """End a command in whose midst the gateway ended."""
+    """End a command that was interrupted by the end of the gateway."""
     error = InternalError(
         "the gateway stopped while the command was running",
         path=command.path,

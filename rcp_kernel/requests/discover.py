@@ -26,7 +26,7 @@ class DiscoverHandler:
     def discover(
         self, session: Session, request: Request, answer: Answer
     ) -> Generator[None, None, Reply]:
-        """Describe what a session may see below a pattern."""
+        """Describe the resources of a pattern that a session may see."""
         page, longest = (
             CataloguePage(expected(session, request)),
             room(self._settings.limits.message),

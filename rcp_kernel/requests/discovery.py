@@ -1,4 +1,4 @@
-"""Discovery: the catalogue of what a principal may see, with schemas, examples, paging, search."""
+"""Discovery: the catalogue of visible resources, with schemas, examples, paging and search."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Discovery", "Query"]
 
 _COMMANDED = Operation.WRITE | Operation.EXECUTE
 _SCHEMAS = ("schema", "schemas")
-_STEP = 32  # resources that are looked at in one step
+_STEP = 32  # resources checked per step
 _ALL = Pattern("/**")
 
 
@@ -34,7 +34,7 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     kind: Kind | None = None
     op: Annotated[str, Meta(max_length=16)] | None = None
     q: Annotated[str, Meta(max_length=200)] | None = None
-    """Words that must all stand in the path or the description."""
+    """Words that must all occur in the path or the description."""
     profile: Annotated[str, Meta(max_length=100)] | None = None
     """A profile that they are part of: its name, alone or with as much of the version as matters."""
     limit: Annotated[int, Meta(ge=1, le=MOST)] = 100
@@ -60,9 +60,9 @@ class Discovery:
         self._known.pop(entry.path, None)
 
     def generation(self, rights: Rights) -> int:
-        """Return a number that rises when what may be seen of the tree changes, and only then.
+        """Return a number that increases only when the visible tree changes.
 
-        After a change of thousands of resources it rises a little later than the tree changes.
+        After a change of thousands of resources it increases slightly later than the tree changes.
         """
         return self._sights.look(rights).number
 
@@ -120,7 +120,7 @@ class Discovery:
     def _visited(
         self, rights: Rights, pattern: Pattern, query: Query
     ) -> Iterator[tuple[Entry, int]]:
-        """Go through what a pattern matches, each with what may be seen of it: 0 if not wanted."""
+        """Iterate over the matches of a pattern with visible operations: 0 if not wanted."""
         wanted = _operation(query.op)
         words = query.q.casefold().split() if query.q else []
         after = place_of(query.cursor) if query.cursor else ""
@@ -155,7 +155,7 @@ class Discovery:
         return dict(facts) if schemas else {k: v for k, v in facts.items() if k not in _SCHEMAS}
 
     def schemas(self, rights: Rights) -> Generator[None, None, dict[str, dict[str, Any]]]:
-        """Find in steps every schema of what may be seen, by id."""
+        """Collect in steps every schema of the visible resources, by id."""
         found: dict[str, dict[str, Any]] = {}
         for number, entry in enumerate(self._registry.match(_ALL), 1):
             if rights.mask(entry.path):

@@ -1,4 +1,4 @@
-"""Requests that stop something or let go of it: nothing counts or refuses them."""
+"""Requests that stop or release something: they are neither counted nor refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RELEASE = 2048  # bytes of a release at most
 
 
 class _Asked(msgspec.Struct, frozen=True):
-    """What of a lease request tells whether it lets go."""
+    """The part of a lease request that shows whether it is a release."""
 
     do: str
 
@@ -25,7 +25,7 @@ _ASKED = value_type(_Asked)
 
 
 def is_exempt(request: Request) -> bool:
-    """Tell whether a request stops something or lets go: such are never limited and cost nothing."""
+    """Return whether a request stops or releases something; such requests are never limited."""
     if request.type != "execute":
         return request.type == "cancel"
     return request.path == _ESTOP or (request.path == _LEASES and _releases(request))

@@ -21,7 +21,7 @@ _EMPTY = 1024  # bytes that any command counts for, numbers included
 
 
 class Finished:
-    """The most recent ones, by id; `forget` is told of each that has to go."""
+    """The most recent ones, by id; `forget` is called for each that is removed."""
 
     def __init__(self, forget: Callable[[Command], None]) -> None:
         self._forget = forget
@@ -63,5 +63,5 @@ def _length(value: Any) -> int:
         return value.size
     try:
         return len(dump(value, Encoding.MSGPACK))
-    except Exception:  # what cannot be written is not told to anybody either
+    except Exception:  # what cannot be encoded is not shown to clients either
         return _EMPTY

@@ -1,7 +1,7 @@
-"""Keys that make a repeat harmless: what was sent before under a key is never run again.
+"""Idempotency keys: a repeated request under the same key is never executed again.
 
-A key is committed before the robot hears of its request, and its outcome before the client does.
-So after a crash a key that is known answers with its outcome, or says that it has none.
+A key is committed before the robot receives its request, and the outcome before the client does.
+After a crash, a known key therefore returns its outcome, or reports that there is none.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Outcome = Command | asyncio.Future[Reply]
 
 
 class _Seen:
-    """A key with what was sent under it and what came of that."""
+    """A key with its request and the outcome."""
 
     __slots__ = ("command", "created", "digest", "outcome", "path", "reply", "type")
 
@@ -70,10 +70,10 @@ class Keys:
         self._bytes = 0
 
     def find(self, session: Session, request: Request, path: str) -> Outcome | None:
-        """Return what comes or came of the request's key, or None.
+        """Return the pending or final outcome of the request's key, or None.
 
-        :raises DuplicateRequest: the key was used for something else.
-        :raises InternalError: what is kept of the key cannot be read.
+        :raises DuplicateRequest: the key was used for a different request.
+        :raises InternalError: the stored outcome cannot be read.
         """
         if request.idempotency_key is None:
             return None
@@ -89,7 +89,7 @@ class Keys:
         return found.outcome
 
     def note(self, session: Session, request: Request, path: str, outcome: Outcome) -> None:
-        """Remember a request that has a key; `settle` says what came of it."""
+        """Store a request that has a key; `settle` adds its outcome."""
         if request.idempotency_key is None:
             return
         name = _name(session, request.idempotency_key, path)
@@ -144,7 +144,7 @@ class Keys:
             self._drop(next(iter(self._known)))
 
     def load(self, command: Callable[[str], Command | None]) -> None:
-        """Take in the keys of earlier runs; `command` finds one of the history."""
+        """Load the keys of earlier runs; `command` finds a command of the history."""
         rows = self._store.load(_TABLE, unreadable={})
         found = [(name, _read(row)) for name, row in rows.items()]
         for name, seen in sorted(found, key=lambda item: item[1].created):
@@ -178,7 +178,7 @@ def _encoded(reply: Reply) -> bytes:
     kept = msgspec.structs.replace(reply, id=None, custom=None)
     try:
         data = encode_reply(kept, Encoding.MSGPACK)
-    except Exception:  # a body that cannot be written was not told to the first client either
+    except Exception:  # a body that cannot be encoded was not shown to the first client either
         data = b""
     if not data or len(data) > _LONGEST:
         kept.body = NO_BODY
@@ -205,7 +205,7 @@ def _read(row: Any) -> _Seen:
 
 
 def _unreadable(path: str) -> InternalError:
-    """Refuse a key that was used: what was sent under it may have run, so it does not run again."""
+    """Refuse an unreadable key: its request may have been executed, so it is not executed again."""
     return InternalError(
         "what came of this idempotency key cannot be read; the request was not sent again",
         path=path,
@@ -223,7 +223,7 @@ def _cut_off(seen: _Seen) -> Reply:
 
 
 def _ended(seen: _Seen, reply: Reply) -> Command:
-    """Make a command of its final reply alone."""
+    """Create a command from its final reply alone."""
     last = Record(reply.status, now(), reply.body, message=reply.message, error=reply.error)
     return Command(
         id=seen.command or "",

@@ -1,4 +1,4 @@
-"""Requests in flight: those whose answer comes later, each in a place that its session has."""
+"""Requests in flight: those answered later, each in one of its session's slots."""
 
 from __future__ import annotations
 

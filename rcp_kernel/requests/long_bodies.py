@@ -32,7 +32,7 @@ class LongBodies:
         self._actions = actions
 
     def takes(self, request: Request) -> bool:
-        """Tell whether a request has a long body that is to be prepared and is not yet."""
+        """Return whether a request has a long body that has not been prepared yet."""
         return (
             len(request.body) > LONG
             and request.type in _TYPES
@@ -62,7 +62,7 @@ class LongBodies:
 
 
 def _body_of(request: Request, entry: Entry) -> tuple[ValueType, str]:
-    """Return the type of a body, and what it is called where it does not fit."""
+    """Return the type of a body, and its label in error messages."""
     if request.type == "write":
         return entry.value_type, entry.label
     return entry.input_type, f"input of {entry.label}"

@@ -1,7 +1,8 @@
-"""Answers that come in pages: how much one page holds, and where the next one begins.
+"""Paged replies: how much a page holds, and where the next one starts.
 
-The order of a listing is that of the paths, so the last path of a page is all that a cursor has to
-hold: a resource that is there all the time is told once, whatever else comes or goes meanwhile.
+A listing is ordered by path, so a cursor only needs the last path of the page: a resource that
+exists
+throughout is listed once, whatever else is added or removed meanwhile.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ __all__ = [
 MOST = 1000
 """Items of one page."""
 MOST_BYTES = 1024 * 1024
-"""Of the items of one page, as they are written; the first item is told however long it is."""
+"""Bytes of the encoded items of one page; the first item is included however long it is."""
 MOST_BATCH = 4 * 1024 * 1024
-"""Bytes of all bodies in the answer of a batch; the first one is told however long it is."""
+"""Bytes of all bodies in the reply of a batch; the first one is included however long it is."""
 LONGEST = 1024
 """Characters of a cursor; a path has at most 512."""
 _LEAST = 4 * 1024  # bytes for one request of a batch, however many there are
@@ -63,7 +64,7 @@ def room(longest: int) -> int:
 
 @contextmanager
 def shared_room(shares: int) -> Generator[None]:
-    """Have the requests that begin meanwhile share the room of one answer: those of a batch."""
+    """Let the requests that start meanwhile share the room of one reply: those of a batch."""
     token = _shares.set(max(shares, 1))
     try:
         yield

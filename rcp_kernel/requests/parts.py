@@ -18,7 +18,7 @@ def expected(session: Session, request: Request) -> Encoding:
 
 
 class Written(Body):
-    """A body that is written in one encoding already."""
+    """A body that is already encoded in one encoding."""
 
     __slots__ = ("_body", "_data", "_encoding")
 
@@ -54,11 +54,11 @@ class Parts(Body):
         return len(self._pieces)
 
     def add(self, fields: dict[str, Any] | None, body: Any, longest: int | None = None) -> bool:
-        """Add an object of plain fields and a `body`; tell whether there was room for it.
+        """Add an object of plain fields and a `body`; return whether it fitted.
 
         Without fields the body is the whole object.
 
-        :raises RcpError: the body cannot be written.
+        :raises RcpError: the body cannot be encoded.
         """
         data = encode_body(body, self._encoding)
         if longest is not None and self.size + len(data) > longest:
@@ -87,14 +87,14 @@ class Parts(Body):
 
 
 def is_listing(value: Any) -> TypeGuard[Iterator[Body | None]]:
-    """Tell whether a value is a list that is still to be written: by `listed`."""
+    """Return whether a value is a list yet to be encoded by `listed`."""
     return isinstance(value, Iterator)
 
 
 def listed(
     items: Iterator[Body | None], encoding: Encoding, longest: int
 ) -> Generator[None, None, Parts]:
-    """Write a list in steps, as far as there is room; None stands for an item that is left out."""
+    """Encode a list in steps, as far as it fits; None stands for an item that is skipped."""
     page = Parts(encoding)
     for item in items:
         if item is not None and not page.add(None, item, longest if len(page) else None):

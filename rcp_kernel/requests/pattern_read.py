@@ -18,8 +18,8 @@ from rcp_kernel.wire import NO_BODY, error_body
 
 __all__ = ["PatternRead"]
 
-_AHEAD = 256  # values that robots are asked for at once
-_CHUNK = 16  # values that are written, or asked for, between two looks at the time
+_AHEAD = 256  # values requested from robots at once
+_CHUNK = 16  # values encoded or requested between two checks of the time
 
 
 class PatternRead:
@@ -45,10 +45,11 @@ class PatternRead:
         self._asked: deque[tuple[Entry, Sample | asyncio.Task[Sample]]] = deque()
 
     async def run(self, turns: Turns, owner: Hashable, patience: float) -> Parts:
-        """Return the page, with one item at least if there is one.
+        """Return the page, with at least one item if there is one.
 
-        After `patience` seconds it ends: what was asked for by then and has not come is told as
-        that; the rest is left to the next page.
+        It ends after `patience` seconds: values requested but not received by then are reported as
+        such;
+        the rest is left to the next page.
         """
         limit = asyncio.timeout(patience)
         try:
@@ -84,7 +85,7 @@ class PatternRead:
             self._asked.append((entry, found))
 
     def _tell(self) -> bool:
-        """Write some of what has come; tell whether there is more, and room for it."""
+        """Encode some of the received values; return whether there is more, and room for it."""
         for _ in range(_CHUNK):
             if not self._asked:
                 return len(self._page) < self._count
@@ -97,7 +98,7 @@ class PatternRead:
         return True
 
     def _item(self, entry: Entry, found: Sample | asyncio.Task[Sample]) -> bool:
-        """Write an item; tell whether there was room for it."""
+        """Encode an item; return whether it fitted."""
         try:
             sample = found.result() if isinstance(found, asyncio.Task) else found
             facts = {

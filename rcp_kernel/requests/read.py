@@ -30,6 +30,7 @@ from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.requests.parts import Parts, expected, is_listing, listed
 from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend, has_watch
@@ -146,7 +147,7 @@ class ReadHandler:
 
         self._turns.run(session.principal.identity, work())
 
-    def read_at_once(self, session: Session, request: Request) -> bytes | None:
+    def read_at_once(self, session: Session, request: Request) -> PromptReply | None:
         """Return the JSON reply to the read that nearly all reads are, or None for any other.
 
         The same answer as `read` gives, spliced around what the sample has encoded already.
@@ -173,12 +174,13 @@ class ReadHandler:
         if (account := session.account) is not None and not account.take(session.monotonic()):
             return None
         head = _HEAD if request.id is None else b'{"type":"read","id":%b,' % _to_json(request.id)
-        state = _STALE if entry.deadline is not None and entry.stale else _FRESH
+        stale = entry.deadline is not None and entry.stale
+        state = _STALE if stale else _FRESH
         reply = b"".join((head, piece, state, iso(now()).encode(), b'"}'))
         self._seconds.observe(perf_counter() - started)
         key = session.read_key
         self._outcomes[key] = self._outcomes.get(key, 0) + 1
-        return reply
+        return PromptReply(reply, sample.seq, stale)
 
     def status(
         self, session: Session, request: Request, answer: Answer

@@ -1,4 +1,4 @@
-"""When a final reply may leave: features may have it wait until what it confirms is kept."""
+"""Release of final replies: features may delay them until their record is stored."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["Demand", "ReplyGate"]
 
 
 class Demand(Durability, Protocol):
-    """A `Durability`, and whether all that it was told is on record."""
+    """A `Durability`, and whether all its events were recorded."""
 
     @property
     def lost(self) -> int:
-        """How many events were not recorded, for good."""
+        """Number of events that were never recorded."""
         ...
 
 
 class ReplyGate:
-    """Where replies pass what features demand of them; with no such feature they pass at once."""
+    """Passes replies through the features that delay them, or else immediately."""
 
     def __init__(self, settings: Settings, loop: asyncio.AbstractEventLoop) -> None:
         self.demands: list[Demand] = []
@@ -34,16 +34,16 @@ class ReplyGate:
         self._loop = loop
 
     def check(self) -> None:
-        """Refuse a write or command whose reply could not leave.
+        """Refuse a write or command whose reply could not be released.
 
-        :raises QueueFull: a feature cannot keep what it has to.
+        :raises QueueFull: a feature cannot store its records.
         """
         for demand in self.demands:
             demand.check()
 
     @property
     def lost(self) -> int:
-        """How many events were not recorded: has it grown, then what was just told is unconfirmed."""
+        """Number of unrecorded events; if it has increased, the last one is unconfirmed."""
         lost = 0
         for demand in self.demands:
             lost += demand.lost

@@ -1,4 +1,4 @@
-"""What is told of requests: refusals, writes, failed authentication, what actions read."""
+"""Events of requests: refusals, writes, failed authentication, reads of actions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["RequestEvents"]
 
 
 class RequestEvents:
-    """Tells of requests, and has their replies wait where somebody keeps that."""
+    """Reports the events of requests, and delays replies where a feature records them."""
 
     def __init__(self, events: EventBus, gate: ReplyGate) -> None:
         self._events = events
@@ -27,9 +27,9 @@ class RequestEvents:
     def refused(
         self, session: Session, request: Request, reply: Reply, answer: Answer, *, hide: bool
     ) -> Answer:
-        """Tell of a refusal; return what its reply goes to.
+        """Report a refusal; return the receiver of its reply.
 
-        `hide` says that the value belongs to other paths than the request's.
+        `hide`: the value belongs to other paths than the request's.
         """
         error = reply.error or {}
         wait = self._events.note(
@@ -45,7 +45,7 @@ class RequestEvents:
         return self._gate.held(answer, request) if wait else answer
 
     def unwelcome(self, session: Session, reply: Reply, answer: Answer) -> Answer:
-        """Tell that a `hello` was refused (never what it said); return what its reply goes to."""
+        """Report a refused `hello`, without its contents; return the receiver of its reply."""
         error = reply.error or {}
         event = Event(
             what="denial",
@@ -60,7 +60,7 @@ class RequestEvents:
     def stranger(
         self, transport: str, peer: Peer, error: RcpError, principal: Principal | None = None
     ) -> None:
-        """Tell that somebody proved nothing, or wanted in where they do not act."""
+        """Report a client without valid credentials, or without a role in the requested tenant."""
         self._events.note(
             "denial",
             principal=principal,
@@ -71,7 +71,7 @@ class RequestEvents:
         )
 
     def written(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
-        """Return what tells of the outcome of a write, then passes on what is confirmed of it."""
+        """Return a receiver that reports the outcome of a write, then passes the reply on."""
         gate = self._gate
 
         def done(reply: Reply) -> None:
@@ -95,7 +95,7 @@ class RequestEvents:
     def looked(
         self, session: Session, request: Request, path: str, told: Any, touches: list[str]
     ) -> None:
-        """Tell what was read for a session; of what shows each reader its own, not the value."""
+        """Report a read of a session; without the value, for resources that differ per reader."""
         own = "*" in path or path.startswith("/system/")
         self._events.note(
             "read",

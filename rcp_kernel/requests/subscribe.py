@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.acl import reach
+from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.turns import Work, at_once
+from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
@@ -109,7 +109,7 @@ class SubscribeHandler:
         self._check_room(session, id_)
         patterns = self._patterns(session, request, options)
         entries = yield from self._entries(session, patterns, options)
-        if session.connection is not connection:  # the client has gone or come back meanwhile
+        if session.connection is not connection:  # the client has disconnected or resumed meanwhile
             raise AdapterUnavailable("the connection was lost", remedy="Subscribe again.")
         self._check_room(session, id_)
         subscription = self._begin(session, id_, patterns, options)
@@ -143,7 +143,7 @@ class SubscribeHandler:
             account.check_subscription()
 
     def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
-        """Start a subscription of an earlier run on what is there; the rest joins when it comes."""
+        """Restore a subscription of an earlier run; resources that appear later join it."""
         patterns = [Pattern(text, session.tenant) for text in texts]
         subscription = self._begin(
             session, id_, patterns, msgspec.structs.replace(options, history=None)
@@ -164,9 +164,9 @@ class SubscribeHandler:
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
 
-        def view(entry: Entry) -> Callable[[Encoding], Any] | None:
+        def view(entry: Entry) -> OwnView | None:
             shown = self._views.get(entry.path)
-            return None if shown is None else partial(_whole, shown, session)
+            return None if shown is None else OwnView(shown, session, self._links)
 
         def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
             shown = self._filters.get(entry.path)
@@ -200,7 +200,7 @@ class SubscribeHandler:
     def _entries(
         self, session: Session, patterns: list[Pattern], options: Options
     ) -> Generator[None, None, list[Entry]]:
-        """Find what the patterns reach now; a plain path must be there and allowed."""
+        """Return the current matches of the patterns; a plain path must exist and be allowed."""
         if options.where is not None:
             parse_where(options.where)
         if isinstance(options.history, str):
@@ -231,9 +231,9 @@ class SubscribeHandler:
         return list(found.values())
 
     def _renew_all(self, session: Session) -> None:
-        """Bring a session's subscriptions under its new rights, in steps.
+        """Apply the new rights of a session to its subscriptions, in steps.
 
-        No update is sent before all that is forbidden now has gone: no sample of it may follow.
+        No update is sent before all forbidden paths are removed: no sample of them may follow.
         """
         connection = session.connection
         outbox = None if connection is None else connection.outbox
@@ -258,7 +258,7 @@ class SubscribeHandler:
             yield from self._join(subscription)
 
     def _join(self, subscription: Subscription) -> Work:
-        """Link what a subscription may have by now."""
+        """Add the paths that a subscription may now have."""
         found = chain.from_iterable(map(self._registry.match, subscription.patterns))
         for number, entry in enumerate(found, 1):
             if subscription not in self._hub.subscriptions:  # it has ended
@@ -296,7 +296,7 @@ class SubscribeHandler:
         body = request.decode_body(_WHICH, "unsubscribe")
         found = self._find(session, request, body.subscription if body is not None else None)
         for subscription in found:
-            # It may have come to its end by itself meanwhile.
+            # It may have ended by itself meanwhile.
             if session.subscriptions.get(subscription.id) is subscription:
                 del session.subscriptions[subscription.id]
                 self._resume.unsubscribed(session, subscription.id)
@@ -343,18 +343,37 @@ class SubscribeHandler:
             code = reason if error is not None else "subscription_ended"
             notice(subscription.outbox, code, **facts)
 
-        # What was delivered to the queue before the end goes out before the notice of it.
+        # Queued updates are sent before the notice of the end.
         self._links.end(subscription, _send_rest if error is None else None, on_end)
 
 
-def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:
-    """Make the value of a view; of a list as much as fits in one page."""
-    value = view(session)
-    return at_once(listed(value, encoding, MOST_BYTES)) if is_listing(value) else value
+class OwnView:
+    """What a path shows a session."""
+
+    def __init__(self, shown: View, session: Session, links: Links) -> None:
+        self._shown = shown
+        self._session = session
+        self._links = links
+
+    @property
+    def sees(self) -> Rights:
+        """Its rights."""
+        return self._session.rights
+
+    def make(self, encoding: Encoding) -> Generator[None, None, Any]:
+        """Make the value; of a list as much as fits in one page, in steps."""
+        value = self._shown(self._session)
+        if is_listing(value):
+            return (yield from listed(value, encoding, MOST_BYTES))
+        return value
+
+    def begin(self, work: Work) -> None:
+        """Do work beside the client's requests."""
+        self._links.begin_for(self._session.principal.identity, work)
 
 
 def _send_rest(feed: PathSubscription) -> None:
-    """Send what waits of a path: as control messages, so that nothing comes behind the end."""
+    """Send the queued updates of a path as control messages, so that none follows the end."""
     outbox = feed.outbox
     if outbox is None or not feed.waiting:
         return

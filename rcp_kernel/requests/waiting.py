@@ -14,7 +14,7 @@ from rcp_kernel.sessions.session import Session
 
 __all__ = ["WaitingCommand", "WaitingCommands"]
 
-_ASKING = 16  # other principals that may ask for a cancel of one while it waits
+_ASKING = 16  # other principals that may request a cancel while it waits
 
 
 class WaitingCommand:
@@ -26,9 +26,9 @@ class WaitingCommand:
         """Of the command that it becomes."""
         self.since = time.monotonic() if since is None else since
         self.cancelled = False
-        """Whether its own principal has asked for a cancel."""
+        """Whether its own principal has requested a cancel."""
         self.asking: dict[object, Session] = {}
-        """Others that have, by who they are and what they may see."""
+        """Other principals that have, by identity and rights."""
 
 
 class WaitingCommands:
@@ -40,13 +40,13 @@ class WaitingCommands:
         self._known: WeakSet[WaitingCommand] = WeakSet()
 
     def enter(self, session: Session, since: float | None = None) -> WaitingCommand:
-        """Take notice of one that waits from now on, or has waited since a monotonic time."""
+        """Record a command that waits from now on, or since a monotonic time."""
         waiting = WaitingCommand(session, since)
         self._known.add(waiting)
         return waiting
 
     def leave(self, waiting: WaitingCommand) -> None:
-        """Take notice that one has been refused, or runs."""
+        """Remove a command that has been refused or has started."""
         self._known.discard(waiting)
 
     def own(self, session: Session) -> list[WaitingCommand]:
@@ -55,11 +55,11 @@ class WaitingCommands:
         return [one for one in self._known if one.session.principal.identity == identity]
 
     def cancel(self, session: Session, *, others: bool) -> list[str]:
-        """Have those cancelled that a session may see; return the ids of its principal's.
+        """Cancel those visible to a session; return the ids of its principal's.
 
-        What is in those of others (left out without `others`) is not known before they are checked.
+        Those of other principals (skipped without `others`) are unknown before they are checked.
 
-        :raises QueueFull: too many others have asked for a cancel of one that waits.
+        :raises QueueFull: too many principals have requested a cancel of one that waits.
         """
         own = self.own(session)
         for waiting in own:
@@ -77,7 +77,7 @@ class WaitingCommands:
         return [waiting.id for waiting in own]
 
     def settle(self, waiting: WaitingCommand, command: Command) -> None:
-        """Cancel one that has begun to run and has done nothing yet, if that was asked for."""
+        """Cancel a command that has just started, if that was requested."""
         self.leave(waiting)
         asking = [waiting.session] if waiting.cancelled else []
         for session in (*asking, *waiting.asking.values()):

@@ -1,4 +1,4 @@
-"""What robots are commanded: taken from whoever holds it, handed over, cancelled, brought to rest.
+"""Control of commands: withdraw from a holder, hand over, cancel, bring to rest.
 
 For features that decide who has control, or where robots may be. A holder is a session, or a
 principal as a whole: `Session.holder`.
@@ -37,7 +37,7 @@ class Control:
             self._commands.withdraw(command, error(command.path))
 
     def hand_over(self, holder: str, within: Within, heir: Session) -> None:
-        """Have the commands that a holder has running on some paths go on as another session's."""
+        """Transfer a holder's running commands on some paths to another session."""
         for command in self._commanded(holder, within):
             command.asker, command.session = heir, heir.id
             if not heir.stateless:
@@ -50,22 +50,24 @@ class Control:
                 yield command
 
     def cancel(self, command: Command, reason: str) -> None:
-        """Cancel a command: the robot is told at once."""
+        """Cancel a command: the robot is notified at once."""
         self._commands.cancel(command, reason)
 
     def stop(self, entry: Entry) -> None:
-        """Have an actuator take its safe value, whatever is in force; returns at once.
+        """Bring an actuator to its safe value; returns at once.
 
-        It is repeated until the robot confirms it. Does nothing for what has no safe value.
+        It is repeated until the robot confirms it. Does nothing for an actuator without a safe
+        value.
         """
         if entry.resource.safe is not None:
             self._deadman.stop(entry)
 
     def bring_to_rest(self, entries: Iterable[Entry]) -> None:
-        """Stop what stands in force or is on its way on some resources; returns at once.
+        """Stop the values in force or in flight on some resources; returns at once.
 
-        An actuator takes its safe value, repeated until the robot confirms it; any other write that
-        is under way is cancelled.
+        An actuator gets its safe value, repeated until the robot confirms it; any other write in
+        progress is
+        cancelled.
         """
         deadman, commanded = self._deadman, self._deadman.paths
         for entry in entries:

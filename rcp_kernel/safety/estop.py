@@ -1,8 +1,9 @@
 """The e-stop: latched per robot, tenant or gateway, past every queue and limit.
 
-The latch stands before anything else happens; each robot's `Backend.halt` is entered next, and
-what ran or waited is ended after that. Nothing of it resumes when the latch is reset. How a stop
-goes on from there, to its confirmation and for as long as it is latched, is `safety.stop`'s.
+The latch is set before anything else happens; each robot's `Backend.halt` is called next, and
+running
+or queued commands are ended after that. None of them resumes when the latch is reset. `safety.stop`
+handles the stop from there, to its confirmation and while it is latched.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from rcp_kernel.wire import Request
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 
-HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it goes on trying after that
+HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it keeps trying after that
 LONGEST_WAIT = 60.0  # s, where the request's `deadline` allows as much
 _Robots = dict[StopGroup, None]
 """A set in the order of the configuration."""
 
 
 class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Stop, or with `reset` let commands through again; nothing moves until a new one."""
+    """Stop, or with `reset` allow commands again; nothing moves until a new one."""
 
     scope: Annotated[str, Meta(max_length=256)] | None = None
     """`/tenant/<tenant>`, a robot or sub-tree of one, a group of the configuration, the name of a
@@ -62,7 +63,7 @@ class EstopState(msgspec.Struct, frozen=True):
 
 
 class EstopRecord(Protocol):
-    """Where e-stops and their resets are written down."""
+    """The recorder of e-stops and resets."""
 
     def __call__(
         self,
@@ -73,7 +74,7 @@ class EstopRecord(Protocol):
         robots: list[StopGroup],
         /,
     ) -> None:
-        """Note what was latched or let go; must not block."""
+        """Record what was latched or reset; must not block."""
         ...
 
 
@@ -98,7 +99,8 @@ class Estop:
     ) -> None:
         """Act on the robots of `supervisors`.
 
-        `halted` is told which paths have been stopped, by whom and why, when what ran has been ended.
+        `halted` is called with the stopped paths, by whom and why, once their commands have been
+        ended.
         """
         self._supervisors = supervisors
         self._stops = stops
@@ -116,10 +118,10 @@ class Estop:
         """E-stops after which what ran has not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
 
-    # -- what is latched -----------------------------------------------------------------------
+    # -- latches -------------------------------------------------------------------------------
 
     def state(self, session: Session) -> EstopState:
-        """Return what a session may see of the latches."""
+        """Return the latches visible to a session."""
         own = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
         wide = {key: latch.plain() for key, latch in self._wide().items() if key in own}
         visible = self._visible(session)
@@ -129,7 +131,7 @@ class Estop:
         return self._state_of(visible, wide, groups)
 
     def everything(self) -> EstopState:
-        """Return all that is latched."""
+        """Return all latches."""
         units = [unit for supervisor in self._supervisors for unit in supervisor.units]
         wide = {key: latch.plain() for key, latch in self._wide().items()}
         return self._state_of(units, wide, tuple(self._groups()))
@@ -165,11 +167,12 @@ class Estop:
     def request(
         self, session: Session, request: EstopRequest, sent: Request
     ) -> Coroutine[Any, Any, EstopState]:
-        """Latch or reset what is in scope, at once; return what waits for robots to come to rest.
+        """Latch or reset the robots in scope at once; return a coroutine that waits for rest.
 
-        :raises UnknownPath: the scope holds no robot that the session may see.
-        :raises Forbidden: a reset by somebody whose role may not, in all of the scope; or a stop of
-            several tenants without the right to that.
+        :raises UnknownPath: the scope contains no robot visible to the session.
+        :raises Forbidden: a reset without the right to it in all of the scope; or a stop of several
+            tenants
+            without the right to that.
         """
         keys, robots = self.check(session, request)
         if request.reset:
@@ -228,7 +231,7 @@ class Estop:
         self._stops.end(robot for robot in robots if robot.latch is None)
         return freed
 
-    # -- what a scope means --------------------------------------------------------------------
+    # -- scopes --------------------------------------------------------------------------------
 
     def _meant(
         self, session: Session, scope: str | None
@@ -283,7 +286,7 @@ class Estop:
         return [unit for unit in visible if self._within(rights, unit, scope)]
 
     def _with_partners(self, units: list[StopGroup]) -> list[StopGroup]:
-        """Add what else fronts the same robots: other backends, whoever may see their resources."""
+        """Add the other backends of the same robots, regardless of visibility."""
         meant = {unit.identity for unit in units}
         partners = (
             unit
@@ -306,7 +309,7 @@ class Estop:
         return keys
 
     def _hidden(self, visible: _Robots, tenant: str | None) -> bool:
-        """Tell whether there is a robot that is not visible, or none at all to go by."""
+        """Return whether there is a robot that is not visible, or none at all."""
         units = [
             u
             for supervisor in self._supervisors
@@ -329,7 +332,7 @@ class Estop:
             self._end_all(*self._due.pop())
 
     def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
-        """End what runs, waits or is under way on stopped robots."""
+        """End running, queued and pending requests on stopped robots."""
         ending: list[asyncio.Task[Any]] = []
         paths: set[str] = set()
         for robot in robots:
@@ -349,9 +352,9 @@ class Estop:
         self._tell_halted(frozenset(paths), by, why)
 
     async def _again(self, robots: list[StopGroup], ending: list[asyncio.Task[Any]]) -> None:
-        """Halt once more when all that was cancelled has ended.
+        """Halt again when all cancelled work has ended.
 
-        Backends fence it off, but for those that do not, the halt must be what came last.
+        Backends fence it off; for those that do not, the halt must be the last command.
         """
         await asyncio.wait(ending)
         self._stops.again(robots)
@@ -387,7 +390,7 @@ class Estop:
 
 
 def _merged(units: list[StopGroup]) -> list[StopGroup]:
-    """Have backends halt as a whole of which all robots are to stop."""
+    """Halt a backend as a whole if all its robots are to stop."""
     meant = set(units)
     return list(
         dict.fromkeys(

@@ -26,7 +26,7 @@ _WAIT = 30.0  # s for a robot to come to rest
 
 
 class Held(msgspec.Struct, frozen=True):
-    """How a robot was found after it was told to hold."""
+    """The state of a robot after a hold."""
 
     at_rest: bool
     detail: str = ""
@@ -50,9 +50,9 @@ class Hold:
         self._units, self._commands, self._deadman = units, commands, deadman
 
     async def run(self, command: Command, session: Session, progress: Progress) -> Held:
-        """End what commands the robot, then have it hold until that is measured.
+        """End the robot's commands, then hold it until rest is measured.
 
-        :raises DeviceTimeout: it was told to, and still moves.
+        :raises DeviceTimeout: it was commanded to hold, and still moves.
         """
         progress(fraction=0.0)  # commands end from here on: whatever fails now was not refused
         with ExitStack() as held, unfenced():
@@ -60,7 +60,7 @@ class Hold:
                 held.enter_context(unit.held())
             ending = self._end_commands()
             await self._hold()
-            if ending:  # what they sent last must not come after it
+            if ending:  # their last messages must not arrive after it
                 await asyncio.wait(ending)
                 await self._hold()
         states = [unit.motion() or MotionState(True, "not measured") for unit in self._units]
@@ -90,8 +90,8 @@ class Hold:
         await asyncio.gather(*(unit.hold() for unit in self._units))
 
     def report(self, *, over: bool) -> Any:
-        """Report nothing beside the result."""
+        """Report nothing besides the result."""
         return NO_BODY
 
     def outline(self, report: Any) -> None:
-        """Have the whole result recorded."""
+        """Record the whole result."""

@@ -1,4 +1,4 @@
-"""Commands that end with the link: the robot may still carry them out, and the client is told."""
+"""Commands lost with their link: the robot may still execute them, and the client is notified."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _THEN = {
 
 
 def tell_loss(entry: Entry, error: RcpError) -> None:
-    """Note that a command was lost with the link, and say in its error what becomes of the robot.
+    """Record that a command was lost with the link, and add the loss policy to its error.
 
-    What is done when contact returns is the robot's policy: `Backend.on_loss`.
+    `Backend.on_loss` is the policy for when contact returns.
     """
     if not entry.moves or not isinstance(error, _LOST):
         return
@@ -37,7 +37,7 @@ def tell_loss(entry: Entry, error: RcpError) -> None:
 
 
 def tell_cut_off(command: Command, policy: str) -> None:
-    """Say the same of a command that the end of an earlier gateway cut off."""
+    """Do the same for a command interrupted by the end of an earlier gateway."""
     last = command.history[-1]
     if last.error is None:
         return

@@ -33,7 +33,7 @@ class Partners:
         return list(dict.fromkeys(found))
 
     def halt(self, entry: Entry) -> list[asyncio.Task[None]]:
-        """Halt them, because the safe value of an actuator is not taken; return what does so."""
+        """Halt the partners because an actuator's safe value is not accepted; return the tasks."""
         units = self.of(entry)
         if units:
             names = [unit.name for unit in units]

@@ -1,4 +1,4 @@
-"""Have a stop taken: sent again and again until one is acknowledged, never waiting for a lost one."""
+"""Repetition of a stop until it is acknowledged, without waiting for a lost one."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ _TOLD = 1.0  # s between two log records, at least
 def retry_until_confirmed(
     stop: Callable[[], Coroutine[Any, Any, None]], event: str, **facts: str
 ) -> asyncio.Task[None]:
-    """Call `stop` until one call of it returns; return the task that does, which can be cancelled.
+    """Call `stop` until one call returns; return the task, which can be cancelled.
 
-    The first call is scheduled before this returns, ahead of whatever is scheduled after it. A
-    call that is not answered goes on beside the next ones, for it may only be slow. Failures are
-    logged as `event` with `facts`.
+    The first call is scheduled before this returns, ahead of anything scheduled after it. An
+    unanswered
+    call continues concurrently with the next ones, because it may only be slow. Failures are logged
+    as
+    `event` with `facts`.
     """
     loop = asyncio.get_running_loop()
-    with unfenced():  # it may be a timer of the very write that is to be stopped that calls
+    with unfenced():  # the caller may be a timer of the very write to be stopped
         first = loop.create_task(stop())
         return loop.create_task(_until_taken(first, stop, event, facts))
 

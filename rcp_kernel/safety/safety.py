@@ -1,7 +1,7 @@
-"""Motion safety that every transport shares: stale commands, the dead-man, the e-stop latch.
+"""Motion safety shared by all transports: stale commands, the dead-man, the e-stop latch.
 
-Whatever moves is an actuator or an action. The e-stop has a lane of its own: it goes to
-`Backend.halt` past every queue, is repeated until the robot confirms, and stays latched.
+Actuators and actions move. The e-stop bypasses every queue: it calls `Backend.halt` directly, is
+repeated until the robot confirms, and stays latched.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def check_motion(entry: Entry) -> None:
 
 
 def check_hold(entry: Entry, value: Any) -> None:
-    """Refuse motion of a robot that is being brought to rest, which would override it.
+    """Refuse motion of a robot that is being brought to rest, which would override the hold.
 
     :raises AlreadyRunning: a hold has not ended yet.
     """
@@ -67,7 +67,7 @@ def is_safe(entry: Entry, value: Any) -> bool:
 def check_age(entry: Entry, timestamp: str | float) -> None:
     """Refuse a command that is older, or further in the future, than its path allows.
 
-    What moves something is not to be older than the last reset of an e-stop either.
+    A command that moves something must also not be older than the last reset of an e-stop.
 
     :raises StaleCommand: it is.
     :raises BadRequest: its timestamp is not a time.
@@ -105,13 +105,15 @@ class Deadman:
         untaken: Callable[[Entry], list[asyncio.Task[None]]],
         note: Callable[[Entry, str], None],
     ) -> None:
-        """Bring to rest what lapses.
+        """Create the dead-man, which brings expired commands to rest.
 
-        `began` is told before a write leaves, and when its window starts, and must cost next to
-        nothing; `sending`, when a safe value is on its way; `at_rest`, when it is in force, or the
-        robot is brought to rest as a whole. `untaken` is asked to stop the robot by other means
-        while a safe value is not taken, and returns what does. `note` keeps for the record that a
-        command lapsed, and that a safe value was taken.
+        `began` is called before a write is sent, and when its window starts, and must be fast;
+        `sending`
+        when a safe value is being sent; `at_rest` when it is in force, or the whole robot is
+        brought to
+        rest. `untaken` is called to stop the robot by other means while a safe value is not
+        accepted, and
+        returns the tasks. `note` records expired commands and accepted safe values.
         """
         self._loop = loop
         self._began = began
@@ -126,12 +128,12 @@ class Deadman:
         self.leaving: dict[str, set[asyncio.Task[Any]]] = {}
         """Cancelled writes that have not ended yet: nothing may overtake them."""
         self.lapsed = 0
-        """How many commands have lapsed."""
+        """Number of expired commands."""
 
     def window(self, entry: Entry, request: Request) -> float | None:
-        """Return for how many seconds a write stands, or None for ever.
+        """Return for how many seconds a write is valid, or None without a limit.
 
-        :raises BadRequest: `valid_for` was asked of a path that has no safe value.
+        :raises BadRequest: `valid_for` was given for a path that has no safe value.
         """
         if request.valid_for is None:
             return entry.resource.valid_for
@@ -144,9 +146,9 @@ class Deadman:
         return request.valid_for
 
     def departed(self, entry: Entry) -> asyncio.Task[Any]:
-        """Have the present task known as one that writes to an entry, for `cut` to cancel.
+        """Register the current task as a writer of an entry, so that `cut` can cancel it.
 
-        Return it: what `arrived` takes when it has ended, however that was.
+        Return the task, to be passed to `arrived` when it has ended in any way.
         """
         if entry.barred:
             self._began(entry)
@@ -163,16 +165,16 @@ class Deadman:
             del self._flights[entry.path]
 
     def cancel_writes(self, entry: Entry) -> list[asyncio.Task[Any]]:
-        """Cut what commands an entry whose robot is brought to rest as a whole.
+        """Cancel the commands of an entry whose robot is brought to rest as a whole.
 
-        Return the writes that were cancelled and have not ended yet.
+        Return the cancelled writes that have not ended yet.
         """
         self.cut(entry)
         self._at_rest(entry, safe_value(entry))
         return list(self.leaving.get(entry.path, ()))
 
     def stop(self, entry: Entry) -> None:
-        """Bring an actuator to rest at once, whatever is in force or on its way."""
+        """Bring an actuator to rest immediately, whatever is in force or in flight."""
         self.cut(entry)
         self._start(entry)
 
@@ -192,7 +194,7 @@ class Deadman:
         task.add_done_callback(forget)
 
     def cut(self, entry: Entry) -> None:
-        """Cancel every write to an entry that is under way, and forget its window."""
+        """Cancel every pending write to an entry, and discard its window."""
         self.begin(entry)
         for task in self._flights.get(entry.path, ()):
             self._cancel(entry.path, task)
@@ -212,23 +214,23 @@ class Deadman:
         task.add_done_callback(left)
 
     async def cleared(self, entry: Entry) -> None:
-        """Wait until what was cancelled on an entry has let go of the robot, within a bound."""
+        """Wait until cancelled work on an entry has released the robot, within a bound."""
         leaving = self.leaving.get(entry.path, set()) - {asyncio.current_task()}
         if leaving:
             await asyncio.wait(leaving, timeout=ANSWER)
 
     @property
     def driving(self) -> bool:
-        """Whether any command stands for a time, is under way, or has to be stopped."""
+        """Whether any command is valid for a time, is in flight, or has to be stopped."""
         return bool(self._timers or self._stops or self._flights)
 
     @property
     def paths(self) -> set[str]:
-        """The paths of which a command stands for a time, is under way, or has to be stopped."""
+        """The paths with a command that is valid for a time, in flight, or to be stopped."""
         return {*self._timers, *self._stops, *self._flights}
 
     def holds(self, entry: Entry) -> bool:
-        """Tell whether a command, or a stop that is not acknowledged, is in force on an actuator."""
+        """Return whether a command, or an unacknowledged stop, is in force on an actuator."""
         path = entry.path
         if path in self._timers or path in self._stops:
             return True
@@ -251,10 +253,10 @@ class Deadman:
         return timer is not None or stop is not None
 
     def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
-        """Start the window of a write that is in force now; return what `disarm` takes."""
+        """Start the window of a write that is now in force; return the argument of `disarm`."""
         self._began(entry)
         self.begin(entry)
-        with unfenced():  # it outlives the write whose window it is
+        with unfenced():  # it outlives the write
             timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
         return timer
 
@@ -275,7 +277,7 @@ class Deadman:
 
         async def once() -> None:
             backend = entry.owner.backend
-            if backend is None:  # it may still be driving: it is told when the link is back
+            if backend is None:  # it may still be driving: it is stopped when the link is back
                 raise entry.owner.unavailable()
             self._sending(entry, safe)
             await backend.write(entry.name, safe)
@@ -286,7 +288,7 @@ class Deadman:
         self._note(entry, "ok")
 
     def close(self) -> None:
-        """Forget all windows; the backends are halted by whoever closes them."""
+        """Discard all windows; the backends are halted by their owner."""
         for handle in (*self._timers.values(), *self._stops.values()):
             handle.cancel()
 

@@ -1,4 +1,4 @@
-"""What is told of robots that are brought to rest: the dead-man, e-stops, lost commands."""
+"""Events of robots brought to rest: dead-man, e-stops, lost commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["SafetyEvents"]
 
 
 class SafetyEvents:
-    """Tells what the gateway does by itself for the safety of robots, and of e-stops."""
+    """Reports what the gateway does by itself for the safety of robots, and e-stops."""
 
     def __init__(self, events: EventBus) -> None:
         self._events = events
@@ -46,7 +46,7 @@ class SafetyEvents:
         )
 
     def recovered(self, unit: StopGroup, command: str, done: str) -> None:
-        """Tell what was done with a robot whose command had been lost with its link."""
+        """Report what was done with a robot whose command had been lost with its link."""
         self._events.note(
             "recovery",
             principal=None,
@@ -64,7 +64,7 @@ class SafetyEvents:
         keys: dict[str, str | None],
         robots: list[StopGroup],
     ) -> None:
-        """Tell of an e-stop or its reset: in each tenant what is latched there, and its robots."""
+        """Report an e-stop or its reset: in each tenant its latches and robots."""
         tenants = dict.fromkeys([*keys.values(), *(robot.tenant for robot in robots)])
         for tenant in tenants:
             self._events.note(

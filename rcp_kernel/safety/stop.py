@@ -34,7 +34,7 @@ _ALONE = 0.25  # s that the halt of a whole backend may take before its robots a
 
 
 class StopRecord(Protocol):
-    """Where the steps of a stop are written down."""
+    """The recorder of the steps of a stop."""
 
     def __call__(self, unit: StopGroup, step: str, detail: str | None, /) -> None:
         """Note that a robot's stop was confirmed, or that it moves again; must not block."""
@@ -42,7 +42,7 @@ class StopRecord(Protocol):
 
 
 class Stop:
-    """The stop of one robot: how far it has come, with times in ns since the epoch."""
+    """The stop of one robot: its progress, with times in ns since the epoch."""
 
     __slots__ = (
         "alarm",
@@ -80,7 +80,7 @@ class Stop:
 
     @property
     def phase(self) -> Phase:
-        """How far it has come."""
+        """Its phase."""
         if self.confirmed is not None:
             return "confirmed"
         return "requested" if self.commanded is None else "commanded"
@@ -98,7 +98,7 @@ class Stop:
 
 
 class StopController:
-    """Every stop that is under way or held."""
+    """All stops in progress or held."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, record: StopRecord) -> None:
         self._loop = loop
@@ -107,17 +107,17 @@ class StopController:
         self._timer: asyncio.TimerHandle | None = None
         self._watchers: list[Callable[[], None]] = []
         self.alarms = 0
-        """How often a stopped robot has moved again."""
+        """Number of times a stopped robot has moved again."""
 
     def on_change(self, changed: Callable[[], None]) -> None:
-        """Have a function called after every change of a stop's state."""
+        """Register a function to be called after every change of a stop's state."""
         self._watchers.append(changed)
 
     def of(self, unit: StopGroup) -> Stop | None:
         """Return the stop of a robot, if there is one."""
         return self._stops.get(unit)
 
-    # -- begin, go on, end ---------------------------------------------------------------------
+    # -- begin, continue, end ------------------------------------------------------------------
 
     def begin(self, units: Sequence[StopGroup]) -> list[Stop]:
         """Stop robots now; return their stops. The backends are called before anything else runs."""
@@ -131,21 +131,21 @@ class StopController:
         return stops
 
     def resume(self, unit: StopGroup) -> None:
-        """Stop a latched robot that is there again: the stop goes out from within this call."""
+        """Stop a latched robot that is available again; the stop is sent within this call."""
         stop = self._fresh(unit)
         self._assert(stop)
         self._halt(stop)
         self._schedule()
 
     def again(self, units: Iterable[StopGroup]) -> None:
-        """Halt robots once more: what was cancelled has ended, and may have sent something last."""
+        """Halt robots once more: cancelled work has ended, and may have sent something last."""
         for unit in units:
             stop = self._stops.get(unit)
             if stop is not None and unit.latch is not None:
                 self._halt(stop)
 
     def end(self, units: Iterable[StopGroup]) -> None:
-        """Let go of robots whose latch was reset; a halt that is under way ends by itself."""
+        """Release robots whose latch was reset; a halt in progress ends by itself."""
         for unit in units:
             stop = self._stops.pop(unit, None)
             if stop is not None:
@@ -164,7 +164,7 @@ class StopController:
         return [stop for stop in stops if stop.confirmed is None]
 
     def close(self) -> None:
-        """Repeat nothing any more; the backends are halted by whoever closes them."""
+        """Stop repeating; the backends are halted by their owner."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -177,7 +177,7 @@ class StopController:
     # -- the halts -----------------------------------------------------------------------------
 
     def _fresh(self, unit: StopGroup) -> Stop:
-        """Return the stop of a robot that is under way, or a new one that is to be confirmed."""
+        """Return the stop in progress of a robot, or a new one to be confirmed."""
         old = self._stops.get(unit)
         if old is not None and old.confirmed is None:
             return old
@@ -256,10 +256,10 @@ class StopController:
             stop.commanded = None
         self._doubt(stop, error.message)
 
-    # -- what is measured ----------------------------------------------------------------------
+    # -- measurements --------------------------------------------------------------------------
 
     def _judge(self, stop: Stop) -> None:
-        """Compare a stop with what the robot's own measurements say."""
+        """Compare a stop with the robot's own measurements."""
         try:
             state = stop.unit.motion()
         except Exception as error:
@@ -336,7 +336,7 @@ class StopController:
 
 
 def _gist(detail: str | None) -> str | None:
-    """Leave the numbers of a reason out: that they change is not worth telling everybody."""
+    """Remove the numbers from a reason: clients need not be notified when they change."""
     return None if detail is None else _NUMBER.sub("", detail)
 
 

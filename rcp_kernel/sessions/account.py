@@ -1,4 +1,4 @@
-"""What one session is counted by: its requests, subscriptions and commands."""
+"""The account of one session: its requests, subscriptions and commands."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ __all__ = ["JointAccount", "SessionAccount", "joint"]
 
 
 class SessionAccount(Protocol):
-    """What a feature counts of one session, and may refuse it.
+    """Counts the activity of one session, and may refuse it.
 
-    Called on the event loop for each request: it looks things up, and neither blocks nor awaits.
-    Nothing is ever refused that stops a robot or lets go of something.
+    Called on the event loop for each request: must neither block nor await. Requests that stop a
+    robot
+    or release something are never refused.
     """
 
     def take(self, moment: float) -> bool:
-        """Count a request at `moment` (`Clock.monotonic`), or count nothing and return False.
+        """Count a request at `moment` (`Clock.monotonic`), or return False without counting.
 
-        Asked before the body is decoded. What stops a robot counts, and passes in any case; an
-        e-stop, a cancel and a release are not counted at all.
+        Called before the body is decoded. A request that stops a robot counts and passes in any
+        case; e-stops,
+        cancels and releases are not counted at all.
         """
         ...
 
@@ -41,14 +43,14 @@ class SessionAccount(Protocol):
         ...
 
     def check_command(self, path: str) -> None:
-        """Refuse another command on a path; asked of plans too, and before any guard.
+        """Refuse another command on a path; called for plans too, and before any guard.
 
-        :raises RcpError: it is one too many.
+        :raises RcpError: the limit is reached.
         """
         ...
 
     def add_command(self, id_: str, path: str) -> Callable[[], None]:
-        """Count a command that begins; what is returned is called once when it ends."""
+        """Count a command that starts; the returned function is called once when it ends."""
         ...
 
 
@@ -84,7 +86,7 @@ class JointAccount:
             account.check_command(path)
 
     def add_command(self, id_: str, path: str) -> Callable[[], None]:
-        """Have all of them count a command."""
+        """Let all accounts count a command."""
         ends = [account.add_command(id_, path) for account in self._accounts]
 
         def end() -> None:

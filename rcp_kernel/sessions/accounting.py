@@ -1,4 +1,4 @@
-"""Accounting: what features count of sessions and of what these hold, and what they refuse."""
+"""Accounting: features that count sessions and their activity, and may limit them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ log = structlog.get_logger("rcp.accounting")
 
 
 class Accounting(Protocol):
-    """What a feature hears of sessions, and where it may refuse one.
+    """Counts sessions, and may refuse one.
 
-    The account that it returns for a session (None: nothing is counted) holds until it returns
-    another. Only `enter` and `check_tenant` may refuse; what else the other methods raise is
-    logged and changes nothing, so that no feature keeps anybody from getting in to stop a robot.
+    The account returned for a session (None: nothing is counted) applies until another is returned.
+    Only
+    `enter` and `check_tenant` may refuse; exceptions of the other methods are logged and change
+    nothing,
+    so that no feature can prevent a client from connecting to stop a robot.
     """
 
     def attach(self, session: Session) -> SessionAccount | None:
         """Return the account of a session that is not counted itself.
 
-        Such are those of requests without a connection, and those that have ended while a command
-        of theirs runs on.
+        These are the sessions of requests without a connection, and ended ones whose command still
+        runs.
         """
         ...
 
@@ -43,9 +45,9 @@ class Accounting(Protocol):
         ...
 
     def move(self, session: Session) -> SessionAccount | None:
-        """Count a session whose principal or tenant may be another now; return its account.
+        """Count a session whose principal or tenant may have changed; return its account.
 
-        Also one that comes back from an earlier run of the gateway.
+        Also for a session restored from an earlier run of the gateway.
         """
         ...
 
@@ -80,7 +82,7 @@ class SessionAccounting:
         """Commands, by id."""
 
     def ask(self, parts: Iterable[Accounting]) -> None:
-        """Have these count sessions; there are none yet."""
+        """Set the features that count sessions, before there are any."""
         self._parts = tuple(parts)
 
     def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
@@ -96,7 +98,7 @@ class SessionAccounting:
         session.account = joint(accounts)
 
     def update(self, session: Session) -> None:
-        """Have a session counted by what concerns it now; one that has ended counts for nothing."""
+        """Count a session by what applies now; one that has ended is not counted."""
         held = session.id in self._sessions
         accounts: list[SessionAccount | None] = []
         for part in self._parts:
@@ -107,9 +109,9 @@ class SessionAccounting:
         session.account = joint(accounts)
 
     def change_tenant(self, session: Session, tenant: str | None) -> None:
-        """Have a session act for another tenant.
+        """Change the tenant of a session.
 
-        :raises RcpError: that tenant has as many sessions as it may; nothing changed.
+        :raises RcpError: that tenant has as many sessions as allowed; nothing changed.
         """
         if session.tenant != tenant:
             for part in self._parts:
@@ -140,7 +142,7 @@ class SessionAccounting:
 
 
 def count_command(account: SessionAccount, command: Command) -> None:
-    """Count a command until it ends; one that began goes on, whatever a feature makes of it."""
+    """Count a command until it ends; a running one continues, even if the feature raises."""
     try:
         end = account.add_command(command.id, command.path)
     except Exception:

@@ -1,7 +1,7 @@
-"""What waits for one client that takes slower than it is sent, and how that is made less.
+"""Data queued for a slow client, and how it is reduced.
 
-Samples are counted when somebody looks, never with each update: a queue weighs as many times its
-path's newest sample as it holds samples. What the operating system took already is not counted.
+Samples are counted on demand, never with each update: a queue is estimated as its length times the
+size of its path's newest sample. Data accepted by the operating system is not counted.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Relief", "shed", "waiting_bytes"]
 
-_SWEEP = 0.25  # s between looks at what waits
+_SWEEP = 0.25  # s between two checks of queued data
 _SLOW = "ended: this client has more unread bytes than `limits.queue_bytes` allows"
 
 
@@ -30,10 +30,11 @@ def waiting_bytes(session: Session) -> int:
 
 
 def shed(session: Session, reason: str) -> int:
-    """Let go of what may be let go of; return what still waits.
+    """Drop data where that is allowed; return the bytes still queued.
 
-    Best effort conflates, a reliable subscription ends with `overrun` for the `reason`, replies for
-    a client that is away are lost and their loss is told; those for one that is there stay.
+    Best effort conflates, a reliable subscription ends with `overrun` for the `reason`. Replies to
+    a
+    disconnected client are dropped and the loss is reported; those to a connected one stay.
     """
     if session.connection is None:
         while session.missed:
@@ -49,9 +50,9 @@ def _conflate(outbox: Outbox, known: Container[str], reason: str) -> None:
 
 
 class Relief:
-    """Lets go of samples that wait for slow clients, where they are more than may wait.
+    """Drops samples queued for slow clients beyond the limit.
 
-    The newest sample of a path is not counted: it is there in any case, whoever waits for it.
+    The newest sample of a path is not counted: it is in memory in any case.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Subscriptions whose right hangs on a condition: they pause while it does not hold."""
+"""Subscriptions whose right depends on a condition: they pause while it is false."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PERIOD = 1.0  # s between looks at the conditions
 
 
 class ConditionalSubscriptions:
-    """The feeds that hang on a condition, looked at again and again while there are any."""
+    """The conditional path subscriptions, checked periodically while there are any."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -27,7 +27,7 @@ class ConditionalSubscriptions:
         self._waits = False
 
     def place(self, session: Session, feed: PathSubscription) -> None:
-        """Take notice of a feed, new or under new rules; pause it if it may not go on now."""
+        """Register a new or changed path subscription; pause it if its condition is false."""
         if session.rights.depends(feed.entry, Operation.SUBSCRIBE):
             self._feeds[feed] = session
             if not self._waits:
@@ -57,7 +57,7 @@ class ConditionalSubscriptions:
         else:
             self._hub.pause(feed)
             facts = {"code": "paused", **_why(session, feed.entry)}
-        # After the answer to the `subscribe` that may be under way.
+        # After the reply to the `subscribe` that may be in progress.
         self._hub.soon(_tell, feed, facts)
 
 

@@ -1,4 +1,4 @@
-"""The connections that sessions come in by: whole messages in, replies and updates out."""
+"""The connections of sessions: whole messages in, replies and updates out."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Handler, Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.sessions.unsent import ESTOP, left_out
@@ -44,12 +45,12 @@ _HELD = 256  # messages that wait for a `hello`
 
 
 _HELLO = value_type(Hello)
-AtOnce = Mapping[str, Callable[[Session, Request], bytes | None]]
+AtOnce = Mapping[str, Callable[[Session, Request], PromptReply | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionParts:
-    """What connections use of the gateway, the same for all of them."""
+    """The parts of the gateway that connections use, shared by all of them."""
 
     handle: Handler
     prepare: Callable[[Session, Request], Generator[None, None, Request]]
@@ -60,7 +61,7 @@ class ConnectionParts:
     sessions: Sessions
     identities: Identities
     unwelcome: Callable[[Session, Reply, Answer], Answer]
-    """Records that a `hello` was refused; returns what its reply goes to."""
+    """Records that a `hello` was refused; returns the receiver of its reply."""
     counts: RequestCounts
     outbound: Outbound
     settings: Settings
@@ -115,16 +116,17 @@ class Connection:
         self.session = session
         self.closed = False
         self.one_way = one_way
-        """The client sends no requests by it: it is told things, and commands nothing."""
+        """Whether the client sends no requests (SSE): it receives, and commands nothing."""
         self.expelled = False
         """The session was ended by the gateway; the transport closes once it has said so."""
         self.greetings = 0
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
-        """The transport's part of `hello`: what it adopts, and the limits it answers with."""
+        """The transport's part of `hello`: the options it adopts, and the limits it returns."""
         self.released: Callable[[deque[bytes]], None] = self._receive_all
-        """Takes what came while `hello` waited; a transport that takes turns sets its own."""
+        """Handles messages received while `hello` waited; a transport with its own turns
+        replaces it."""
         self._held: deque[bytes] | None = None
-        """Messages since a `hello` or a long message that is not handled yet."""
+        """Unhandled messages since a `hello` or a long message."""
         self._identifying: asyncio.Task[None] | None = None
         session.connection = self
         session.one_way = one_way
@@ -137,11 +139,13 @@ class Connection:
         released: Callable[[deque[bytes]], None],
         cut: Callable[[], None],
     ) -> None:
-        """Have a transport take part in what it would otherwise not hear of.
+        """Set the callbacks of a transport.
 
-        `hello` adopts what a client asks for, and returns facts for the answer. `released` gets
-        what came while an earlier message was being handled, to pass it to `receive` in its turns.
-        `cut` closes a client that does not take what waits for it.
+        `hello` adopts what a client requests, and returns facts for the reply. `released` gets the
+        messages
+        received while an earlier one was being handled, to pass them to `receive` in its turns.
+        `cut` closes
+        a client that does not read.
         """
         self.on_hello, self.released = hello, released
         self.outbox.backlog.cut = cut
@@ -159,7 +163,7 @@ class Connection:
     def receive(self, data: bytes) -> None:
         """Handle one whole message from the client; every reply goes through the outbox.
 
-        One that comes after `close` is nobody's: the session may be another connection's by now.
+        A message after `close` is ignored: the session may belong to another connection by now.
         """
         if self.closed:
             return
@@ -174,8 +178,9 @@ class Connection:
             outbox = self.outbox
             at_once = self._at_once.get(request.type)
             if at_once is not None and outbox.waiting <= SHARE:
-                reply = at_once(self.session, request)
-                if reply is not None:
+                prompt = at_once(self.session, request)
+                if prompt is not None:
+                    reply = prompt.data
                     outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
                     return
             self._carry_out(request)
@@ -185,7 +190,7 @@ class Connection:
             self.stumbled(data, error)
 
     def _take_long(self, data: bytes) -> None:
-        """Have a message handled when its turn has come, and before all that come after it."""
+        """Handle a message when its turn has come, and before all later ones."""
         check_size(data, self.limit)
         if len(data) > self._settings.limits.unproved:
             self.session.check_pace()
@@ -198,7 +203,7 @@ class Connection:
             raise
 
     def _unfold(self, data: bytes, held: deque[bytes]) -> Work:
-        """Handle a long message in steps: count what is in it, decode the envelope, then the rest."""
+        """Handle a long message in steps: count its values, decode the envelope, then the rest."""
         try:
             yield from check_structure(data, self.encoding, self._settings.limits.values)
             request = decode_request(data, self.encoding)
@@ -206,7 +211,7 @@ class Connection:
             if not self.closed:
                 request = yield from self._parts.prepare(self.session, request)
             if not self.closed:
-                self._held = None  # a `hello` may begin to hold messages by itself
+                self._held = None  # a `hello` may start to hold messages itself
                 self._carry_out(request)
         except RcpError as error:
             self._refuse(data, error)
@@ -238,7 +243,7 @@ class Connection:
         self.send(failure(internal, type_, id_))
 
     def send(self, reply: Reply) -> None:
-        """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
+        """Queue a reply; unread feedback of a slow client is replaced by newer feedback."""
         if self.closed:
             return
         outbox = self.outbox
@@ -256,14 +261,14 @@ class Connection:
         outbox.put(data)
 
     def _bounded(self, request: Request, reply: bytes) -> bytes:
-        """Return an answer, counted already, or what is told where it has no room."""
+        """Return a reply that is already counted, or a substitute if it does not fit."""
         if not self.outbox.backlog.refuses(len(reply)):
             return reply
         answer = Reply(type=request.type, id=request.id, path=request.path)
         return self.encode(left_out(answer, len(reply)))
 
     def encode(self, reply: Reply) -> bytes:
-        """Write a reply; one whose body cannot be written becomes the error that says so."""
+        """Encode a reply; if that fails, its error instead."""
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
@@ -304,7 +309,7 @@ class Connection:
         body = self._parts.handshake.greet(self, hello, principal)
         self._parts.counts.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
-        # Ahead of what a resumed session has to say: the client must know first whose it is.
+        # Before the messages of a resumed session: the client must first know which session it has.
         self.outbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
@@ -314,7 +319,7 @@ class Connection:
         self._parts.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:
-        """Find out whose token it is, while what the client says next waits for that."""
+        """Identify the principal of a token, while the client's next messages wait."""
         try:
             principal = await self._parts.identities.wait(token, self.peer)
             if not self.closed:
@@ -339,7 +344,7 @@ class Connection:
         self.send(failure(QueueFull("an earlier message is not handled yet"), type_, id_))
 
     def close(self, *, resumable: bool = True) -> None:
-        """Tell the gateway that the client is gone, and whether it may come back to its session."""
+        """Report that the client has disconnected, and whether it may resume its session."""
         if not self.closed:
             self.closed = True
             self.session.greeted &= resumable

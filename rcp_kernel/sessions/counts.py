@@ -1,4 +1,4 @@
-"""How many requests there were, how they ended, and how long they took."""
+"""Request statistics: number, outcome and duration."""
 
 from __future__ import annotations
 

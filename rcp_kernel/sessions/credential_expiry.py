@@ -1,4 +1,4 @@
-"""The end of a proof: the client is told ahead, then what the proof had opened is closed."""
+"""Expiry of credentials: the client is warned, then its sessions are closed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 __all__ = ["CredentialExpiry"]
 
-_AHEAD = 30.0  # s before the end that the client is told
-_LOOK = 30.0  # s: clocks are set, so what is left is worked out anew so often
+_AHEAD = 30.0  # s before the expiry that the client is warned
+_LOOK = 30.0  # s: clocks may be set, so the remaining time is recomputed this often
 
 
 class CredentialExpiry:
-    """Watches the sessions whose proof ends."""
+    """Monitors the sessions whose credentials expire."""
 
     def __init__(
         self, loop: asyncio.AbstractEventLoop, clock: Clock, expel: Callable[[Session], None]

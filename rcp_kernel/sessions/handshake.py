@@ -1,4 +1,4 @@
-"""`hello`: who comes in, to a session of its own or back to the one it left."""
+"""`hello`: opens a new session or resumes an earlier one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rcp_kernel.wire import VERSION, failure
 __all__ = ["Handshake"]
 
 _RECENT = 30.0  # s: final replies sent this shortly before a cut are said again
-_UNHEARD = 4  # heartbeats, before which a peer that is gone is noticed: what was sent it is lost
+_UNHEARD = 4  # heartbeats until a dead peer is detected: messages sent meanwhile are lost
 
 
 class Handshake:
@@ -55,12 +55,12 @@ class Handshake:
         """Starts a subscription of an earlier run again."""
         self._links = links
         self._follower = follower
-        """Holds back what a client is told of a command until that is on record."""
+        """Delays replies about a command until its steps are recorded."""
 
     def offered(self, hello: Hello) -> str | None:
-        """Return the token of `hello` that is to prove who it is, if there is one.
+        """Return the token in `hello` that authenticates the client, if there is one.
 
-        A resume token in its place says which session, and proves nobody.
+        A resume token in its place identifies a session, and authenticates nobody.
         """
         returning = self._returning(hello)
         if hello.token is None or (returning and _proves(hello.token, returning)):
@@ -70,10 +70,10 @@ class Handshake:
     def greet(
         self, connection: Link, hello: Hello, principal: Principal | None = None
     ) -> dict[str, Any]:
-        """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
+        """Perform `hello`, whose token proved `principal`: resume or keep the session, agree.
 
-        :raises Unauthenticated: the session is somebody else's, or invalid resume token.
-        :raises Gap: the session is not there any more.
+        :raises Unauthenticated: the session is another principal's, or invalid resume token.
+        :raises Gap: the session no longer exists.
         """
         session = connection.session
         returning = self._returning(hello)
@@ -171,7 +171,7 @@ class Handshake:
     def _revive(
         self, connection: Link, hello: Hello, kept: StoredSession, proof: str | None
     ) -> None:
-        """Make a session again of what is kept of one of an earlier run."""
+        """Restore a session of an earlier run from its stored form."""
         self._stored.take(kept)
         principal = connection.session.principal
         tenant = kept.tenant if kept.tenant in self._identities.tenants_of(principal) else None
@@ -197,7 +197,7 @@ class Handshake:
         self._stored.restore(session, kept, self._subscribe)
 
     def _takeover(self, session: Session) -> None:
-        """Cut the old connection: its client came back before the gateway saw it leave."""
+        """Close the old connection: its client has reconnected before the loss was noticed."""
         old = session.connection
         assert old is not None
         old.expelled = True

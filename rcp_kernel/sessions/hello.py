@@ -17,7 +17,7 @@ class Hello(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     session: Annotated[str, Meta(max_length=128)] | None = None
     resume_token: Annotated[str, Meta(max_length=128)] | None = None
     resume_from: int | dict[str, int] | None = None
-    """What the client has: the last `seq`, of its one path or of each path."""
+    """The last `seq` the client has, of its one path or of each path."""
     client: Annotated[str, Meta(max_length=256)] | None = None
     tenant: Annotated[str, Meta(max_length=128)] | None = None
     """Which of the principal's tenants relative paths mean."""

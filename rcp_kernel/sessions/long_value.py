@@ -32,7 +32,7 @@ class LongValue(Body):
 
     @property
     def size(self) -> int:
-        """How many bytes are kept of it."""
+        """Number of bytes of its encodings."""
         return sum(map(len, self._written.values()))
 
     def encoded(self, encoding: Encoding) -> bytes:

@@ -1,4 +1,4 @@
-"""From a path to its entry, for who may do with it what they ask: no request comes past this."""
+"""Resolution of a path to its entry, with the check of rights: every request passes it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rcp_kernel.tree.registry import Registry
 __all__ = ["Resolver"]
 
 _WHOLE = ("/tenant/", "/system/")
-_AGAIN = 0.5  # s after which to ask again for what may come
+_AGAIN = 0.5  # s after which to retry a path that may appear
 
 
 class Resolver:
@@ -38,7 +38,7 @@ class Resolver:
         """
         if path is None:
             raise BadRequest("`path` is missing", remedy="Send `path` with the path of a resource.")
-        # A hidden path must cost what one costs that does not exist: the rights come first.
+        # A hidden path must cost as much as a missing one: check the rights first.
         full = path if path.startswith(_WHOLE) else parse_path(path, session.tenant)
         rights = session.rights
         known = rights.masks.get(full)
@@ -46,7 +46,7 @@ class Resolver:
         entry = self._registry.entries.get(full)
         if entry is None or not mask:
             parse_path(full, None)
-            # By the rights and the place alone: what is hidden answers as what is not there.
+            # By rights and place alone: a hidden path is answered like a missing one.
             if mask and self._registry.may_come(full):
                 raise _not_yet(full)
             raise UnknownPath(f"no resource {full}", path=full)

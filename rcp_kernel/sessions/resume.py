@@ -1,7 +1,7 @@
-"""Sessions that their clients may come back to although the gateway was started anew.
+"""Sessions that can be resumed after a restart of the gateway.
 
-Kept of each: hashes of its id and of its resume token, never these themselves; whose it is, and
-its subscriptions. It becomes a session again when its client returns and proves to be its owner.
+Stored for each: hashes of its id and resume token, never these themselves; its principal and its
+subscriptions. It becomes a session again when its client returns and proves to be its owner.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _BEAT = 5.0  # s between notes that the gateway is alive: how exactly the moment
 
 
 def hashed(secret: str) -> str:
-    """Return what is kept of an id or a token."""
+    """Return the stored form of an id or a token."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
 class StoredSession(msgspec.Struct):
-    """What survives of a session."""
+    """The stored part of a session."""
 
     secret: str
     """Hash of its resume token."""
@@ -153,7 +153,7 @@ class SessionResume:
             self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
 
     def forget(self, session: Session) -> None:
-        """Let go of a session that has ended; one that the gateway's end ends may come back."""
+        """Remove a session that has ended; one that ends with the gateway can be resumed."""
         if self._store.keeps and not self._shutdown.begun:
             name = hashed(session.id)
             self._delete(name, [f"{name}/{id_}" for id_ in session.subscriptions])
@@ -163,7 +163,7 @@ class SessionResume:
         for key in subscriptions:
             self._store.put(_SUBSCRIPTIONS, key, None)
 
-    # -- what comes back -----------------------------------------------------------------------
+    # -- resuming ------------------------------------------------------------------------------
 
     def find(self, named: str) -> StoredSession | None:
         """Return the session of an earlier run that a client names by its id or its token."""
@@ -172,7 +172,7 @@ class SessionResume:
         return found or next((kept for kept in self._kept.values() if _same(kept, text)), None)
 
     def take(self, kept: StoredSession) -> None:
-        """Let a session go that comes back."""
+        """Remove a session that is being resumed."""
         self._expire(next(name for name, other in self._kept.items() if other is kept))
 
     def _expire(self, name: str) -> None:
@@ -181,7 +181,7 @@ class SessionResume:
             self._delete(name, [f"{name}/{id_}" for id_ in kept.subscriptions])
 
     def restore(self, session: Session, kept: StoredSession, subscribe: Subscribe) -> None:
-        """Have `subscribe` start a session's subscriptions, with a notice of what is missing."""
+        """Let `subscribe` restart a session's subscriptions, with a notice of what is missing."""
         connection = session.connection
         assert connection is not None
         for id_, row in kept.subscriptions.items():

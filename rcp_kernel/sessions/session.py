@@ -1,4 +1,4 @@
-"""One client over time: what it subscribed to, what it commanded, and what it has not been told yet."""
+"""One client over time: its subscriptions, its commands, and messages not delivered yet."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "Handler", "Link", "OwnCommand", "Session"]
 
 Answer = Callable[[Reply], None]
-_MISSED = 4096  # replies kept for a client that is away
-_NEWS = 256  # notices kept for a client that is away
+_MISSED = 4096  # replies stored for a disconnected client
+_NEWS = 256  # notices stored for a disconnected client
 
 
 class Handler(Protocol):
     """Handle one request: `answer` is called for each reply, the last one final."""
 
     def __call__(self, session: Session, request: Request, answer: Answer, /) -> None:
-        """Take the request in; never raises, never blocks."""
+        """Accept the request; never raises, never blocks."""
         ...
 
 
 class OwnCommand(Protocol):
-    """What a session knows of a command that it follows."""
+    """A session's view of a command that it follows."""
 
     finished: int | None
 
@@ -71,7 +71,7 @@ class Link(Protocol):
 
     @property
     def outbox(self) -> Outbox:
-        """What waits to be sent."""
+        """The messages waiting to be sent."""
         ...
 
     @property
@@ -81,7 +81,7 @@ class Link(Protocol):
 
     @property
     def encoding(self) -> Encoding:
-        """How messages are written."""
+        """The encoding of messages."""
         ...
 
     @property
@@ -147,7 +147,7 @@ class Session:
         self.tenant = tenant
         self.transport = transport
         self.read_key = (transport, "read", "ok")
-        """Under what the gateway counts a read that went well."""
+        """Statistics of successful reads."""
         self.encoding = Encoding.JSON
         self.connection: Link | None = None
         self.successor: Link | None = None
@@ -162,13 +162,13 @@ class Session:
         """When the connection was lost, ns; None while there is one."""
         self.expiry: asyncio.TimerHandle | None = None
         self.greeted = False
-        """The client knows the session's id, so it may come back to it."""
+        """Whether the client knows the session's id, so that it can resume it."""
         self.one_way = False
-        """Its connection takes no requests (SSE): it is told things, and commands nothing."""
+        """Whether its connection accepts no requests (SSE)."""
         self.account: SessionAccount | None = None
-        """What its requests, subscriptions and commands are counted by; None: by nothing."""
+        """Counts its requests, subscriptions and commands; None counts nothing."""
         self.missed: deque[tuple[Reply, int]] = deque()
-        """Replies for a client that is away, and about how long each is."""
+        """Replies for a disconnected client, with their approximate sizes."""
         self.missed_bytes = 0
         self.away: Backlog | None = None
         """Counts these while the client is away."""
@@ -176,13 +176,13 @@ class Session:
         """Notices for the client's return."""
         self.overflowed = 0
         self.lapse: asyncio.TimerHandle | None = None
-        """The next look at how long the principal's proof holds."""
+        """The next check of the principal's expiry."""
         self.endings: set[Callable[[RcpError], None]] = set()
-        """Whom to tell that the proof is not good any more, beside the connection."""
+        """Called when the credentials become invalid, besides the connection."""
 
     @property
     def holder(self) -> str:
-        """As whom the session holds what it acquires: itself, or its principal if it is shared."""
+        """The holder of what the session acquires: itself, or its principal if it is shared."""
         return self.holders[0]
 
     @property
@@ -197,20 +197,20 @@ class Session:
         return self.connection is None and self.cut is None
 
     def charge(self) -> None:
-        """Count a request that comes in no envelope.
+        """Count a request without an envelope.
 
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         account = self.account
         if account is not None and not account.take(moment := self.monotonic()):
             raise account.refusal(moment)
 
     def check_pace(self) -> None:
-        """Refuse a request that is too long to be one that stops something, before it is read.
+        """Refuse a request that is too long to be a stop, before it is read.
 
-        It counts for nothing yet: that comes when it is handled.
+        It is counted later, when it is handled.
 
-        :raises RateLimited: it would be one too many now.
+        :raises RateLimited: the limit would be exceeded.
         """
         account = self.account
         if account is not None and not account.allows(moment := self.monotonic()):
@@ -218,7 +218,7 @@ class Session:
 
     @property
     def waiting_bytes(self) -> int:
-        """How many bytes wait for the client, but for samples."""
+        """Number of bytes queued for the client, without samples."""
         if self.connection is None:
             return self.missed_bytes
         outbox = self.connection.outbox
@@ -230,7 +230,7 @@ class Session:
         if link is not None:
             link.send(reply)
             return
-        if self.away is None:  # nobody comes back to it
+        if self.away is None:  # it cannot be resumed
             return
         if reply.status == "in_progress" and reply.command is not None:
             for old in [kept for kept in self.missed if _replaces(reply, kept[0])]:
@@ -248,12 +248,12 @@ class Session:
             self.away.set(self.missed_bytes)
 
     def lose(self) -> None:
-        """Let go of the oldest reply that waits for a client that is away; it will be told."""
+        """Drop the oldest reply stored for a disconnected client, which will be notified."""
         self._count_missed(-self.missed.popleft()[1])
         self.overflowed += 1
 
     def let_missed_go(self) -> None:
-        """Keep nothing more for the client's return: it is back, or will not come."""
+        """Discard the replies stored for the client: it has resumed, or cannot."""
         self.missed.clear()
         self.missed_bytes = 0
         if self.away is not None:
@@ -270,7 +270,7 @@ class Session:
     def plain(self) -> dict[str, Any]:
         """Describe the session for `/system/sessions`."""
         return {
-            "session": self.id[:8],  # whoever knows the whole id may come back to the session
+            "session": self.id[:8],  # the whole id would allow others to resume the session
             "principal": self.principal.name,
             "tenant": self.tenant,
             "transport": self.transport,

@@ -1,7 +1,7 @@
-"""All sessions: how they begin, wait for their client, come under new rules, and end.
+"""All sessions: start, waiting for a disconnected client, change of rules, and end.
 
-Subscriptions and commands live in the session. A connection can be cut: the session waits for its
-return, notes what it would have said, and says it then; it expires if nobody comes.
+Subscriptions and commands belong to the session. If a connection is lost, the session waits for its
+client, stores messages, and delivers them on resume; it expires if the client does not return.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rcp_kernel.wire import error_body, failure
 
 __all__ = ["Sessions"]
 
-_STATELESS = 10_000  # principals whose shared session is kept at hand
+_STATELESS = 10_000  # principals whose shared session is cached
 
 
 class Sessions:
@@ -73,13 +73,13 @@ class Sessions:
         """Updates sent over connections that are closed, by transport."""
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
         self.on_begin: list[Callable[[Session], object]] = []
-        """Called with each session that begins, or is proved anew."""
+        """Called with each session that starts, or is authenticated again."""
         self.on_end: list[Callable[[Session], None]] = []
         """Called with each session that ends, first of all."""
         self.on_renewal: list[Callable[[Session], object]] = []
-        """Called with a session that goes on under other rights."""
+        """Called with a session whose rights have changed."""
         self.on_review: list[Callable[[], None]] = []
-        """Called when who holds what may have other rights than before."""
+        """Called when the rights of holders may have changed."""
         self._lapsing = CredentialExpiry(loop, clock, self._expel)
         self.relief = Relief(loop, known.values, outbound)
         identities.on_change.append(self.review)
@@ -91,9 +91,9 @@ class Sessions:
         tenant: str | None = None,
         peer: Peer = UNKNOWN,
     ) -> Session:
-        """Make a session.
+        """Create a session.
 
-        :raises Forbidden: the principal does not act in `tenant`.
+        :raises Forbidden: the principal has no role in `tenant`.
         :raises QueueFull: there are too many sessions.
         """
         chosen = self._identities.tenant_for(principal, tenant)
@@ -120,12 +120,12 @@ class Sessions:
         return [own] if own else [s for s in self.everyone() if key in s.holders]
 
     def tell(self, key: str, code: str, **facts: Any) -> None:
-        """Send a notice to whoever acts for a holder."""
+        """Send a notice to all sessions of a holder."""
         for session in self.holding(key):
             session.tell(code, **facts)
 
     def logged_in(self, session: Session, peer: Peer) -> None:
-        """Put on record who came in, and watch how long its proof holds."""
+        """Record a login, and monitor the expiry of its credentials."""
         principal = session.principal
         self.watch(session)
         for began in self.on_begin:
@@ -144,9 +144,9 @@ class Sessions:
         self._lapsing.watch(session)
 
     def _make_room(self) -> None:
-        """Drop the session that has waited longest for its client, of the tenant that has most.
+        """Drop the session that has waited longest for its client, of the tenant with the most.
 
-        Who is here goes first, and nobody loses his place to a tenant that takes them all.
+        Connected clients take precedence, and no tenant can displace the sessions of others.
         """
         held = Counter(session.tenant for session in self.known.values())
         waiting = [session for session in self.known.values() if session.cut is not None]
@@ -177,8 +177,8 @@ class Sessions:
         return self.stateless(session.principal, session.transport, session.tenant)
 
     def review(self) -> None:
-        """Bring every session under new rules; end those whose proof is not good any more."""
-        for command in self._commands.running.values():  # what is under way in somebody's name
+        """Apply new rules to every session; end those with invalid credentials."""
+        for command in self._commands.running.values():  # pending work of principals
             if (requester := command.asker) is not None:
                 principal = self._identities.renewed(requester.principal)
                 requester.rights = (
@@ -190,7 +190,7 @@ class Sessions:
         for (_, tenant, transport), session in shared:
             if self._reviewed(session):
                 tenants = self._identities.tenants_of(session.principal)
-                if tenant is None:  # as for a request that comes first
+                if tenant is None:  # as for a first request
                     session.tenant = tenants[0] if tenants else None
                 elif tenant not in tenants:
                     self._lapsing.forget(session)
@@ -201,7 +201,7 @@ class Sessions:
         self.reviewed()
 
     def reviewed(self) -> None:
-        """Have whoever hands out what sessions hold look whether they may still have it."""
+        """Let features check whether holders may keep what they hold."""
         for review in self.on_review:
             review()
 
@@ -214,7 +214,7 @@ class Sessions:
         return True
 
     def renew(self, session: Session, principal: Principal) -> None:
-        """Have a session go on under what its principal's proof gives now."""
+        """Continue a session with the current rights of its principal."""
         session.principal = principal
         session.rights = self._rules.rights(principal)
         tenants = self._identities.tenants_of(principal)
@@ -226,7 +226,7 @@ class Sessions:
         self._lapsing.watch(session)
 
     def _expel(self, session: Session) -> None:
-        """End a session whose proof is not good any more, and all that it holds."""
+        """End a session with invalid credentials, and all that it holds."""
         error = TokenExpired("the session's credentials are no longer valid")
         connection = session.connection
         if connection is not None:
@@ -244,13 +244,13 @@ class Sessions:
             connection.outbox.mark()
         for ending in list(session.endings):
             ending(error)
-        session.rights = Rights((), {})  # for what is under way to the gateway
+        session.rights = Rights((), {})  # for requests already in transit
         self._lapsing.forget(session)
         if session.id in self.known or not self._elsewhere(session):
             self.drop(session)
 
     def _elsewhere(self, session: Session) -> bool:
-        """Take a shared session out; tell whether its principal has another, by a newer proof."""
+        """Remove a shared session; return whether its principal has a newer one."""
         for key in [k for k, shared in self._stateless.items() if shared is session]:
             del self._stateless[key]
         return any(same(s.principal, session.principal) for s in self._stateless.values())
@@ -261,7 +261,7 @@ class Sessions:
         self.updates[name] = self.updates.get(name, 0) + connection.outbox.updates
 
     def cut(self, session: Session) -> None:
-        """Take notice that the connection is gone; the session waits if its client knows it."""
+        """Handle a lost connection; the session waits if its client knows its id."""
         session.connection = None
         session.cut = self.clock.now()
         session.away = self._outbound.open()
@@ -281,7 +281,7 @@ class Sessions:
         self._resume.note(session)
 
     def drop(self, session: Session) -> None:
-        """End a session and what it holds; its commands go on."""
+        """End a session and release what it holds; its commands continue."""
         self.known.pop(session.id, None)
         for ended in self.on_end:
             ended(session)

@@ -1,4 +1,4 @@
-"""What is answered in place of what happened, when that could not be put on record."""
+"""The reply for an outcome that could not be recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["unrecorded"]
 
 
 def unrecorded(reply: Reply, why: str = "could not be written in time") -> Reply:
-    """Return the reply that confirms nothing, and tells the true outcome in `details`."""
+    """Return a reply that confirms nothing, and contains the true outcome in `details`."""
     error = reply.error
     outcome = reply.status if error is None else error["code"]
     unknown: RcpError = DeadlineExceeded(

@@ -1,4 +1,4 @@
-"""What a client is told in place of a reply that is too long for its queue."""
+"""The substitute for a reply that is too long for a client's queue."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from rcp_kernel.wire import Reply, failure
 __all__ = ["ESTOP", "left_out"]
 
 ESTOP = "/system/estop"
-"""The path whose replies are sent however much waits."""
+"""The path whose replies are sent regardless of the queue."""
 _ACTS = ("write", "execute")
 
 
 def left_out(reply: Reply, size: int) -> Reply:
-    """Make the reply that says why another one, of `size` bytes, is not sent.
+    """Return the substitute for a reply of `size` bytes that is not sent.
 
-    What was done stays done: the outcome is told, and that it should not be asked for again.
+    The request was executed: the outcome is included, and that it must not be repeated.
     """
     acted = reply.type in _ACTS
     error = QueueFull(

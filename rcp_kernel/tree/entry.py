@@ -1,6 +1,6 @@
-"""A resource in its place in the tree, the backend behind it, and what an e-stop stops with it.
+"""Entries of the tree, the backends behind them, and their stop groups.
 
-They know one another: an entry its backend and its stop group, both of them their entries.
+They reference one another: an entry its backend and its stop group, both of these their entries.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
-_IDLE_HISTORY = 16  # samples kept of a resource nobody subscribes to
+_IDLE_HISTORY = 16  # samples stored of a resource without subscribers
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
 
@@ -55,16 +55,16 @@ class Owner(Protocol):
 
     @property
     def on_loss(self) -> str:
-        """What becomes of a robot whose command was lost with its link: see `Backend.on_loss`."""
+        """The policy for a robot whose command was lost with its link: see `Backend.on_loss`."""
         ...
 
     @property
     def units(self) -> list[StopGroup]:
-        """What an e-stop can stop alone, each."""
+        """The stop groups of the backend."""
         ...
 
     def unit(self, robot: str | None) -> StopGroup:
-        """Return what an e-stop stops: one of its robots, or all of them."""
+        """Return a stop group: one of its robots, or all of them."""
         ...
 
     @property
@@ -82,10 +82,10 @@ class Owner(Protocol):
 
 
 class Listener(Protocol):
-    """Somebody to whom an entry's samples are offered."""
+    """A receiver of an entry's samples."""
 
     def offer(self, sample: Sample) -> None:
-        """Take notice of a new sample; must neither block nor raise."""
+        """Handle a new sample; must neither block nor raise."""
         ...
 
 
@@ -138,7 +138,7 @@ class Entry:
         self.resource = resource
         self.owner = owner
         self.unit = owner.unit(resource.robot)
-        """What an e-stop stops together with it."""
+        """The stop group it belongs to."""
         self.tenant = tenant
         self.robot = robot
         self.kind: Kind = kind_of(resource.name)
@@ -163,7 +163,7 @@ class Entry:
         self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
         self.listeners: list[Listener] = []
         self.sustained = 0.0
-        """Rate in Hz at which it is published whoever listens."""
+        """Rate in Hz at which it is published regardless of subscribers."""
         self.written: float | None = None
         """Monotonic time of the last write, for rates of change and the dead-man."""
         self.clock = clock
@@ -173,18 +173,18 @@ class Entry:
 
     @property
     def age(self) -> float | None:
-        """Seconds since the latest sample came in, or None if none ever did."""
+        """Seconds since the latest sample arrived; None if there has been none."""
         return None if self.latest is None else self._monotonic() - self._heard
 
     @property
     def stale(self) -> bool:
-        """Whether the latest value has a successor overdue, or its backend is gone."""
+        """Whether the latest value is overdue for an update, or its backend is unavailable."""
         if self.latest is None or self.owner.backend is None:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
     def publish(self, value: Any, timestamp: int | None) -> Sample:
-        """Make the next sample and offer it to every listener."""
+        """Create the next sample and offer it to every listener."""
         received = self._now()
         self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
@@ -201,7 +201,7 @@ class Entry:
         return sample
 
     def size_ring(self) -> None:
-        """Keep as many samples as history and memory allow, fewer while nobody listens."""
+        """Store as many samples as history and memory allow, fewer without subscribers."""
         wanted = self.resource.history if self.listeners else _IDLE_HISTORY
         wanted = min(wanted, self.resource.history)
         if self.latest is not None and self.value_type.grows:
@@ -224,7 +224,7 @@ class Entry:
 
 
 class StopGroup:
-    """What an e-stop stops as one: all robots of a backend, or one of them that it can halt alone."""
+    """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
     __slots__ = (
         "_holds",
@@ -249,7 +249,7 @@ class StopGroup:
         """The one robot's name in the tree; None means all of the backend."""
         self.whole: StopGroup = self if robot is None else owner.unit(None)
         self.name = owner.name if robot is None else f"{owner.name}/{robot}"
-        """The key of its own latch."""
+        """The key of its latch."""
         tenant = "" if owner.tenant is None else tenant_key(owner.tenant)
         self.identity = "" if owner.tenant is None else robot_key(owner.tenant, self._segments())
         """The robot that it is, or is a part of: backends whose resources lie at the same place in
@@ -261,7 +261,7 @@ class StopGroup:
         """The path of a command that ended with the link, or with an earlier gateway, and that the
         robot may still carry out."""
         self.retired: Latch | None = None
-        """What holds it for good."""
+        """Permanent reasons to hold it."""
         self._latches = latches
         self.own: dict[str, Entry] = {}
         """The resources that are its own: of all of a backend, those of none of its robots."""
@@ -269,7 +269,7 @@ class StopGroup:
         self._stopped = float("-inf")
         self._released = 0
         self._holds = 0
-        """How many holds it is being brought to rest by."""
+        """Number of holds that are bringing it to rest."""
 
     @property
     def place(self) -> str | None:
@@ -293,7 +293,7 @@ class StopGroup:
 
     @property
     def stops(self) -> int:
-        """How many e-stops it has had: what was admitted before one never reaches it."""
+        """Number of e-stops: requests admitted before one never reach it."""
         return self._stops if self.robot is None else self._stops + self.whole.stops
 
     @property
@@ -355,7 +355,7 @@ class StopGroup:
         await self._open().hold(self.robot)
 
     def motion(self) -> MotionState | None:
-        """Return what is measured of its motion; None: nothing is.
+        """Return the measured state of motion; None if there is no measurement.
 
         :raises AdapterUnavailable: there is no backend.
         """

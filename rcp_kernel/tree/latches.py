@@ -73,7 +73,7 @@ class Latches:
         return {key: latch for key, latch in self._held.items() if _wide(key)}
 
     def set(self, key: str, by: str, reason: str | None) -> None:
-        """Latch; an older latch of the same key stands, and holds again whom it let go."""
+        """Latch; an older latch of the same key is kept and applies to all again."""
         latch = self._held.get(key)
         if latch is None:
             latch = self._held[key] = Latch(by, reason)
@@ -81,7 +81,7 @@ class Latches:
         self._keep(key, latch)
 
     def reset(self, key: str, wider: Iterable[str]) -> None:
-        """Let go of whom a key stands for, also where a wider one holds it: all but the gateway's."""
+        """Release a key's robots, even from wider latches, except the gateway's."""
         for narrower in self._within(key):
             del self._held[narrower]
             self._keep(narrower, None)
@@ -110,7 +110,7 @@ class Latches:
 def _read(kept: Any) -> Latch:
     try:
         return Latch(kept["by"], kept["reason"], int(kept["since"]), kept["freed"])
-    except (KeyError, TypeError, ValueError):  # somebody had latched it: that is what matters
+    except (KeyError, TypeError, ValueError):  # it was latched, which is all that matters
         return Latch("the gateway", "the stored state of this e-stop cannot be read")
 
 

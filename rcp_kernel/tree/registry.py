@@ -1,7 +1,7 @@
-"""The context registry: every path with its resource, types, latest sample and backend.
+"""The registry: every path with its resource, types, latest sample and backend.
 
-Lookups are one dictionary access. Whatever searches (patterns, discovery) works on a sorted index
-that is rebuilt when the tree changes, never for a request.
+Lookups are one dictionary access. Searches (patterns, discovery) use a sorted index that is rebuilt
+when the tree changes, never for a request.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rcp_kernel.values import value_type
 
 __all__ = ["Registry"]
 
-_WITHDRAWN = 10_000  # paths whose number is remembered
+_WITHDRAWN = 10_000  # withdrawn paths whose sequence number is remembered
 _ROBOT = 4  # the part of a full path that names the robot, where a backend has one
 
 
@@ -73,7 +73,7 @@ class Registry:
         return entry
 
     def withdraw(self, path: str) -> None:
-        """Take an entry out of the tree; an unknown path is ignored."""
+        """Remove an entry from the tree; an unknown path is ignored."""
         entry = self.entries.pop(path, None)
         if entry is None:
             return
@@ -85,7 +85,7 @@ class Registry:
             callback(entry)
 
     def grow(self, owner: Owner, *, growing: bool) -> None:
-        """Note whether a backend may still declare what it has not: it opens, or looks for more."""
+        """Record whether a backend may declare more resources: it is opening, or discovering."""
         if growing == (owner in self._growing):
             return
         if growing:
@@ -95,7 +95,7 @@ class Registry:
         self.generation += 1
 
     def may_come(self, path: str) -> bool:
-        """Tell whether a path that is not in the tree may yet be declared, by its place there."""
+        """Return whether a path that is not in the tree may still be declared."""
         return bool(self._growing) and any(_may_own(owner, path) for owner in self._growing)
 
     def growing(self, pattern: Pattern) -> set[str]:
@@ -118,7 +118,7 @@ class Registry:
         return self._index
 
     def match(self, pattern: Pattern, after: str = "") -> Iterator[Entry]:
-        """Find the entries that a pattern stands for, in order of path, from behind `after` on."""
+        """Iterate over the matches of a pattern, in order of path, after `after`."""
         if pattern.literal:
             entry = self.entries.get(pattern.text)
             if entry is not None and entry.path > after:
@@ -129,7 +129,7 @@ class Registry:
         for path in index[start:]:
             if not path.startswith(pattern.prefix):
                 break
-            # Whoever goes through them in steps may find some gone.
+            # Entries may disappear while a caller iterates in steps.
             if pattern.matches(path) and (entry := self.entries.get(path)) is not None:
                 yield entry
 

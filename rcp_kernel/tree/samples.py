@@ -20,7 +20,7 @@ __all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "masked", "project"]
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
 READ_PIECE = object()
-"""Under what a sample's tails keep the piece of read replies."""
+"""Key of the piece of read replies in a sample's tails."""
 
 _BYTES = value_type(bytes)
 _JSON = Encoding.JSON  # Python 3.11 takes 0.1 µs to look it up in the enum
@@ -51,7 +51,7 @@ class Source(Protocol):
 
     @property
     def value_type(self) -> ValueType:
-        """What checks and encodes its values."""
+        """Validates and encodes its values."""
         ...
 
     @property
@@ -61,10 +61,11 @@ class Source(Protocol):
 
 
 class Sample(Body):
-    """A value with its times and number; its encodings are made when first asked for.
+    """A value with its times and number; encoded on first use.
 
-    Any method that needs the value raises `DeviceRejected` if it does not fit the resource's
-    type: a robot's bad value is the robot's fault and is never delivered.
+    Any method that needs the value raises `DeviceRejected` if it does not match the resource's
+    type: an
+    invalid value is the robot's fault and is never delivered.
     """
 
     __slots__ = (
@@ -131,11 +132,11 @@ class Sample(Body):
         return body
 
     def encode_in_steps(self) -> Generator[None]:
-        """Have the value checked and written as JSON in steps, for a long one."""
+        """Validate a long value and encode it as JSON, in steps."""
         if self._bodies is None and self.native is None:
             try:
                 value, json = yield from self.entry.value_type.check_in_steps(self._value)
-            except Exception:  # whoever asks for the value is told
+            except Exception:  # readers of the value get the error
                 return
             if self._bodies is None:
                 self._value = value
@@ -203,7 +204,7 @@ class Sample(Body):
         return b"".join((facts[1:], key, body))  # without the map's own head
 
     def forget_encodings(self) -> None:
-        """Give the memory of the encodings back; they are made anew if asked for."""
+        """Discard the encodings; they are created again on use."""
         if self._bodies:
             self._bodies = {}
             self.tails = {}
@@ -243,7 +244,7 @@ class Sample(Body):
 
 
 def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:
-    """Return a sample with what is shown of its value; None if that is nothing."""
+    """Return a sample with the visible part of its value; None if nothing is visible."""
     value = sample.value
     masked = shown(value)
     if masked is None or masked is value:
@@ -252,7 +253,7 @@ def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:
 
 
 def getter(dotted: str) -> Any:
-    """Make a function that fetches `position.x` out of a value, or None where it leads nowhere."""
+    """Return a function that gets `position.x` of a value, or None if it is missing."""
     names = dotted.split(".")
 
     def get(value: Any) -> Any:
@@ -279,7 +280,7 @@ def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
         place = out
         for name in names[:-1]:
             inner = place.setdefault(name, {})
-            if not is_map(inner):  # the whole of it was asked for as well
+            if not is_map(inner):  # the whole of it was selected as well
                 break
             place = inner
         else:

@@ -1,6 +1,6 @@
-"""A part of the tree that an e-stop, or whoever has control, is about.
+"""A part of the tree for e-stops and control: a tenant, a sub-tree, or a robot.
 
-A tenant, a sub-tree below one of its branches, or a robot: its part of every branch.
+The part of a robot extends over every branch.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Scope:
             raise _bad(text)
         self.tenant = parts[2]
         self.robot: str | None = None
-        """The robot that is meant, in every branch; None for a sub-tree of one branch or all."""
+        """The robot, in every branch; None for a sub-tree of one branch or all."""
         if len(parts) >= _ROBOT and parts[3] not in BRANCHES:
             if len(parts) > _ROBOT:
                 raise _bad(text)
@@ -67,7 +67,7 @@ class Scope:
         return tree.text.count("/") <= 3 or robot.covers(tree.text)
 
     def entries(self, registry: Registry) -> Iterator[Entry]:
-        """Find the resources in the scope; whoever goes through them in steps may miss new ones."""
+        """Iterate over the resources in the scope; iteration in steps may miss new ones."""
         if self.robot is None:
             starts = [self.text]
         else:

@@ -269,14 +269,14 @@ async def test_nobody_is_told_of_what_is_hidden(
     bench.client.inbox.clear()
     bench.shown += len(model.visible())
     bench.hidden += len(model.paths) - len(model.visible())
-    told = [
+    received = [
         await discovered(bench, model, pattern, limit, word),
         await read(bench, model, pattern),
         await subscribed(bench, model, pattern),
         await documents(bench),
     ]
     await asked(bench, model)
-    text = json.dumps([told, bench.client.inbox])
+    text = json.dumps([received, bench.client.inbox])
     leaked = [text[at - 200 : at + 50] for name in model.secrets() if (at := text.find(name)) >= 0]
     assert not leaked
 
@@ -321,24 +321,24 @@ async def subscribed(bench: Bench, model: Model, pattern: str) -> list[Any]:
     ]
     if bench.wire != "sse":
         assert [p for p in reply["body"]["paths"] if not p.startswith("/system/")] == standing
-    heard: list[Any] = []
+    received: list[Any] = []
     for path in standing:
         if "subscribe" in model.now(path):
-            heard.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
+            received.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
         else:
-            heard.append(await client.until(lambda m, p=path: _of(m, id_, "notice", p)))
-            assert heard[-1]["code"] == "paused"
+            received.append(await client.until(lambda m, p=path: _of(m, id_, "notice", p)))
+            assert received[-1]["code"] == "paused"
     for tenant, garden in bench.gardens.items():
         for name in sorted(garden.declared):
             if not name.startswith(("action", "service")):
                 garden.host.publish(name, 0.25)
                 path = f"/tenant/{tenant}/{name}"
                 if path in standing and "subscribe" in model.now(path):
-                    heard.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
+                    received.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
     await client.request("unsubscribe", body={"subscription": id_})
     rest = [m for m in client.inbox if m["type"] == "update" and "/tenant/" in m["path"]]
     assert not rest
-    return heard
+    return received
 
 
 @LAW

@@ -82,7 +82,7 @@ def test_the_suite_of_the_page_proves_the_turntable(tmp_path: Path) -> None:
 
 
 def test_the_table_of_resources_has_fields_that_there_are() -> None:
-    told = set(keys(section(DOCS / "write-a-backend.md", "Reference")))
+    documented = set(keys(section(DOCS / "write-a-backend.md", "Reference")))
     real = {field.name for field in msgspec.structs.fields(Resource)}
     elsewhere = {"name", "description", "value", "input", "output", "feedback", "examples"}
-    assert told == real - elsewhere
+    assert documented == real - elsewhere

@@ -125,6 +125,18 @@ async def test_a_value_that_is_known_is_not_sent_again(
     assert (await http.get(POSE, headers=known)).status_code == 200
 
 
+async def test_a_value_is_answered_alike_at_once_and_by_its_handler(
+    gateway: Site, http: httpx.AsyncClient
+) -> None:
+    gateway.robot.host.publish("sensor/pose", {"position": {"x": 3.0, "y": 2.0}})
+    answers = [await http.get(POSE + query) for query in ("", "?fresh=false")]
+    told = [a.json() | {"timestamp": ""} for a in answers]
+    assert told[0] == told[1]
+    assert list(told[0]) == list(told[1])
+    heads = [dict(a.headers) | {"date": ""} for a in answers]
+    assert heads[0] == heads[1]
+
+
 async def test_the_catalogue_has_a_validator_of_tree_rights_and_query(
     http: httpx.AsyncClient, gateway: Site
 ) -> None:

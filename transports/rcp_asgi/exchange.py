@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import Any
 
 from uvicorn._types import ASGISendEvent
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, RequestResponseCycle
@@ -17,16 +18,21 @@ __all__ = ["Exchange"]
 _NOT_IN_NAMES = re.compile(rb'[\x00-\x1f\x7f()<>@,;:\[\]={} \t\\"]')
 _NOT_IN_VALUES = re.compile(rb"[\x00-\x08\x0a-\x1f\x7f]")
 _CLOSE = re.compile(rb"(?i)(?:^|,)\s*close\s*(?:,|$)")
+_JOINED = 64 * 1024  # bytes of a body that is copied behind its head
+_WRITTEN = {"type": "http.response.body", "body": b""}
 _FRAMING = frozenset((b"content-length", b"transfer-encoding", b"connection"))
 
 
 class Exchange(RequestResponseCycle):
     """Writes what an ASGI application sends."""
 
+    _unsent = b""
+    """The head of a response of known length, until its body comes."""
+
     async def send(self, message: ASGISendEvent) -> None:
         """Send the head or a part of the body."""
         if self.response_started or message["type"] != "http.response.start":
-            await super().send(message)
+            await super().send(self._send_head(message) if self._unsent else message)
             return
         if self.flow.write_paused and not self.disconnected:
             await self.flow.drain()
@@ -53,7 +59,24 @@ class Exchange(RequestResponseCycle):
             self.chunked_encoding = True
             lines.append(b"transfer-encoding: chunked\r\n")
         lines.append(b"\r\n")
-        self.transport.write(b"".join(lines))
+        if self.chunked_encoding is False:
+            self._unsent = b"".join(lines)
+        else:  # the body may come by another way, see `Endless`
+            self.transport.write(b"".join(lines))
+
+    def _send_head(self, message: Any) -> Any:
+        """Write the head, together with a short body; return the message that is left to send."""
+        head, self._unsent = self._unsent, b""
+        if self.disconnected:
+            return message
+        body = message.get("body", b"")
+        whole = len(body) == self.expected_content_length and not message.get("more_body", False)
+        if whole and len(body) <= _JOINED and self.scope["method"] != "HEAD":
+            self.expected_content_length = 0
+            self.transport.write(head + body)
+            return _WRITTEN
+        self.transport.write(head)
+        return message
 
     def _adopt(self, name: bytes, value: bytes) -> bool:
         """Set up the body as the head requires; return whether the connection closes afterwards."""

@@ -14,7 +14,6 @@ from typing import Any, cast
 from urllib.parse import unquote
 
 import httptools
-from uvicorn._types import ASGI3Application
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import (
@@ -285,24 +284,25 @@ class HttpProtocol(HttpToolsProtocol):
 
     def on_url(self, url: bytes) -> None:
         """Handle a part of the request line."""
-        if self._exceeds(len(url)):
+        self._silent = 0
+        self._head += len(url)
+        if self._head > self._settings.config.max_header:
             self._fault = TargetTooLong("the request line is too long")
             raise self._fault  # the parser stops and `_parse` replies
         self.url += url
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Handle a header; trailers are counted and dropped, because nothing uses them."""
-        if self._exceeds(len(name) + len(value) + 4):
+        self._silent = 0
+        self._head += len(name) + len(value) + 4
+        if self._head > self._settings.config.max_header:
             self._fault = HeadTooLong("the request's headers are too long")
             raise self._fault
-        if self._in_head:
-            super().on_header(name, value)
-
-    def _exceeds(self, size: int) -> bool:
-        """Count the size of the head; return whether it is too large."""
-        self._silent = 0
-        self._head += size
-        return self._head > self._settings.config.max_header
+        if self._in_head:  # as uvicorn does, which is called for each of them
+            name = name.lower()
+            if name == b"expect" and value.lower() == b"100-continue":
+                self.expect_100_continue = True
+            self.headers.append((name, value))
 
     def on_headers_complete(self) -> None:
         """Start the request."""
@@ -313,7 +313,7 @@ class HttpProtocol(HttpToolsProtocol):
         parser, headers = self.parser, self.headers
         method, version = parser.get_method(), parser.get_http_version()
         try:
-            self.url = check_head(method, version, self.url, headers)
+            self.url, length = check_head(method, version, self.url, headers)
         except RcpError as fault:
             self._fault = fault
             raise
@@ -323,7 +323,7 @@ class HttpProtocol(HttpToolsProtocol):
         if upgrades and not self._should_upgrade():
             return
         self._in_body = True
-        self._owed = next((int(v) for n, v in headers if n == b"content-length"), 0)
+        self._owed = length
         if self._proxied:
             self._speak_for_client()
         if not upgrades:
@@ -331,10 +331,10 @@ class HttpProtocol(HttpToolsProtocol):
 
     def _begin(self, version: str) -> None:
         """Start the handler of a request, after those before it."""
-        scope = cast("dict[str, Any]", self.scope)
-        app = cast("ASGI3Application", self.app)
-        url = httptools.parse_url(self.url)
-        path = cast("bytes", url.path)
+        scope: Any = self.scope
+        app: Any = self.app
+        url: Any = httptools.parse_url(self.url)
+        path: bytes = url.path
         text = path.decode("ascii")
         scope["path"] = unquote(text) if "%" in text else text
         scope["raw_path"] = path
@@ -342,7 +342,7 @@ class HttpProtocol(HttpToolsProtocol):
         before, self.cycle = (
             self.cycle,
             Exchange(
-                scope=self.scope,
+                scope=scope,
                 transport=self.transport,
                 flow=self.flow,
                 logger=self.logger,

@@ -68,8 +68,10 @@ class UnknownCoding(NotImplementedByRobot):
     default_remedy = "Send the body with Content-Length, or `Transfer-Encoding: chunked`."
 
 
-def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> bytes:
-    """Return the target's path and query; `Host` is replaced by that of an absolute target.
+def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> tuple[bytes, int]:
+    """Return the target's path and query, and the Content-Length; without one, 0.
+
+    `Host` is replaced by that of an absolute target.
 
     :raises Malformed: the head is invalid or ambiguous.
     :raises UnknownMethod: the method is for proxies.
@@ -79,11 +81,26 @@ def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> 
         raise UnknownVersion(f"HTTP/{version} is not supported")
     if method == b"CONNECT":
         raise UnknownMethod("this gateway is not a proxy")
-    _check_body(version, headers)
-    host = _host(version, headers)
-    if b"#" in target:
+    host = coding = length = None
+    for name, value in headers:
+        if name == b"host":
+            if host is not None:
+                raise Malformed("the request has more than one Host header")
+            host = value
+        elif name == b"transfer-encoding":
+            coding = value if coding is None else coding + b"," + value
+        elif name == b"content-length" and length is None:
+            length = int(value)
+    if coding is not None:
+        _check_coding(coding, version, has_length=length is not None)
+    _check_host(host, version)
+    return _path(method, target, headers, host), length or 0
+
+
+def _path(method: bytes, target: bytes, headers: Headers, host: bytes | None) -> bytes:
+    if target.find(b"#") >= 0:
         raise Malformed("the request target has a fragment")
-    if target[:1] == b"/":
+    if target.startswith(b"/"):
         return target
     if target == b"*" and method == b"OPTIONS":
         return target
@@ -100,31 +117,17 @@ def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> 
     return rest if rest[:1] == b"/" else b"/" + rest
 
 
-def _host(version: str, headers: Headers) -> bytes | None:
-    named = [value for name, value in headers if name == b"host"]
-    if len(named) > 1:
-        raise Malformed("the request has more than one Host header")
-    if not named:
-        if version == "1.0":
-            return None
-        raise Malformed("the request has no Host header")
-    if not _AUTHORITY.match(named[0]):
+def _check_host(host: bytes | None, version: str) -> None:
+    if host is None:
+        if version != "1.0":
+            raise Malformed("the request has no Host header")
+    elif not _AUTHORITY.match(host):
         raise Malformed("the Host header is not a host and port")
-    return named[0]
 
 
-def _check_body(version: str, headers: Headers) -> None:
+def _check_coding(coding: bytes, version: str, *, has_length: bool) -> None:
     """Refuse ambiguous body lengths (RFC 9112, 6.1 and 6.3)."""
-    coding: bytes | None = None
-    length = False
-    for name, value in headers:
-        if name == b"transfer-encoding":
-            coding = value if coding is None else coding + b"," + value
-        elif name == b"content-length":
-            length = True
-    if coding is None:
-        return
-    if length:
+    if has_length:
         raise Malformed("the request has both Content-Length and Transfer-Encoding")
     if version == "1.0":
         raise Malformed("Transfer-Encoding is not allowed in HTTP/1.0")

@@ -11,7 +11,14 @@ from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import BACKLOG_SHARE, Outbound, Turns, left_out, to_internal_error
+from rcp_kernel.api import (
+    BACKLOG_SHARE,
+    Outbound,
+    PromptReply,
+    Turns,
+    left_out,
+    to_internal_error,
+)
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -42,7 +49,7 @@ class Answers:
         """Answer with an envelope."""
         etag = None
         if reply.seq is not None and reply.type == "read" and reply.error is None:
-            etag = b'W/"%b.%d.%b"' % (BOOT, reply.seq, b"s" if reply.state == "stale" else b"f")
+            etag = _etag(reply.seq, stale=reply.state == "stale")
         if etag is not None and matches(asked, etag):
             await self.unchanged(send, etag)
             return
@@ -62,6 +69,22 @@ class Answers:
             place = f"{asked.root_path}/rcp/v1/commands/{told.command}"
             found.append((b"location", place.encode("latin-1")))
         await self.body(send, asked, status, data, found, etag)
+
+    async def prompt(
+        self, send: Send, asked: HttpRequest, path: str, prompt: PromptReply, began: float
+    ) -> None:
+        """Answer with the value of a read of `path`, which `began` a moment ago."""
+        etag = _etag(prompt.seq, stale=prompt.stale)
+        if matches(asked, etag):
+            await self.unchanged(send, etag)
+            return
+        size = len(prompt.data)
+        if size > BACKLOG_SHARE:
+            self._turns.add(perf_counter() - began)
+            if not self._outbound.has_room(size):
+                await self.reply(send, asked, left_out(Reply(type="read", path=path), size))
+                return
+        await self.body(send, asked, 200, prompt.data, [], etag)
 
     async def unchanged(self, send: Send, etag: bytes) -> None:
         """Respond that the client's copy is current."""
@@ -101,6 +124,10 @@ class Answers:
 async def _send(send: Send, status: int, headers: Headers, data: bytes) -> None:
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": data})
+
+
+def _etag(seq: int, *, stale: bool) -> bytes:
+    return b'W/"%b.%d.%b"' % (BOOT, seq, b"s" if stale else b"f")
 
 
 def matches(asked: HttpRequest, etag: bytes) -> bool:

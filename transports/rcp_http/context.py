@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from time import perf_counter
 
 import msgspec
 from msgspec import Raw
@@ -15,9 +16,12 @@ from rcp_kernel.api import Query, Session
 from rcp_kernel.asgi import Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
+from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Context", "Follower"]
+
+_JSON = Encoding.JSON
 
 
 class Follower:
@@ -82,6 +86,7 @@ class Context:
         self._client_api = client_api
         self._config = config
         self._answers = answers
+        self._turns = client_api.turns
 
     async def read(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
@@ -90,13 +95,20 @@ class Context:
         request = asked.request("read", path)
         if asked.query:
             self._options(asked, request)
+        elif asked.encoding is _JSON and not asked.octets and "range" not in asked.found:
+            began = perf_counter()
+            # Encoding a long value takes milliseconds.
+            prompt = None if self._turns.over else self._client_api.read_at_once(session, request)
+            if prompt is not None:
+                await self._answers.prompt(send, asked, path, prompt, began)
+                return
         follower = Follower(session)
         self._client_api.submit(session, request, follower)
         reply = follower.latest
         if reply is None or not reply.final:
             reply = await follower.final()
-        if self._client_api.turns.over:  # encoding a long response takes milliseconds
-            await self._client_api.turns.wait(session.principal.identity)
+        if self._turns.over:  # as above
+            await self._turns.wait(session.principal.identity)
         if (asked.octets or "range" in asked.found) and reply.error is None:
             data = bytes_of(reply, native=asked.octets)
             if data is not None:

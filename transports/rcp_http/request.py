@@ -82,10 +82,10 @@ class HttpRequest:
         found: dict[str, bytes] = {}
         envelope: dict[str, bytes] = {}
         for name, value in scope["headers"]:
-            if name in _HEADERS:
-                found[_HEADERS[name]] = value
-            elif name in _ENVELOPE:
-                envelope[_ENVELOPE[name]] = value
+            if (used := _HEADERS.get(name)) is not None:
+                found[used] = value
+            elif (field := _ENVELOPE.get(name)) is not None:
+                envelope[field] = value
         self.found = found
         """The headers in use."""
         self.envelope = envelope

@@ -53,8 +53,8 @@ async def test_the_card_of_a_hidden_tenant_is_as_that_of_none() -> None:
 async def test_the_card_names_each_binding_and_version(gateway: Site) -> None:
     async with caller(gateway, None) as client:
         card = (await client.get(f"/a2a/alpha{CARD}")).json()
-    told = [(i["protocolBinding"], i["protocolVersion"]) for i in card["supportedInterfaces"]]
-    assert told == [
+    received = [(i["protocolBinding"], i["protocolVersion"]) for i in card["supportedInterfaces"]]
+    assert received == [
         ("JSONRPC", "1.0"), ("HTTP+JSON", "1.0"), ("JSONRPC", "0.3"), ("HTTP+JSON", "0.3"),
     ]  # fmt: skip
     assert card["supportedInterfaces"][0]["url"] == f"{gateway.url}/a2a"

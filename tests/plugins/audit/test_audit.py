@@ -135,6 +135,15 @@ async def test_a_long_value_is_told_by_its_length_and_hash(world: World) -> None
     assert len(start["value"]["sha256"]) == 64
 
 
+async def test_a_long_text_is_cut_but_a_value_is_told_whole(world: World) -> None:
+    long = "x" * 600
+    facts = {"message": long, "value": long, "name": "short"}
+    world.server.kernel.event_bus.note("write", principal=None, path="/" + long, **facts)
+    [found] = await records(world, what="write")
+    assert (len(found["message"]), len(found["path"])) == (500, 500)
+    assert (found["value"], found["name"]) == (long, "short")
+
+
 def log_of(world: World) -> AuditLog:
     """Return what makes the records."""
     [hear] = world.server.kernel.event_bus.on_event
