@@ -60,8 +60,8 @@ def base_resources(config: DiffDriveConfig, axle: Axle, place: str | None) -> li
         offer(
             "action/move_to",
             examples=(
-                {"position": {"x": 0.2, "y": 0.0}, "frame": config.frame},
-                {"position": {"x": 0.2, "y": 0.1}, "frame": config.frame, "yaw": 1.57},
+                {"position": {"x": 0.2, "y": 0.0}, "frame": "odom"},
+                {"position": {"x": 0.2, "y": 0.1}, "frame": "odom", "yaw": 1.57},
             ),
             timeout=_MOVE,
         ),

@@ -25,6 +25,9 @@ from rcp_profiles.messages import MoveResult, MoveTo, TwistStamped
 
 __all__ = ["DiffDrivePart"]
 
+_FRAMES = "odom", "map"
+"""Frames of goals: without a map, both begin where the odometry does (REP-105)."""
+
 
 class DiffDrivePart(Part):
     """One differential drive; its wheels also remain separate motors."""
@@ -59,7 +62,7 @@ class DiffDrivePart(Part):
     def _pose(self, at: str) -> PoseStamped:
         x, y, heading = self._odometry.place
         turned = Quaternion(z=math.sin(heading / 2), w=math.cos(heading / 2))
-        return PoseStamped(Point(x, y), turned, self._config.frame, at)
+        return PoseStamped(Point(x, y), turned, "odom", at)
 
     def _moving(self, at: str) -> TwistStamped | None:
         moving = self._axle.moving
@@ -124,11 +127,10 @@ class DiffDrivePart(Part):
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Drive to a place."""
         goal: MoveTo = value
-        own = self._config.frame
-        if goal.frame != own:
+        if goal.frame not in _FRAMES:
             raise InvalidValue(
-                f"there is no transform from '{goal.frame}' to '{own}'",
-                remedy=f"Give the goal in the frame '{own}'.",
+                f"there is no transform from '{goal.frame}' to 'odom'",
+                remedy="Give the goal in the frame 'odom'.",
                 details={"pointer": "/frame"},
             )
         for wheel in self._axle.wheels:

@@ -13,8 +13,9 @@ from rcp_can.config_diff_drive import DiffDriveConfig
 __all__ = ["Odometry", "Place", "wrapped"]
 
 log = structlog.get_logger("rcp.can")
-_FASTER = 2.0  # times its maximum velocity that a wheel may be turned by others
+_FASTER = 2.0  # times its reported velocity that a wheel may have turned
 _SLACK = 0.05  # rad
+_BUNCH = 0.25  # s of motion that may arrive at once, after the gateway was late
 
 
 class Place(NamedTuple):
@@ -29,6 +30,7 @@ class _Seen(NamedTuple):
     """The last position of a wheel that has been counted."""
 
     position: float
+    velocity: float
     at: float
     resets: int
     reports: int
@@ -45,6 +47,8 @@ class Odometry:
         self._config, self._wheels = config, (left, right)
         self.place = Place()
         self._seen: list[_Seen] | None = None
+        self._credit = dict.fromkeys(self._wheels, 0.0)
+        """What a wheel may have turned since the last report beyond what it did, rad."""
 
     def update(self) -> bool:
         """Count what the wheels have turned; tell whether both have reported since the last time."""
@@ -78,8 +82,10 @@ class Odometry:
         """Return by how much a wheel has turned; None if that is not known."""
         gap, turned = new.at - old.at, new.position - old.position
         known = new.resets == old.resets and gap <= wheel.limit_of("position")
-        likely = abs(turned) <= _FASTER * wheel.velocity_limit * gap + _SLACK
-        return turned if known and likely else None
+        speed = _FASTER * max(abs(old.velocity), abs(new.velocity))
+        credit = min(self._credit[wheel] + speed * gap, speed * _BUNCH)
+        self._credit[wheel] = max(0.0, credit - abs(turned))
+        return turned if known and abs(turned) <= credit + _SLACK else None
 
     def _advance(self, left: float, right: float) -> None:
         radius, place = self._config.radius, self.place
@@ -93,10 +99,13 @@ class Odometry:
 
 
 def _look(wheel: Axis) -> _Seen | None:
-    status, position = wheel.status, wheel.position
-    if position is None or "position" not in status.at or not wheel.configured:
+    status, position, velocity = wheel.status, wheel.position, wheel.velocity
+    if position is None or velocity is None or not wheel.configured:
         return None
-    return _Seen(position, status.at["position"], status.resets, status.counts["position"])
+    if "position" not in status.at:
+        return None
+    at, reports = status.at["position"], status.counts["position"]
+    return _Seen(position, velocity, at, status.resets, reports)
 
 
 def wrapped(angle: float) -> float:
