@@ -13,7 +13,7 @@ __all__ = ["unaccepted", "unexpected"]
 
 _LOWER = ("minimum", "exclusiveMinimum", "minLength", "minItems")
 _UPPER = ("maximum", "exclusiveMaximum", "maxLength", "maxItems")
-_TEXT = ("pattern", "contentEncoding", "format")
+_TEXT = ("pattern", "format")
 
 
 class _Node(NamedTuple):
@@ -96,6 +96,8 @@ class _Comparison:
     def _units(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
         if _unit(old) != _unit(new):
             yield f"{_where(place)} is in {_unit(new) or 'no unit'}, not in {_unit(old) or 'none'}"
+        if old.schema.get("contentEncoding") != new.schema.get("contentEncoding"):
+            yield f"{_where(place)} is {'text' if 'contentEncoding' in old.schema else 'bytes'}"
 
 
 class _Accepts(_Comparison):
