@@ -1,4 +1,4 @@
-"""Types with the limits of one robot: a copy of a profile's type whose numbers are bounded."""
+"""Types with the limits of one robot: copies of profile types with bounded numbers."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _AXES = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.
 
 
 class Keyed(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A map that knows its keys: what `bounded` puts in place of a `dict`."""
+    """A map with known keys, which `bounded` substitutes for a `dict`."""
 
     def given(self) -> dict[str, Any]:
-        """Return what was given, by key."""
+        """Return the given items by key."""
         fields = msgspec.structs.fields(self)
         found = {one.encode_name: getattr(self, one.name) for one in fields}
         return {key: value for key, value in found.items() if value is not None}
@@ -45,7 +45,7 @@ def twist_limits(*, x: float, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) 
 def bounded(type_: Any, bounds: Bounds) -> Any:
     """Return a type with bounds; its Structs are subclasses of those of `type_`.
 
-    :raises PluginError: a bound names no number of the type.
+    :raises PluginError: a bound does not name a number of the type.
     """
     return _bounded(type_, bounds, "Keyed")
 
