@@ -236,12 +236,12 @@ async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None)
 async def test_distance_and_time_left_shrink_on_the_way() -> None:
     async with rover() as rig:
         await rig.moving(1.5, speed=0.6)
-        told = [feedback for feedback, _ in rig.feedback]
-        assert len(told) > 10
-        distances = [each.distance_remaining for each in told]
+        received = [feedback for feedback, _ in rig.feedback]
+        assert len(received) > 10
+        distances = [each.distance_remaining for each in received]
         assert distances == sorted(distances, reverse=True)
-        assert told[0].eta > told[-1].eta
-        assert told[0].eta == pytest.approx(3.0, abs=1.5)
+        assert received[0].eta > received[-1].eta
+        assert received[0].eta == pytest.approx(3.0, abs=1.5)
 
 
 async def test_a_cancelled_move_has_braked_when_it_ends() -> None:

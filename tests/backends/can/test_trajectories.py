@@ -230,10 +230,10 @@ async def test_joints_are_at_each_waypoint_at_its_time_and_end_at_the_last() -> 
             assert moved["positions"][name] == pytest.approx(position, abs=0.02)
         assert moved["duration"] >= 2.4
         assert rig.still()
-        told = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
-        assert len(told) > 5
-        assert [each.time for each in told] == sorted(each.time for each in told)
-        middle = min(told, key=lambda each: abs(each.time - 1.6))
+        received = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
+        assert len(received) > 5
+        assert [each.time for each in received] == sorted(each.time for each in received)
+        middle = min(received, key=lambda each: abs(each.time - 1.6))
         assert middle.positions["roll"] > 0.4
         states = to_plain(await rig.backend.read(STATES))
         assert states["name"] == ["pan", "tilt", "roll"]
