@@ -89,7 +89,7 @@ endef
 # The tests' dependencies include those of the demo.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
-	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,mavlink,mcp]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,mavlink,mcp,mujoco]'
 	@$(report_missing_pages)
 	@touch $@
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rcp_kernel.client_kinds import AdapterKind, TransportKind
     from rcp_kernel.features import FeatureKind
     from rcp_kernel.spi import BackendKind
+    from rcp_profiles import Profile
 
 __all__ = ["PROJECT", "hookimpl"]
 
@@ -69,4 +70,16 @@ def rcp_features() -> Iterable[FeatureKind]:  # pyright: ignore[reportReturnType
         @hookimpl
         def rcp_features():
             return [FeatureKind("maintenance", MaintenanceConfig, make_maintenance)]
+    """
+
+
+@hookspec
+def rcp_profiles() -> Iterable[Profile]:  # pyright: ignore[reportReturnType]
+    """Publish profiles of a vendor's own, listed and exported by `rcpd profiles`.
+
+    Example::
+
+        @hookimpl
+        def rcp_profiles():
+            return [CRANE]
     """

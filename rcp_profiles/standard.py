@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 
 from rcp_profiles.moving import AERIAL, DRIVE, MOBILE, POWER
 from rcp_profiles.parts import ARM, BATTERY, CAMERA, GRIPPER, LIDAR
@@ -17,14 +18,14 @@ STANDARD: dict[str, Profile] = {
 }
 
 
-def profile_named(name: str) -> Profile:
-    """Return a standard profile.
+def profile_named(name: str, known: Mapping[str, Profile] = STANDARD) -> Profile:
+    """Return a profile of the `known` ones.
 
     :raises PluginError: there is none of this name.
     """
-    found = STANDARD.get(name)
+    found = known.get(name)
     if found is None:
-        near = difflib.get_close_matches(name, STANDARD, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(STANDARD)}"
+        near = difflib.get_close_matches(name, known, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
         raise PluginError(f"there is no profile '{name}': {advice}")
     return found

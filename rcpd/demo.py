@@ -1,4 +1,4 @@
-"""`rcpd demo`: two tenants with a rover each, one with a drone, one with motors, keys made for this run, and where to look."""
+"""`rcpd demo`: two tenants with a rover each, others with a drone, motors and robots with physics, keys made for this run, and where to look."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ use = "sim"
 name = "rover-beta"
 tenant = "beta"
 seed = 2
-{drone}{head}
+{drone}{head}{physics}
 [[keys]]
 name = "demo-operator"
 role = "operator"
@@ -106,6 +106,21 @@ joints = ["pan", "tilt"]
 """
 
 
+_PHYSICS = """
+[[backends]]
+use = "mujoco"
+name = "rover-epsilon"
+tenant = "epsilon"
+model = "rover"
+
+[[backends]]
+use = "mujoco"
+name = "arm-zeta"
+tenant = "zeta"
+model = "arm"
+"""
+
+
 def token_file(host: str, port: int) -> Path:
     """Return the file with the demo's key for `rcpctl` of the same user."""
     base = os.environ.get("XDG_RUNTIME_DIR") or str(Path.home() / ".cache")
@@ -127,6 +142,7 @@ class Demo:
         self._admin = "rcp_ad_" + secrets.token_urlsafe(18)
         self._a2a, self._mcp = _usable("plugins", "a2a"), _usable("plugins", "mcp")
         self._drone, self._head = _usable("backends", "mavlink"), _usable("backends", "can")
+        self._physics = _usable("backends", "mujoco")
 
     def config(self, level: str) -> str:
         """Return the configuration as TOML."""
@@ -139,6 +155,7 @@ class Demo:
             mcp=_MCP if self._mcp else "",
             drone=_DRONE if self._drone else "",
             head=_HEAD if self._head else "",
+            physics=_PHYSICS if self._physics else "",
         )
 
     def url(self, server: Server) -> str:
@@ -183,6 +200,13 @@ class Demo:
             does = f"  {rcpctl} --url {url} execute /tenant/delta"
             goal = """'{"positions": {"pan": 1, "tilt": 0.5}}'"""
             motors = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
+        physics = "  To add robots with physics: pip install 'rcp-gateway[mujoco]'"
+        if self._physics:
+            where += ", a rover and an arm with physics in epsilon and zeta"
+            does = f"  {rcpctl} --url {url} execute /tenant"
+            goal = """'{"position": {"x": 0.4, "y": 0.2, "z": 0.3}}'"""
+            drive = """'{"position": {"x": 1, "y": 1}}'"""
+            physics = f"{does}/epsilon/action/move_to {drive}\n{does}/zeta/action/move_tool {goal}"
         a2a = f"{url}/a2a               A2A, for other agents"
         if not self._a2a:
             a2a = "To add A2A: pip install 'rcp-gateway[a2a]'"
@@ -207,6 +231,7 @@ Try:
   {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
 {fly}
 {motors}
+{physics}
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"

@@ -28,7 +28,7 @@ from rcp_can.guard import (
 )
 from rcp_can.health import Health
 from rcp_can.messages import Condition
-from rcp_can.setpoint import set_point
+from rcp_can.setpoint import set_point, torque_offset
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceTimeout,
@@ -385,6 +385,7 @@ class Axis(AxisState):
         """Send the next set-point of the ramp."""
         due = set_point(self, dt)
         if due is not None:
+            self.drive.torque_offset = torque_offset(self)
             self._send(lambda: self.drive.command(*due))
 
     def _send(self, function: Callable[[], object]) -> None:

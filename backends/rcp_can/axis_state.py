@@ -11,6 +11,7 @@ from rcp_can.bus import Bus
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive
 from rcp_can.faultbook import FaultBook
+from rcp_can.gravity import Gravity
 from rcp_can.ramp import Ramp
 from rcp_kernel.spi import Host
 
@@ -41,6 +42,7 @@ class AxisState:
         low, high = config.position or (-reach.position / gear, reach.position / gear)
         span = reach.position / gear
         self.low, self.high = max(low, -span), min(high, span)
+        self.gravity = Gravity(config.gravity) if config.gravity else None
         self.ramp = Ramp(self.velocity_limit, config.acceleration)
         self.mode: m.Mode | None = None
         self.goal = 0.0

@@ -1,4 +1,4 @@
-"""What a differential drive declares."""
+"""The resources of a differential drive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class BaseNames(NamedTuple):
 
     @classmethod
     def make(cls, place: str | None) -> Self:
-        """Place the names of the profile below a segment, if one is given."""
+        """Return the names of the profile, below a segment if one is given."""
         below = f"{place}/" if place else ""
         return cls(
             f"actuator/{below}cmd_vel",
@@ -60,8 +60,8 @@ def base_resources(config: DiffDriveConfig, axle: Axle, place: str | None) -> li
         offer(
             "action/move_to",
             examples=(
-                {"position": {"x": 0.2, "y": 0.0}, "frame": config.frame},
-                {"position": {"x": 0.2, "y": 0.1}, "frame": config.frame, "yaw": 1.57},
+                {"position": {"x": 0.2, "y": 0.0}, "frame": "odom"},
+                {"position": {"x": 0.2, "y": 0.1}, "frame": "odom", "yaw": 1.57},
             ),
             timeout=_MOVE,
         ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from msgspec import Meta, Struct
 
@@ -30,8 +30,6 @@ class DiffDriveConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Maximum yaw rate; without it, the wheels' limits alone apply."""
     acceleration: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "m/s2"})] | None = None
     """Acceleration of a wheel on the floor; the smaller of this and the motors' own applies."""
-    frame: Literal["odom", "map"] = "odom"
-    """Frame of the odometry: `map` if it begins where the map does, so that goals may be in it."""
     as_robot: bool = False
     """Offer `actuator/cmd_vel`, not `actuator/<name>/cmd_vel`: the backend's robot is this drive."""
 

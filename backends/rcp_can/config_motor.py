@@ -54,6 +54,9 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Position tolerance of a move."""
     standstill: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.05
     """Speed below which the joint counts as at rest."""
+    gravity: tuple[tuple[float, float], ...] = ()
+    """Torque that holds the joint against gravity: pairs of position (rad) and torque (N·m), which is
+    fed forward to the drive."""
     options: dict[str, Any] = {}
     """Options of the profile, listed in its table."""
 
@@ -69,5 +72,10 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise ValueError(
                 f"`watchdog` is shorter than {_PERIODS_PER_WATCHDOG} periods of `rate`, which reset it"
             )
+        places = [place for place, _ in self.gravity]
+        if self.gravity and (len(places) < 2 or places != sorted(set(places))):
+            raise ValueError("`gravity` is two pairs or more, by increasing positions")
+        if any(abs(torque) > self.torque for _, torque in self.gravity):
+            raise ValueError("`gravity` has a torque that exceeds `torque`")
         if self.position is not None and self.position[0] >= self.position[1]:
             raise ValueError("`position` must be [lowest, highest], with lowest < highest")

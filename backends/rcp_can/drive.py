@@ -70,6 +70,10 @@ class Drive(ABC):
 
     sags = False
     """Whether a joint under load sinks at velocity zero, so that only its position holds it."""
+    offsets = False
+    """Whether it adds `torque_offset` to what its position and velocity loops command."""
+    torque_offset: float | None = None
+    """Torque that is fed forward with a set-point, N·m at the shaft; None: none is wanted."""
     watchdog: float | None = 0.5
     """Time-out in s of the drive's own watchdog; None keeps its setting."""
 

@@ -57,6 +57,12 @@ def make_axes(
         except (msgspec.ValidationError, ValueError) as error:
             raise ConfigError(f"motors.{name}.options: {error}") from error
         drive.watchdog = motor.watchdog or None
+        if motor.gravity:
+            if not drive.offsets:
+                raise ConfigError(
+                    f"motors.{name}.gravity: {motor.profile} takes no torque beside a position"
+                )
+            drive.torque_offset = 0.0
         axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health)
     return axes
 

@@ -13,12 +13,13 @@ from rcp_can.config_diff_drive import DiffDriveConfig
 __all__ = ["Odometry", "Place", "wrapped"]
 
 log = structlog.get_logger("rcp.can")
-_FASTER = 2.0  # times its maximum velocity that a wheel may be turned by others
+_FASTER = 2.0  # maximum ratio of the turned angle to the reported velocity
 _SLACK = 0.05  # rad
+_BUNCH = 0.25  # s of motion that may arrive together after the gateway was late
 
 
 class Place(NamedTuple):
-    """Where the middle of the axle is, m, and its heading, rad."""
+    """Position of the middle of the axle, m, and heading, rad."""
 
     x: float = 0.0
     y: float = 0.0
@@ -26,28 +27,32 @@ class Place(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """The last position of a wheel that has been counted."""
+    """The last counted position of a wheel."""
 
     position: float
+    velocity: float
     at: float
     resets: int
     reports: int
 
 
 class Odometry:
-    """The place of a differential drive in the frame `odom`.
+    """The pose of a differential drive in the frame `odom`.
 
-    The place never jumps (REP-105): after a gap, a reboot of a drive or a new zero, it goes on from where
-    it was, and what a wheel turned meanwhile is not in it.
+    The pose never jumps (REP-105): after a gap, a reboot of a drive or a new zero, it continues
+    from its
+    last value, without the motion in between.
     """
 
     def __init__(self, config: DiffDriveConfig, left: Axis, right: Axis) -> None:
         self._config, self._wheels = config, (left, right)
         self.place = Place()
         self._seen: list[_Seen] | None = None
+        self._credit = dict.fromkeys(self._wheels, 0.0)
+        """Additional angle that a wheel may have turned since the last report, rad."""
 
     def update(self) -> bool:
-        """Count what the wheels have turned; tell whether both have reported since the last time."""
+        """Count the motion of the wheels; return whether both have reported since the last call."""
         now = [_look(wheel) for wheel in self._wheels]
         if any(seen is None for seen in now):
             return False
@@ -71,15 +76,17 @@ class Odometry:
         return True
 
     def reset(self) -> None:
-        """Begin a new frame: here is the origin."""
+        """Restart the frame with its origin here."""
         self.place = Place()
 
     def _turned(self, wheel: Axis, old: _Seen, new: _Seen) -> float | None:
-        """Return by how much a wheel has turned; None if that is not known."""
+        """Return the angle that a wheel has turned; None if it is unknown."""
         gap, turned = new.at - old.at, new.position - old.position
         known = new.resets == old.resets and gap <= wheel.limit_of("position")
-        likely = abs(turned) <= _FASTER * wheel.velocity_limit * gap + _SLACK
-        return turned if known and likely else None
+        speed = _FASTER * max(abs(old.velocity), abs(new.velocity))
+        credit = min(self._credit[wheel] + speed * gap, speed * _BUNCH)
+        self._credit[wheel] = max(0.0, credit - abs(turned))
+        return turned if known and abs(turned) <= credit + _SLACK else None
 
     def _advance(self, left: float, right: float) -> None:
         radius, place = self._config.radius, self.place
@@ -93,12 +100,15 @@ class Odometry:
 
 
 def _look(wheel: Axis) -> _Seen | None:
-    status, position = wheel.status, wheel.position
-    if position is None or "position" not in status.at or not wheel.configured:
+    status, position, velocity = wheel.status, wheel.position, wheel.velocity
+    if position is None or velocity is None or not wheel.configured:
         return None
-    return _Seen(position, status.at["position"], status.resets, status.counts["position"])
+    if "position" not in status.at:
+        return None
+    at, reports = status.at["position"], status.counts["position"]
+    return _Seen(position, velocity, at, status.resets, reports)
 
 
 def wrapped(angle: float) -> float:
-    """Return an angle between -π and π."""
+    """Wrap an angle to the range -π to π."""
     return math.remainder(angle, 2 * math.pi)

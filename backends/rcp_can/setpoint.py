@@ -8,7 +8,7 @@ from rcp_can.axis_state import AxisState
 from rcp_can.codec import clamp
 from rcp_can.motor_messages import Mode
 
-__all__ = ["SetPoint", "set_point"]
+__all__ = ["SetPoint", "set_point", "torque_offset"]
 
 
 class SetPoint(NamedTuple):
@@ -17,6 +17,16 @@ class SetPoint(NamedTuple):
     mode: Mode
     value: float
     velocity: float = 0.0
+
+
+def torque_offset(axis: AxisState) -> float | None:
+    """Return the torque against gravity at the drive's shaft; None if it is not to be fed forward."""
+    if axis.gravity is None:
+        return None
+    position = axis.ramp.position if axis.mode == "position" else axis.position
+    if axis.mode == "torque" or position is None:
+        return 0.0
+    return axis.gravity.torque(position) / axis.ratio
 
 
 def set_point(axis: AxisState, dt: float) -> SetPoint | None:

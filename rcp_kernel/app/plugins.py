@@ -14,6 +14,7 @@ import difflib
 import importlib
 import inspect
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
@@ -28,8 +29,9 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind
+from rcp_profiles import STANDARD, Profile
 
-__all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle"]
+__all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle", "published_profiles"]
 
 GROUPS = {
     "transports": "rcp.transports",
@@ -66,6 +68,23 @@ def installed(group: str) -> dict[str, EntryPoint]:
                 "uninstall one of them"
             )
         found[point.name] = point
+    return found
+
+
+def published_profiles() -> dict[str, Profile]:
+    """Return the profiles by name: the standard ones, and those of the installed plugins.
+
+    A plugin that cannot be imported has none to show.
+
+    :raises PluginError: two of them have one name.
+    """
+    found = dict(STANDARD)
+    points = {point.value for group in GROUPS for point in installed(group).values()}
+    for name in sorted(points):
+        with suppress(ImportError):
+            offer = getattr(importlib.import_module(name), "rcp_profiles", None)
+            if offer is not None and hasattr(offer, "rcp_impl"):
+                _collect(found, [offer()], "profile")
     return found
 
 

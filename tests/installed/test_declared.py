@@ -25,6 +25,7 @@ EXTRAS = {
     "rcp_mavlink": ("mavlink",),
     "rcp_mavlink_sim": ("mavlink",),
     "rcp_mcp": ("mcp", "dashboard"),  # pictures of raw images, where the dashboard's library is
+    "rcp_mujoco": ("mujoco",),
     "rcp_ros2": ("ros2",),
 }
 """The extras that bring what a package imports; any other has the dependencies alone."""

@@ -13,7 +13,9 @@ import pytest
 from click.testing import CliRunner
 from msgspec.structs import replace
 
+import rcp_sim
 from docs.pages import DOCS
+from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.testing._schemas import numbers_without_unit
 from rcp_kernel.tree.registry import _checked
 from rcp_kernel.types import PoseStamped, quantity
@@ -47,7 +49,7 @@ def test_a_profile_keeps_what_was_published_of_it(profile: Profile) -> None:
 
 
 def test_pages_and_schemas_are_those_of_the_definitions(tmp_path: Path) -> None:
-    write_profiles(tmp_path)
+    write_profiles(STANDARD.values(), tmp_path)
     for file in [*tmp_path.glob("*.md"), *tmp_path.glob("schemas/*.json")]:
         kept = FOLDER / file.relative_to(tmp_path)
         assert kept.exists(), f"run `rcpd profiles --write docs/profiles`: {kept.name} is missing"
@@ -201,3 +203,29 @@ def test_the_command_lists_shows_and_exports_profiles() -> None:
     wrong = run(main, ["profiles", "mobil"])
     assert wrong.exit_code != 0
     assert "did you mean 'mobile'?" in wrong.output
+
+
+def test_a_plugins_profiles_are_published_beside_the_standard_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    crane = replace(MOBILE, name="acme.crane", description="A crane.")
+
+    @hookimpl
+    def offer() -> list[Profile]:
+        return [crane]
+
+    monkeypatch.setattr(rcp_sim, "rcp_profiles", offer, raising=False)
+    listed = CliRunner().invoke(main, ["profiles"]).output
+    assert "acme.crane/1.0" in listed
+    assert json.loads(
+        CliRunner().invoke(main, ["profiles", "acme.crane", "--schema"]).output
+    ) == document(crane)
+
+    @hookimpl
+    def again() -> list[Profile]:
+        return [MOBILE]
+
+    monkeypatch.setattr(rcp_sim, "rcp_profiles", again)
+    twice = CliRunner().invoke(main, ["profiles"])
+    assert twice.exit_code != 0
+    assert "two plugins offer the profile 'mobile'" in twice.output

@@ -9,6 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import structlog
+
 from rcp_can.bus import Bus, Route
 from rcp_can.drive import Drive, Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
@@ -21,8 +23,8 @@ from rcp_can.profiles.cia402_objects import (
     state_of,
 )
 from rcp_can.profiles.cia402_options import Cia402Options
-from rcp_can.profiles.cia402_pdos import eds_map, own_map
-from rcp_can.profiles.cia402_setup import map_pdos, set_up
+from rcp_can.profiles.cia402_pdos import eds_map, own_map, own_pdos
+from rcp_can.profiles.cia402_setup import has_object, map_pdos, set_up
 from rcp_can.sdo import Sdo
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PROFILE", "Cia402Drive"]
 
+log = structlog.get_logger("rcp.can")
 _PRE_OPERATIONAL, _OPERATIONAL, _START, _RESET = 0x7F, 0x05, 0x01, 0x81
 _REACHED, _LIMIT, _ACKNOWLEDGED, _HOMED, _HOMING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 12, 1 << 13
 _NEW_SET_POINT, _AT_ONCE = 1 << 4, 1 << 5
@@ -63,6 +66,7 @@ class Cia402Drive(Drive):
 
     moves = True
     homes = True
+    offsets = True
 
     def __init__(self, node: int, options: Cia402Options, bus: Bus) -> None:
         super().__init__(node, options, bus)
@@ -73,7 +77,7 @@ class Cia402Drive(Drive):
         self._statusword = 0
         self._shown = self._mode = 0
         self._control = COMMANDS["disable_voltage"]
-        self._goal = self._rate = self._torque = 0
+        self._goal = self._rate = self._torque = self._offset = 0
         self._nmt: int | None = None
         self._moving = False
         self._statuswords = 0
@@ -229,7 +233,13 @@ class Cia402Drive(Drive):
         found = await set_up(self.sdo, self.options, self.watchdog)
         self.protection, self._watched = found.protection, True
         if self.options.map_pdos:
-            self._sync = await map_pdos(self.sdo, self.node, self.options)
+            fed = self.torque_offset is not None
+            offset = fed and await has_object(self.sdo, "torque_offset")
+            self._pdos = own_map(self.node, offset=offset)
+            pdos = own_pdos(offset=offset)
+            self._sync = await map_pdos(self.sdo, self.node, self.options, pdos)
+        if self.torque_offset is not None and "torque_offset" not in self._pdos.commanded:
+            log.warning("no_torque_offset", node=self.node, text="no 0x60B2, or in no PDO")
         self._control = COMMANDS["disable_voltage"]
         self._nmt_command(_START)
         self._nmt = None
@@ -286,6 +296,7 @@ class Cia402Drive(Drive):
             "target_position": self._goal,
             "target_velocity": self._rate,
             "target_torque": self._torque,
+            "torque_offset": self._offset,
         }
         for cob, layout in self._pdos.carrying(*names):
             data = layout.encode(**{name: values.get(name, 0) for name in layout.names})
@@ -401,8 +412,12 @@ class Cia402Drive(Drive):
     def command(self, mode: Mode, value: float, velocity: float) -> None:
         """Send a set-point together with its mode."""
         self._moving = False
+        offset = (self.torque_offset or 0.0) / self.options.rated_torque * 1000
+        self._offset = round(max(-_I16, min(_I16, offset)))
         if mode == "position":
             self._goal = round(max(-_I32, min(_I32, value * self._scale)))
+            if "torque_offset" in self._pdos.commanded:
+                self._transmit("torque_offset")
         else:
             self._rate = self._torque = 0
             if mode == "velocity":

@@ -13,6 +13,7 @@ __all__ = [
     "MESSAGES",
     "MODES",
     "OBJECTS",
+    "OFFSET_PDO",
     "PDOS",
     "Pdo",
     "State",
@@ -86,6 +87,7 @@ OBJECTS = {
     "profile_acceleration": (0x6083, 0, "I"),
     "profile_deceleration": (0x6084, 0, "I"),
     "homing_method": (0x6098, 0, "b"),
+    "torque_offset": (0x60B2, 0, "h"),
     "target_velocity": (0x60FF, 0, "i"),
 }
 """Index, sub-index and struct code of the objects that the profile uses."""
@@ -114,6 +116,9 @@ PDOS = {
     "state": Pdo(0x1800, 0x180, ("statusword", "mode_shown", "position")),
     "motion": Pdo(0x1801, 0x280, ("velocity", "torque")),
 }
+
+OFFSET_PDO = PDOS["command_rate"]._replace(objects=(*PDOS["command_rate"].objects, "torque_offset"))
+"""What takes the place of `command_rate` if a torque is fed forward."""
 
 MESSAGES = {
     **{name: (pdo.cob, pdo.layout) for name, pdo in PDOS.items()},

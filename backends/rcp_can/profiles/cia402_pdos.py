@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcp_can.codec import Field, Layout
 from rcp_can.eds_file import load_eds
-from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
+from rcp_can.profiles.cia402_objects import OBJECTS, OFFSET_PDO, PDOS, Pdo
 from rcp_kernel.errors import ConfigError
 
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary
 
-__all__ = ["MappedPdo", "PdoMap", "eds_map", "own_map"]
+__all__ = ["MappedPdo", "PdoMap", "eds_map", "own_map", "own_pdos"]
 
 _NAMES = {(index, sub): (name, code) for name, (index, sub, code) in OBJECTS.items()}
 _NEEDED = {
@@ -64,12 +64,16 @@ class PdoMap:
         return frozenset(name for pdo in self.commands for name in pdo.layout.names)
 
 
-def own_map(node: int) -> PdoMap:
+def own_pdos(*, offset: bool = False) -> list[Pdo]:
+    """Return the PDOs that the gateway maps; with `offset`, a torque is fed forward."""
+    return list((PDOS | {"command_rate": OFFSET_PDO} if offset else PDOS).values())
+
+
+def own_map(node: int, *, offset: bool = False) -> PdoMap:
     """Return the PDOs as the gateway maps them."""
-    commands = [
-        MappedPdo(pdo.cob + node, pdo.layout) for pdo in PDOS.values() if pdo.parameters < 0x1800
-    ]
-    feedback = {pdo.cob + node: pdo.layout for pdo in PDOS.values() if pdo.parameters >= 0x1800}
+    pdos = own_pdos(offset=offset)
+    commands = [MappedPdo(pdo.cob + node, pdo.layout) for pdo in pdos if pdo.parameters < 0x1800]
+    feedback = {pdo.cob + node: pdo.layout for pdo in pdos if pdo.parameters >= 0x1800}
     return PdoMap(commands, feedback)
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
 from rcp_can.drive import Protection
-from rcp_can.profiles.cia402_objects import ABORT_CONNECTION, OBJECTS, PDOS
+from rcp_can.profiles.cia402_objects import ABORT_CONNECTION, OBJECTS, Pdo
 from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.sdo import Sdo, SdoAborted
 from rcp_kernel.errors import DeviceRejected
 
-__all__ = ["SetUp", "map_pdos", "set_up"]
+__all__ = ["SetUp", "has_object", "map_pdos", "set_up"]
 
 _ABSENT = 0x06020000, 0x06090011  # no such object, no such sub-index
 _READ_ONLY = 0x06010002
@@ -96,21 +97,26 @@ async def _read(sdo: Sdo, name: str) -> int | None:
     return struct.unpack("<" + code, data[:size])[0] if len(data) >= size else None
 
 
-async def map_pdos(sdo: Sdo, node: int, options: Cia402Options) -> int:
-    """Map all PDOs; return the SYNC period that the drive needs, ms, or 0.
+async def has_object(sdo: Sdo, name: str) -> bool:
+    """Tell whether a drive has an optional object."""
+    return await _read(sdo, name) is not None
+
+
+async def map_pdos(sdo: Sdo, node: int, options: Cia402Options, pdos: Iterable[Pdo]) -> int:
+    """Map PDOs; return the SYNC period that the drive needs, ms, or 0.
 
     :raises SdoAborted: the drive refuses a mapping.
     :raises DeviceRejected: it accepts a mapping but keeps another.
     """
     sync = options.sync
-    for name in PDOS:
-        sync = await _map(sdo, name, node, options.feedback, sync)
+    for pdo in pdos:
+        sync = await _map(sdo, pdo, node, options.feedback, sync)
     return sync
 
 
-async def _map(sdo: Sdo, name: str, node: int, feedback: int, sync: int) -> int:
+async def _map(sdo: Sdo, pdo: Pdo, node: int, feedback: int, sync: int) -> int:
     """Map one PDO, disabled meanwhile (CiA 301, 7.5.2.36)."""
-    pdo, sends = PDOS[name], PDOS[name].parameters >= 0x1800
+    sends = pdo.parameters >= 0x1800
     cob = pdo.cob + node
     mapping = pdo.parameters + 0x200
     await sdo.download(pdo.parameters, 1, struct.pack("<I", 0x80000000 | cob))

@@ -40,6 +40,7 @@ class ImpedanceDrive(Drive):
 
     zeroes = True
     sags = True
+    offsets = True
 
     def __init__(self, node: int, options: Gains, bus: Bus) -> None:
         super().__init__(node, options, bus)
@@ -96,9 +97,9 @@ class ImpedanceDrive(Drive):
         gains = self._gains
         match mode:
             case "position":
-                self.impede(value, velocity, gains.kp, gains.kd)
+                self.impede(value, velocity, gains.kp, gains.kd, self.torque_offset or 0.0)
             case "velocity":
-                self.impede(0.0, value, 0.0, gains.velocity_gain)
+                self.impede(0.0, value, 0.0, gains.velocity_gain, self.torque_offset or 0.0)
             case "torque":
                 self.impede(torque=value)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import canopen
 
 from rcp_can.profiles.cia402_objects import MODES, OBJECTS
-from rcp_can.sim.cia402_objects import DEFAULTS, make_dictionary
+from rcp_can.sim.cia402_objects import DEFAULTS, OBJECTS_OF_TWIN, make_dictionary
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
 
@@ -32,7 +32,10 @@ _REACHED, _ACKNOWLEDGED, _HOMED = 1 << 10, 1 << 12, 1 << 12
 _DONE = 0.005  # rad
 _LEAST = {0x000: 2, 0x600: 8}
 """Length of NMT and SDO frames, which canopen does not check."""
-_CODES = {(index, sub): code for index, sub, code in OBJECTS.values()}
+_OBJECTS = OBJECTS | OBJECTS_OF_TWIN
+_CODES = {(index, sub): code for index, sub, code in _OBJECTS.values()}
+_WINDOW, _WINDOW_TIME = math.pi / 2, 0.1  # rad and s of following error, after which it is a fault
+_BRAKING = 500.0  # rad/s² of a quick stop
 
 
 class _Line(canopen.Network):
@@ -72,6 +75,8 @@ class Cia402Twin(Twin):
         self._controlled: int | None = None
         self._homing = 0.0
         self._master_seen: float | None = None
+        self._astray: float | None = None
+        """Since when the following error is too large."""
         self._now = 0.0
         self.keeps_mapping = False
         """Accepts any PDO mapping and reads it back, but keeps its own: statusword only."""
@@ -91,7 +96,7 @@ class Cia402Twin(Twin):
 
     def get(self, name: str) -> int:
         """Return one of the profile's objects as last written."""
-        index, sub, code = OBJECTS[name]
+        index, sub, code = _OBJECTS[name]
         return struct.unpack("<" + code, self.local.get_data(index, sub))[0]
 
     def _put(self, index: int, sub: int, value: int) -> None:
@@ -118,6 +123,12 @@ class Cia402Twin(Twin):
         if index not in self.local.object_dictionary:
             return DEFAULTS[name]
         return self.get(name)
+
+    def _limit(self, name: str, scale: float, default: float) -> float:
+        """Return a limit in rad and s; `default` is that of a drive which nobody has set up."""
+        known = _OBJECTS[name][0] in self.local.object_dictionary
+        raw = self.get(name) if known else 0
+        return raw / scale if raw else default
 
     def break_down(self) -> None:
         """Go into fault by over-current, with an emergency."""
@@ -264,7 +275,23 @@ class Cia402Twin(Twin):
             self.plant.off()
         else:
             self.plant.hold()
-            self.plant.ramp = None
+            self.plant.ramp = self._limit("quick_stop_deceleration", self.scale, _BRAKING)
+
+    @property
+    def _torque_offset(self) -> float:
+        known = OBJECTS["torque_offset"][0] in self.local.object_dictionary
+        return self.get("torque_offset") / 1000 * self.rated if known else 0.0
+
+    def _watch_following(self, now: float) -> None:
+        """Go into fault if the position stays too far from its set-point (0x6065, 0x6066)."""
+        off = abs(self.plant.goal - self.plant.position)
+        follows = self.state == "enabled" and self.get("mode") == MODES["cyclic_position"]
+        if not follows or off <= self._limit("following_error_window", self.scale, _WINDOW):
+            self._astray = None
+        elif self._astray is None:
+            self._astray = now
+        elif now - self._astray > self._limit("following_error_timeout", 1000, _WINDOW_TIME):
+            self._fault(0x8611)
 
     def _end_quick_stop(self) -> None:
         """Release the motor at rest, unless the option is to stay in quick stop active."""
@@ -344,6 +371,7 @@ class Cia402Twin(Twin):
             self.took("torque", plant.goal)
         elif mode == MODES["cyclic_position"]:
             plant.loop, plant.goal = "position", self.get("target_position") / self.scale
+            plant.feed = self._torque_offset
             plant.speed, plant.ramp = plant.velocity_limit, None
             self.took("position", plant.goal)
 
@@ -365,6 +393,7 @@ class Cia402Twin(Twin):
             self._master_seen = None  # the master is not monitored until its next heartbeat
             self._miss_master()
         self._end_quick_stop()
+        self._watch_following(now)
         if self._homing > 0:
             self._homing -= 0.005
             if self._homing <= 0:

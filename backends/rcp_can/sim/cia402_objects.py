@@ -8,7 +8,7 @@ from canopen import objectdictionary as od
 
 from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
 
-__all__ = ["DEFAULTS", "make_dictionary"]
+__all__ = ["DEFAULTS", "OBJECTS_OF_TWIN", "make_dictionary"]
 
 _TYPES = {
     "b": od.INTEGER8,
@@ -20,6 +20,12 @@ _TYPES = {
 }
 DEFAULTS = {"abort_connection": 1, "quick_stop_option": 2}
 """Factory settings (CiA 402-2): a fault on a lost master, no torque after a quick stop."""
+OBJECTS_OF_TWIN = {
+    "following_error_window": (0x6065, 0, "I"),
+    "following_error_timeout": (0x6066, 0, "H"),
+    "quick_stop_deceleration": (0x6085, 0, "I"),
+}
+"""Objects that the gateway leaves as the drive has them."""
 _READ_ONLY = frozenset(("error_code", "statusword", "mode_shown", "position", "velocity", "torque"))
 
 
@@ -37,7 +43,7 @@ def make_dictionary(node: int) -> od.ObjectDictionary:
     consumer.add_member(_entry("Entries", 0x1016, 0, "B", 1, access="ro"))
     consumer.add_member(_entry("Consumer", 0x1016, 1, "I", 0))
     made.add_object(consumer)
-    for name, (index, sub, code) in OBJECTS.items():
+    for name, (index, sub, code) in (OBJECTS | OBJECTS_OF_TWIN).items():
         if sub == 0:
             access = "ro" if name in _READ_ONLY else "rw"
             text = name.replace("_", " ").capitalize()

@@ -33,6 +33,10 @@ class Plant:
         self.position = self.velocity = self.torque = 0.0
         self.load = 0.0
         """External torque, N·m."""
+        self.integrates = True
+        """Whether its loops know the load; otherwise only `feed` counters it, as far as it does."""
+        self.feed = 0.0
+        """A torque that is fed forward, N·m."""
         self.loop: Loop = "off"
         self.goal = 0.0
         self.speed = velocity_limit
@@ -99,5 +103,6 @@ class Plant:
     def _track(self, wanted: float, dt: float) -> float:
         step = (self.ramp or self.acceleration_limit) * dt
         near = self.velocity + clamp(wanted - self.velocity, -step, step)
-        needed = (near - self.velocity) / dt * self.inertia + self.friction * near - self.load
+        needed = (near - self.velocity) / dt * self.inertia + self.friction * near
+        needed += -self.load if self.integrates else self.feed
         return clamp(needed, -self.torque_limit, self.torque_limit)

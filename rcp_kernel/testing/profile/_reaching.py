@@ -106,7 +106,8 @@ class ReachingTests(ProfileRig):
         await self.make_ready()
         told = (await self.fresh("sensor/tool_pose"))["position"]
         found = await self.tool()
-        assert math.dist((told["x"], told["y"], told["z"]), found) <= _JOINT, (told, found)
+        off = math.dist((told["x"], told["y"], told["z"]), found)
+        assert off <= _JOINT, f"sensor/tool_pose tells {told}, and it is {found}"
 
     async def test_the_gripper_opens_and_closes(self, robot: Robot) -> None:
         self.needs("action/move_gripper", "sensor/gripper")

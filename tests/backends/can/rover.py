@@ -13,9 +13,9 @@ import can
 
 from backends.can.rig import Rig, channel, opened
 from rcp_can.odometry import Place
-from rcp_can.sim import Bench, make_twin
+from rcp_can.sim import Bench, Twin, make_twin
 
-__all__ = ["LEFT", "RADIUS", "RIGHT", "TRACK", "Rover", "rover", "tables"]
+__all__ = ["LEFT", "RIGHT", "Rover", "Truth", "rover", "rover_bench", "tables", "twins"]
 
 LEFT, RIGHT = 1, 2  # nodes
 TRACK, RADIUS = 0.4, 0.1  # m
@@ -40,11 +40,25 @@ def tables(name: str) -> dict[str, Any]:
     }
 
 
-class Truth:
-    """Where the rover is by its wheels' shafts, without the bus."""
+class Truth(Twin):
+    """Where the rover is by its wheels' shafts; on the bench beside them, and not on the bus."""
 
-    def __init__(self, bench: Bench) -> None:
-        self.left, self.right = (twin.plant for twin in bench.twins)
+    def __init__(self, left: Twin, right: Twin) -> None:
+        super().__init__(0)
+        self.left, self.right = left.plant, right.plant
+        self.x = self.y = 0.0
+        self._before = (0.0, 0.0)
+
+    def take(self, message: can.Message) -> None:
+        """Hear nothing."""
+
+    def tick(self, now: float) -> None:
+        """Go on by what the shafts have turned."""
+        (way, heading), before = (self.way, self.heading), self._before
+        middle = (heading + before[1]) / 2
+        self.x += (way - before[0]) * math.cos(middle)
+        self.y += (way - before[0]) * math.sin(middle)
+        self._before = way, heading
 
     @property
     def heading(self) -> float:
@@ -63,13 +77,26 @@ class Truth:
         return abs(self.left.velocity) < 0.1 and abs(self.right.velocity) < 0.1
 
 
+def rover_bench(line: can.BusABC) -> Bench:
+    """Put both wheels, and the truth about them, on a bench."""
+    left, right = (make_twin("cia402", node, control="cyclic") for node in (LEFT, RIGHT))
+    return Bench(line, [left, right, Truth(left, right)])
+
+
+def twins(bench: Bench) -> tuple[Any, Any, Truth]:
+    """Return the wheels of a bench, and the truth."""
+    left, right, truth = bench.twins
+    assert isinstance(truth, Truth)
+    return left, right, truth
+
+
 class Rover(Rig):
     """The backend, the twins of its wheels, and what they really do."""
 
     def __init__(self, rig: Rig, bench: Bench, name: str) -> None:
         super().__init__(rig.backend, rig.host)
-        self.bench, self.channel, self.truth = bench, name, Truth(bench)
-        self.left, self.right = bench.twins
+        self.bench, self.channel = bench, name
+        self.left, self.right, self.truth = twins(bench)
 
     @property
     def place(self) -> Place:
@@ -112,8 +139,7 @@ async def rover(*, enabled: bool = True) -> AsyncGenerator[Rover]:
     """Run two drives, and a backend that makes a rover of them."""
     name = channel()
     line = can.Bus(name, "virtual", ignore_config=True)
-    twins = [make_twin("cia402", node, control="cyclic") for node in (LEFT, RIGHT)]
-    with Bench(line, twins) as bench:
+    with rover_bench(line) as bench:
         async with opened(tables(name)) as rig:
             found = Rover(rig, bench, name)
             if enabled:

@@ -174,6 +174,35 @@ async def test_odometry_goes_on_without_a_jump_when_a_drive_has_rebooted() -> No
         assert rig.place.x == pytest.approx(1.0, abs=0.06)
 
 
+async def test_a_new_zero_of_a_wheel_is_no_motion_of_the_robot() -> None:
+    async with rover() as rig:
+        await rig.moving(0.3)
+        before = rig.place
+        await rig.ran("action/left/home")  # takes the present position as zero
+        axis = rig.backend.axes["left"]
+        await rig.until(lambda: abs(axis.position) < 0.01)
+        places = len(rig.host.events("sensor/pose"))
+        await rig.host.until(lambda: len(rig.host.events("sensor/pose")) > places + 5)
+        assert rig.place == pytest.approx(before, abs=0.01)
+
+
+async def test_reports_that_arrive_in_a_bunch_are_all_counted() -> None:
+    async with rover() as rig:
+        await rig.velocity(0.5)
+        await rig.until(lambda: rig.truth.moving[0] > 0.45)
+        loop = asyncio.get_running_loop()
+        for _ in range(3):
+            end = loop.time() + 0.1
+            while loop.time() < end:  # a plugin that blocks
+                pass
+            await rig.velocity(0.5)
+            await asyncio.sleep(0.05)
+        await rig.velocity(0.0)
+        await rig.until(rig.truth.still)
+        await rig.host.until(lambda: abs(rig.place.x - rig.truth.way) < 0.01)
+        assert rig.truth.way > 0.15
+
+
 async def test_odometry_counts_what_the_wheels_turn_not_what_they_were_told() -> None:
     async with rover(enabled=False) as rig:
         await rig.host.until(lambda: rig.host.events("sensor/pose"))
@@ -207,12 +236,12 @@ async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None)
 async def test_distance_and_time_left_shrink_on_the_way() -> None:
     async with rover() as rig:
         await rig.moving(1.5, speed=0.6)
-        told = [feedback for feedback, _ in rig.feedback]
-        assert len(told) > 10
-        distances = [each.distance_remaining for each in told]
+        received = [feedback for feedback, _ in rig.feedback]
+        assert len(received) > 10
+        distances = [each.distance_remaining for each in received]
         assert distances == sorted(distances, reverse=True)
-        assert told[0].eta > told[-1].eta
-        assert told[0].eta == pytest.approx(3.0, abs=1.5)
+        assert received[0].eta > received[-1].eta
+        assert received[0].eta == pytest.approx(3.0, abs=1.5)
 
 
 async def test_a_cancelled_move_has_braked_when_it_ends() -> None:
@@ -294,8 +323,8 @@ async def test_a_reset_stops_it_and_begins_a_new_frame() -> None:
 
 async def test_a_goal_in_a_frame_without_a_transform_is_refused() -> None:
     async with rover() as rig:
-        with pytest.raises(InvalidValue, match="no transform from 'map'"):
-            await rig.moving(1.0, frame="map")
+        with pytest.raises(InvalidValue, match="no transform from 'earth'"):
+            await rig.moving(1.0, frame="earth")
 
 
 @pytest.mark.parametrize(

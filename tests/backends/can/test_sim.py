@@ -59,6 +59,18 @@ async def test_the_example_configuration_drives() -> None:
         assert abs(rig.backend.axes["wheel"].velocity) < 0.1
 
 
+async def test_the_rover_of_the_example_configuration_drives() -> None:
+    text = (Path(__file__).parents[3] / "examples" / "motors.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)["backends"][1]
+    for key in ("use", "name", "tenant", "robot"):
+        del table[key]
+    async with opened({**table, "grace": 4.0}) as rig:
+        await rig.ran("service/enable")
+        goal = {"position": {"x": 0.3, "y": 0.0}, "frame": "odom"}
+        moved = await rig.ran("action/move_to", goal, seconds=30)
+        assert moved["pose"]["position"]["x"] == pytest.approx(0.3, abs=0.06)
+
+
 async def test_a_twin_in_a_process_of_its_own_is_driven_over_multicast() -> None:
     group = f"239.{random.randrange(64, 128)}.{random.randrange(256)}.{random.randrange(1, 255)}"
     bus = {"interface": "udp_multicast", "channel": group}

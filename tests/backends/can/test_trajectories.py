@@ -230,10 +230,10 @@ async def test_joints_are_at_each_waypoint_at_its_time_and_end_at_the_last() -> 
             assert moved["positions"][name] == pytest.approx(position, abs=0.02)
         assert moved["duration"] >= 2.4
         assert rig.still()
-        told = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
-        assert len(told) > 5
-        assert [each.time for each in told] == sorted(each.time for each in told)
-        middle = min(told, key=lambda each: abs(each.time - 1.6))
+        received = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
+        assert len(received) > 5
+        assert [each.time for each in received] == sorted(each.time for each in received)
+        middle = min(received, key=lambda each: abs(each.time - 1.6))
         assert middle.positions["roll"] > 0.4
         states = to_plain(await rig.backend.read(STATES))
         assert states["name"] == ["pan", "tilt", "roll"]
@@ -356,3 +356,19 @@ async def test_one_trajectory_at_a_time_and_no_joint_of_it_for_others() -> None:
         with pytest.raises(ModeForbids, match="a stop of 'arm'"):
             await asyncio.wait_for(running, 20)
         assert rig.still()
+
+
+async def test_a_drive_that_cannot_follow_goes_into_fault_and_the_others_stop() -> None:
+    async with arm() as rig:
+        running = await in_motion(rig)
+        twin: Any = rig.twins["tilt"]
+
+        def tight() -> None:  # 1 mrad, for 10 ms: what a drive that was set up for its load has
+            twin.local.set_data(0x6065, 0, round(twin.scale / 1000).to_bytes(4, "little"))
+            twin.local.set_data(0x6066, 0, (10).to_bytes(2, "little"))
+
+        rig.bench.order(tight)
+        with pytest.raises(ModeForbids, match=r"'tilt' is no longer enabled: .*0x8611"):
+            await asyncio.wait_for(running, 20)
+        await rig.until(rig.still)
+        assert twin.state == "fault"

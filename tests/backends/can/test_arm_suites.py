@@ -1,9 +1,8 @@
-"""A differential drive of two CiA 402 drives stops as one, whatever goes on and whatever goes wrong."""
+"""Three CiA 402 drives are an arm, and stop as one whatever goes on and whatever goes wrong."""
 
 from __future__ import annotations
 
 import asyncio
-import struct
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
@@ -12,14 +11,24 @@ import can
 
 import rcp_can
 from backends.can.rig import Node, channel
-from backends.can.rover import LEFT, RIGHT, tables
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import Goal, StopRig, StopSuite, eventually
+from rcp_kernel.testing import Goal, ProfileSuite, StopRig, StopSuite, eventually
 from rcp_kernel.testing.backend import Robot
 
+JOINTS = {"shoulder": 1, "elbow": 2, "wrist": 3}
+"""Names and nodes."""
+OPTIONS = {"control": "cyclic", "feedback": 10}
 
-class RoverRig(StopRig):
+
+def points(*each: tuple[float, float]) -> dict[str, Any]:
+    """Return a trajectory of all joints, by times and positions."""
+    return {
+        "points": [{"time": at, "positions": dict.fromkeys(JOINTS, where)} for at, where in each]
+    }
+
+
+class ArmRig(StopRig):
     kind = next(iter(rcp_can.rcp_backends()))
     cancel_within = 4.0
 
@@ -27,12 +36,20 @@ class RoverRig(StopRig):
     async def twin(self) -> AsyncGenerator[Bench]:
         self.channel = channel()
         line = can.Bus(self.channel, "virtual", ignore_config=True)
-        twins = [make_twin("cia402", node, control="cyclic") for node in (LEFT, RIGHT)]
-        with Bench(line, twins) as bench:
+        with Bench(line, [make_twin("cia402", n, **OPTIONS) for n in JOINTS.values()]) as bench:
             yield bench
 
     def table(self) -> Mapping[str, Any]:
-        return tables(self.channel)
+        motor = {"bus": "can0", "profile": "cia402", "rate": 100, "position": [-6.0, 6.0]}
+        motor |= {"velocity": 2.0, "acceleration": 20.0, "options": OPTIONS}
+        motor |= {"timeout": 1.0, "feedback_timeout": 1.0}
+        bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
+        return {
+            "buses": {"can0": bus},
+            "motors": {name: {**motor, "node": node} for name, node in JOINTS.items()},
+            "joint_groups": {"arm": {"joints": list(JOINTS), "as_robot": True}},
+            "grace": 5.0,
+        }
 
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Robot]:
@@ -45,17 +62,19 @@ class RoverRig(StopRig):
             yield robot
 
     def moving(self) -> list[Resource]:
-        return sorted(super().moving(), key=lambda resource: resource.name != "actuator/cmd_vel")
+        return sorted(super().moving(), key=lambda resource: resource.name != "actuator/joints")
 
     def values(self, name: str) -> Sequence[Any]:
-        return (0.4, 0.2) if name.startswith("actuator/left") else super().values(name)
+        if name == "actuator/joints":
+            return (dict.fromkeys(JOINTS, 5.0), {})
+        return (0.4, 0.2) if name.startswith("actuator/") else super().values(name)
 
     async def prepare(self, name: str) -> None:
         await self.running.ask("execute", "service/enable")
 
     def goals(self) -> Mapping[str, Goal]:
-        near, far = ({"position": {"x": x, "y": 0.0}, "frame": "odom"} for x in (0.2, 5.0))
-        return {"action/move_to": Goal(good=near, long=far)}
+        trajectory = Goal(good=points((1.0, 0.3)), long=points((1.5, 1.5), (5.0, 5.0)))
+        return {"action/follow_trajectory": trajectory}
 
     async def at_rest(self) -> bool:
         return all(abs(twin.plant.velocity) < 0.1 for twin in self.device.twins)
@@ -74,7 +93,7 @@ class RoverRig(StopRig):
             twin.silent = False
 
     async def freeze_device(self) -> None:
-        self.device.twins[0].silent = True  # one wheel: its motor goes on by what it was told last
+        self.device.twins[0].silent = True  # one joint: its motor goes on by what it was told last
 
     async def thaw_device(self) -> None:
         self.device.twins[0].silent = False
@@ -87,14 +106,14 @@ class RoverRig(StopRig):
 
     @asynccontextmanager
     async def foreign_commander(self) -> AsyncGenerator[None]:
-        """Enable one wheel and command it a velocity from another node."""
+        """Enable one joint and command it a velocity from another node."""
         with Node(self.channel) as node:
 
             async def command() -> None:
                 while True:
-                    node.send(0x300 + RIGHT, struct.pack("<ih", 2000, 0))
+                    node.send(0x303, (2000).to_bytes(4, "little") + bytes(2))
                     for word in (0x06, 0x07, 0x0F):
-                        node.send(0x200 + RIGHT, bytes((word, 0, 3)) + bytes(4))
+                        node.send(0x203, bytes((word, 0, 3)) + bytes(4))
                         await asyncio.sleep(0.005)
                     await asyncio.sleep(0.1)
 
@@ -106,5 +125,18 @@ class RoverRig(StopRig):
                 await asyncio.gather(task, return_exceptions=True)
 
 
-class TestRoverStops(RoverRig, StopSuite):
+class TestArmStops(ArmRig, StopSuite):
     pass
+
+
+class TestArmProfiles(ArmRig, ProfileSuite):
+    profiles = ("arm", "power")
+
+    async def joints(self) -> Mapping[str, float]:
+        twins = zip(JOINTS, self.device.twins, strict=True)
+        return {name: twin.plant.position for name, twin in twins}
+
+    async def powered(self) -> bool:
+        states = {twin.enabled for twin in self.device.twins}
+        assert len(states) == 1
+        return states.pop()

@@ -1,0 +1,153 @@
+"""An arm: its joints follow a path, and have arrived when they are measured to be there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rcp_kernel.errors import ConfigError
+from rcp_mujoco.config import ArmConfig
+from rcp_mujoco.joints import Joint
+from rcp_mujoco.paths import Path
+from rcp_mujoco.simulation import Simulation
+
+__all__ = ["Arm", "Motion"]
+
+_SLOW = 0.02  # rad/s
+_SETTLING = 2.0  # s after the end of the path in which the joints have to arrive
+_BEHIND = 0.35  # rad that a joint may be behind its path
+_BRAKING = 0.3  # s in which a path that is cancelled comes to its end
+
+
+class Motion:
+    """A path that is followed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.seconds = 0.0
+        """Along the path."""
+        self.error = 0.0
+        """Of the joint that is farthest from the path, rad."""
+        self.left = float("inf")
+        """Of the joint that is farthest from its goal, rad."""
+        self.failure: str | None = None
+        self.arrived = False
+        self.rate = 1.0
+        """Of time along the path; falls to zero when it is cancelled."""
+        self.abandoned = False
+        self.settling = 0.0
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self.arrived or self.failure is not None
+
+    @property
+    def time_left(self) -> float:
+        """Seconds to the end of the path."""
+        return max(0.0, self.path.duration - self.seconds)
+
+
+class Arm:
+    """The joints of an arm.
+
+    :raises ConfigError: an actuator is not a position actuator of a joint, or there is no such site or body.
+    """
+
+    def __init__(self, config: ArmConfig, simulation: Simulation) -> None:
+        self.config = config
+        self._simulation = simulation
+        drives = [simulation.drive(name) for name in config.joints]
+        self.joints: list[Joint] = []
+        for drive in drives:
+            if drive.mode != "position" or drive.joint is None:
+                raise ConfigError(
+                    f"arm.joints: '{drive.name}' is not a position actuator of a joint"
+                )
+            self.joints.append(drive.joint)
+        self._controls = [drive.number for drive in drives]
+        self._qpos = [joint.qpos for joint in self.joints]
+        self._dofs = [joint.dof for joint in self.joints]
+        self.motion: Motion | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The joints' names."""
+        return [joint.name for joint in self.joints]
+
+    @property
+    def positions(self) -> Any:
+        """Where the joints are."""
+        return self._simulation.data.qpos[self._qpos]
+
+    def follow(self, motion: Motion) -> None:
+        """Begin to follow a path from where the joints are."""
+        self._simulation.need_whole()
+        self.stop("another motion was commanded")
+        self._simulation.release()
+        self.motion = motion
+
+    def abandon(self, motion: Motion) -> None:
+        """Brake along the path, then hold."""
+        if self.motion is motion:
+            motion.abandoned = True
+
+    def stop(self, reason: str) -> None:
+        """End the motion; whoever calls brakes or holds."""
+        if self.motion is not None:
+            self.motion.failure = reason
+            self.motion = None
+
+    def kept(self) -> Sequence[int]:
+        """Nothing: the joints hold where they come to rest."""
+        return ()
+
+    def reset(self) -> None:
+        """Nothing is kept over a reset."""
+
+    def control(self, dt: float) -> None:
+        """Set where the joints are to be after the next step."""
+        motion = self.motion
+        if motion is None:
+            return
+        self._advance(motion, dt)
+        wanted = motion.path.at(motion.seconds)
+        self._simulation.data.ctrl[self._controls] = wanted
+        here = self.positions
+        off = np.abs(wanted - here)
+        motion.error = float(off.max())
+        motion.left = float(np.abs(motion.path.goal - here).max())
+        if motion.error > _BEHIND:
+            late = int(off.argmax())
+            self._give_up(f"{self.names[late]} is {off[late]:.2f} rad behind its path", here)
+        elif motion.abandoned and motion.rate == 0.0:
+            if self._is_slow():
+                self.stop("cancelled")
+        elif motion.seconds >= motion.path.duration:
+            self._arrive(motion, here, dt)
+
+    def _advance(self, motion: Motion, dt: float) -> None:
+        if motion.abandoned:
+            motion.rate = max(0.0, motion.rate - dt / _BRAKING)
+        motion.seconds += motion.rate * dt
+
+    def _arrive(self, motion: Motion, here: Any, dt: float) -> None:
+        if motion.left <= self.config.tolerance and self._is_slow():
+            motion.arrived = True
+            self.motion = None
+            return
+        motion.settling += dt
+        if motion.settling > _SETTLING:
+            off = np.abs(motion.path.goal - here)
+            worst = int(off.argmax())
+            self._give_up(f"{self.names[worst]} stopped {off[worst]:.3f} rad before its goal", here)
+
+    def _give_up(self, reason: str, here: Any) -> None:
+        """Hold where it is: pressing on would not help."""
+        self._simulation.data.ctrl[self._controls] = here
+        self.stop(reason)
+
+    def _is_slow(self) -> bool:
+        return bool((np.abs(self._simulation.data.qvel[self._dofs]) < _SLOW).all())

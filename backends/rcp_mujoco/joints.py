@@ -1,0 +1,137 @@
+"""What of a model moves, and what moves it: joints and actuators with their units and bounds."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal, NamedTuple
+
+import mujoco
+import numpy as np
+
+__all__ = ["Drive", "Joint", "drives", "joints", "plain", "robot_dofs"]
+
+_UNLIMITED = 1e6
+_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)  # arrays hold plain numbers, which no enum is equal to
+_SLIDE, _HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+_FIXED, _INTEGRATOR = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_UNBIASED, _AFFINE = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+Mode = Literal["position", "velocity", "torque", "other"]
+
+
+class Joint(NamedTuple):
+    """A hinge or a slide."""
+
+    name: str
+    unit: Literal["rad", "m"]
+    low: float
+    high: float
+    qpos: int
+    dof: int
+
+
+class Drive(NamedTuple):
+    """An actuator."""
+
+    name: str
+    number: int
+    mode: Mode
+    unit: str
+    low: float
+    high: float
+    joint: Joint | None
+    dofs: tuple[int, ...]
+    """What it moves."""
+
+    @property
+    def safe(self) -> float | None:
+        """The value that moves nothing; None where only the place where it stands does."""
+        return None if self.mode in ("position", "other") else 0.0
+
+
+_UNITS = {
+    "position": {"rad": "rad", "m": "m"},
+    "velocity": {"rad": "rad/s", "m": "m/s"},
+    "torque": {"rad": "N.m", "m": "N"},
+}
+
+
+def plain(name: str) -> str:
+    """Return a name of the model as a segment of a path."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+
+
+def joints(model: Any) -> list[Joint]:
+    """List the hinges and slides, in the order of the model."""
+    found: list[Joint] = []
+    for index in range(model.njnt):
+        kind = int(model.jnt_type[index])
+        if kind not in (_SLIDE, _HINGE):
+            continue
+        low, high = model.jnt_range[index] if model.jnt_limited[index] else (-np.inf, np.inf)
+        unit: Literal["rad", "m"] = "m" if kind == _SLIDE else "rad"
+        name = plain(model.joint(index).name) or f"joint_{index}"
+        qpos, dof = int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index])
+        found.append(Joint(name, unit, float(low), float(high), qpos, dof))
+    return found
+
+
+def drives(model: Any) -> list[Drive]:
+    """List the actuators, in the order of the model."""
+    by_dof = {joint.dof: joint for joint in joints(model)}
+    moments = _moments(model)
+    found: list[Drive] = []
+    for index in range(model.nu):
+        mode = _mode(model, index)
+        joint = None
+        if model.actuator_trntype[index] == _JOINT:
+            joint = by_dof.get(int(model.jnt_dofadr[model.actuator_trnid[index][0]]))
+        unit = _UNITS[mode][joint.unit] if joint is not None and mode != "other" else "1"
+        low, high = -_UNLIMITED, _UNLIMITED
+        if model.actuator_ctrllimited[index]:
+            low, high = map(float, model.actuator_ctrlrange[index])
+        moved = tuple(int(dof) for dof in np.flatnonzero(moments[index]))
+        name = plain(model.actuator(index).name) or f"actuator_{index}"
+        found.append(Drive(name, index, mode, unit, low, high, joint, moved))
+    return found
+
+
+def _mode(model: Any, index: int) -> Mode:
+    gain, bias = model.actuator_gaintype[index], model.actuator_biastype[index]
+    if gain != _FIXED:
+        return "other"
+    integrates = model.actuator_dyntype[index] == _INTEGRATOR
+    if bias == _UNBIASED:
+        return "other" if integrates else "torque"
+    if bias != _AFFINE:
+        return "other"
+    _, stiffness, damping = model.actuator_biasprm[index][:3]
+    if stiffness:
+        return "velocity" if integrates else "position"
+    return "velocity" if damping and model.actuator_gainprm[index][0] == -damping else "torque"
+
+
+def _moments(model: Any) -> Any:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moments = np.zeros((model.nu, model.nv))
+    if model.nu:
+        mujoco.mju_sparse2dense(
+            moments,
+            data.actuator_moment.reshape(-1),
+            data.moment_rownnz,
+            data.moment_rowadr,
+            data.moment_colind.reshape(-1),
+        )
+    return moments
+
+
+def robot_dofs(model: Any, driven: list[Drive]) -> Any:
+    """Return which degrees of freedom are the robot's: those of every tree that an actuator moves.
+
+    What else is in the model, a box on a table, may roll on when the robot is at rest.
+    """
+    trees = {int(model.dof_treeid[dof]) for drive in driven for dof in drive.dofs}
+    if not trees:
+        return np.arange(model.nv)
+    return np.flatnonzero(np.isin(model.dof_treeid, list(trees)))

@@ -1,0 +1,68 @@
+"""Reads a model file: MJCF or URDF, with actuators added where a URDF has none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+
+from rcp_kernel.errors import ConfigError
+
+__all__ = ["load_model"]
+
+_FREE = (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)
+_STIFFNESS = 200.0  # N.m/rad of a position actuator that is added
+_DAMPING = 20.0  # N.m.s/rad of a velocity actuator that is added
+_FASTEST = 10.0  # rad/s or m/s
+_STRONGEST = 100.0  # N.m or N
+
+
+def load_model(path: Path, actuate: Literal["position", "velocity", "torque"] | None) -> Any:
+    """Compile a model; MuJoCo's own reset of an unstable simulation is switched off.
+
+    :raises ConfigError: there is no such file, or it is not a model.
+    """
+    if not path.is_file():
+        raise ConfigError(f"model: there is no file {path}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if actuate is not None:
+            _add_actuators(spec, actuate)
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ConfigError(f"model: {path} is not a model that MuJoCo can load: {error}") from error
+    if not model.nv:
+        raise ConfigError(f"model: nothing in {path} can move: it has no joints")
+    if actuate is not None:  # strong actuators on light links need it
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    mujoco.set_mju_user_warning(_ignore)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return model
+
+
+def _add_actuators(spec: Any, kind: str) -> None:
+    driven = {actuator.target for actuator in spec.actuators}
+    for joint in spec.joints:
+        if joint.type in _FREE or joint.name in driven:
+            continue
+        actuator = spec.add_actuator(
+            name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        low, high = joint.range
+        if kind == "position":
+            actuator.set_to_position(kp=_STIFFNESS, dampratio=1.0)
+            if low == high:  # a joint without limits
+                low, high = -_FASTEST, _FASTEST
+        elif kind == "velocity":
+            actuator.set_to_velocity(kv=_DAMPING)
+            low, high = -_FASTEST, _FASTEST
+        else:
+            actuator.set_to_motor()
+            low, high = -_STRONGEST, _STRONGEST
+        actuator.ctrlrange = (low, high)
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _ignore(_: str) -> None:
+    """Keep MuJoCo from writing warnings to a file: the simulation looks at their counters."""

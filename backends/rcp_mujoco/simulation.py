@@ -1,0 +1,324 @@
+"""The physics of one robot: steps, brakes, lapsing commands, and what counts as a fault.
+
+Belongs to one thread; nothing in it waits. Time is the simulation's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+
+from rcp_kernel.errors import DeviceRejected, PreconditionFailed
+from rcp_mujoco.joints import Drive, drives, joints, robot_dofs
+
+__all__ = ["Controller", "Simulation"]
+
+_SLOW = {"rad": 0.02, "m": 0.01}  # rad/s, m/s: below it a joint is at rest
+_FREE_SLOW = (0.01, 0.01, 0.01, 0.03, 0.03, 0.03)  # m/s and rad/s of a floating base
+_BALL_SLOW = (0.03, 0.03, 0.03)
+_SETTLED = 0.05  # s for which it has to be slow to be at rest
+_BRAKE = 2.0  # times the strongest force of the actuators
+_HARD = 0.9999  # impedance of applied brakes: softer ones would creep under a load
+_STOPPING = 200.0  # rad/s2 or m/s2, of a brake where the actuator has no strongest force
+_SPOILED = {
+    mujoco.mjtWarning.mjWARN_BADQPOS: "a position",
+    mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity",
+    mujoco.mjtWarning.mjWARN_BADQACC: "an acceleration",
+    mujoco.mjtWarning.mjWARN_BADCTRL: "a control",
+}
+_DOUBTFUL = {
+    mujoco.mjtWarning.mjWARN_INERTIA: "the inertia matrix is nearly singular",
+    mujoco.mjtWarning.mjWARN_CONTACTFULL: "there are more contacts than fit in memory",
+    mujoco.mjtWarning.mjWARN_CNSTRFULL: "there are more constraints than fit in memory",
+}
+
+
+class Controller(Protocol):
+    """A part of the robot that decides on controls before each step."""
+
+    def control(self, dt: float) -> None:
+        """Set the controls for the next `dt` seconds."""
+        ...
+
+    def stop(self, reason: str) -> None:
+        """End what it does; the brakes or a held position do the rest."""
+        ...
+
+    def kept(self) -> Sequence[int]:
+        """List the actuators whose force is to stay as it is under a stop: a grip is no motion."""
+        ...
+
+    def reset(self) -> None:
+        """Begin anew where the robot stands."""
+        ...
+
+
+class Simulation:
+    """A model in motion."""
+
+    def __init__(self, model: Any, *, keyframe: str | None = None) -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.joints = joints(model)
+        self.drives = drives(model)
+        self.controllers: list[Controller] = []
+        self.fault: str | None = None
+        """Why it has stopped for good: only `reset` goes on from here."""
+        self.doubt: str | None = None
+        """What MuJoCo warns of, though it goes on."""
+        self.braking = False
+        self.elapsed = 0.0
+        """Seconds simulated since it was made, over all resets."""
+        self.resets = 0
+        self.lapsed: list[str] = []
+        """Commands that have lapsed since this was last emptied."""
+        self._due: dict[str, tuple[float, Callable[[], None]]] = {}
+        self._dofs = robot_dofs(model, self.drives)
+        self._slow = _thresholds(model)[self._dofs]
+        self._friction = model.dof_frictionloss.copy()
+        self._softness = model.dof_solimp.copy()
+        self._brakes = _brakes(model, self.drives)
+        self._key = model.key(keyframe).id if keyframe is not None else 0 if model.nkey else None
+        self._held: set[int] = set()
+        """Position actuators whose goal under the brakes is settled."""
+        self._slow_since = 0.0
+        self._place()
+
+    @property
+    def dt(self) -> float:
+        """Length of a step, s."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def time(self) -> float:
+        """Seconds simulated since the last reset."""
+        return float(self.data.time)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the robot has been at rest for a moment, as measured."""
+        if self.fault is not None or not self._is_slow():
+            return False
+        return self.time - self._slow_since >= _SETTLED - 1e-9
+
+    @property
+    def commanded(self) -> bool:
+        """Whether a velocity or force is commanded that could move it."""
+        return any(d.safe is not None and self.data.ctrl[d.number] != 0 for d in self.drives)
+
+    @property
+    def speed(self) -> float:
+        """The fastest velocity of the robot, m/s or rad/s."""
+        return float(np.abs(self.data.qvel[self._dofs]).max(initial=0.0))
+
+    # Commands
+
+    def need_whole(self) -> None:
+        """Refuse to move what has diverged.
+
+        :raises PreconditionFailed: it has.
+        """
+        if self.fault is not None:
+            raise PreconditionFailed(
+                f"the simulation has stopped: {self.fault}",
+                remedy="Execute service/reset to start it again.",
+            )
+
+    def command(self, drive: Drive, value: float, valid_for: float | None) -> None:
+        """Set the control of an actuator; a velocity or force lapses after `valid_for` seconds."""
+        self.need_whole()
+        self.release()
+        self.data.ctrl[drive.number] = value
+        if drive.safe is None or value == drive.safe or valid_for is None:
+            self.forget(drive.name)
+        else:
+            self.lapse(drive.name, valid_for, lambda: self.neutral(drive))
+
+    def neutral(self, drive: Drive) -> None:
+        """Take the velocity or force of an actuator back."""
+        self.forget(drive.name)
+        self.data.ctrl[drive.number] = 0.0
+
+    def lapse(self, name: str, seconds: float, stop: Callable[[], None]) -> None:
+        """Have a command end by itself after so many seconds of simulation time."""
+        self._due[name] = (self.time + seconds, stop)
+
+    def forget(self, name: str) -> bool:
+        """End the window of a command; return whether there was one."""
+        return self._due.pop(name, None) is not None
+
+    def brake(self, reason: str) -> None:
+        """Apply the brakes of every driven joint and end what the controllers do."""
+        self._due.clear()
+        kept = [index for controller in self.controllers for index in controller.kept()]
+        for controller in self.controllers:
+            controller.stop(reason)
+        for drive in self.drives:
+            if drive.safe is not None:
+                self.data.ctrl[drive.number] = 0.0
+        if not self.braking:
+            self.braking = True
+            self._held = set(kept)
+            np.maximum(self._friction, self._brakes, out=self.model.dof_frictionloss)
+            self.model.dof_solimp[self._brakes > 0, :2] = _HARD
+
+    def release(self) -> None:
+        """Release the brakes; position actuators go on holding where they are."""
+        if self.braking:
+            self._hold_positions()
+            self.braking = False
+            self.model.dof_frictionloss[:] = self._friction
+            self.model.dof_solimp[:] = self._softness
+
+    def reset(self) -> None:
+        """Go back to the start, at rest and without a fault; brakes that are applied stay."""
+        self._due.clear()
+        for controller in self.controllers:
+            controller.stop("the simulation was reset")
+        mujoco.mj_resetData(self.model, self.data)
+        self.fault = self.doubt = None
+        self.resets += 1
+        self._place()
+        for controller in self.controllers:
+            controller.reset()
+
+    def _place(self) -> None:
+        if self._key is not None:
+            mujoco.mj_resetDataKeyframe(self.model, self.data, self._key)
+        else:
+            self._hold_here()
+        self._held = set()
+        mujoco.mj_forward(self.model, self.data)
+        self._slow_since = self.time - _SETTLED
+
+    def _hold_here(self) -> None:
+        for drive in self.drives:
+            if drive.mode == "position" and drive.joint is not None:
+                here = float(self.data.qpos[drive.joint.qpos])
+                self.data.ctrl[drive.number] = min(drive.high, max(drive.low, here))
+
+    # Time
+
+    def step(self) -> None:
+        """Advance by one step, unless there is a fault."""
+        if self.fault is not None:
+            return
+        dt = self.dt
+        self._end_lapsed()
+        for controller in self.controllers:
+            controller.control(dt)
+        if self.braking:
+            self._keep_braking()
+        try:
+            mujoco.mj_step(self.model, self.data)
+        except mujoco.FatalError as error:
+            self.fault = f"MuJoCo failed: {error}"
+            return
+        self.elapsed += dt
+        self._judge()
+        if not self._is_slow():
+            self._slow_since = self.time
+
+    def _end_lapsed(self) -> None:
+        if self._due:
+            over = [name for name, (due, _) in self._due.items() if self.time >= due - 1e-9]
+            for name in over:
+                self._due.pop(name)[1]()
+                self.lapsed.append(name)
+
+    def _keep_braking(self) -> None:
+        """Override whatever else sets controls, step by step."""
+        self._hold_positions()
+        for drive in self.drives:
+            if drive.safe is not None:
+                self.data.ctrl[drive.number] = 0.0
+
+    def _hold_positions(self) -> None:
+        """Have each position actuator hold the place where its joint comes to rest."""
+        data = self.data
+        for drive in self.drives:
+            joint = drive.joint
+            if drive.mode != "position" or joint is None or drive.number in self._held:
+                continue
+            data.ctrl[drive.number] = min(drive.high, max(drive.low, data.qpos[joint.qpos]))
+            if abs(data.qvel[joint.dof]) < _SLOW[joint.unit]:
+                self._held.add(drive.number)
+
+    def _judge(self) -> None:
+        data = self.data
+        for warning, what in _SPOILED.items():
+            if data.warning[warning].number:
+                where = self._culprit(warning, int(data.warning[warning].lastinfo))
+                self.fault = (
+                    f"{what} of {where} is not a number, or too large, at {self.time:.3f} s"
+                )
+                return
+        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+            self.fault = f"the state is not a number at {self.time:.3f} s"
+            return
+        if self.doubt is None:
+            found = [text for warning, text in _DOUBTFUL.items() if data.warning[warning].number]
+            self.doubt = found[0] if found else None
+
+    def _culprit(self, warning: Any, index: int) -> str:
+        model = self.model
+        if warning == mujoco.mjtWarning.mjWARN_BADCTRL:
+            return f"actuator '{model.actuator(index).name}'"
+        if warning == mujoco.mjtWarning.mjWARN_BADQPOS:
+            joint = int(np.searchsorted(model.jnt_qposadr, index, side="right")) - 1
+        else:
+            joint = int(model.dof_jntid[index])
+        return f"joint '{model.joint(joint).name or joint}'"
+
+    def _is_slow(self) -> bool:
+        return bool((np.abs(self.data.qvel[self._dofs]) < self._slow).all())
+
+    # Names
+
+    def drive(self, name: str) -> Drive:
+        """Return an actuator by its name.
+
+        :raises DeviceRejected: there is none.
+        """
+        for drive in self.drives:
+            if drive.name == name:
+                return drive
+        raise DeviceRejected(f"the model has no actuator '{name}'")
+
+
+def _thresholds(model: Any) -> Any:
+    found = np.zeros(model.nv)
+    for index in range(model.njnt):
+        dof = model.jnt_dofadr[index]
+        match mujoco.mjtJoint(model.jnt_type[index]):
+            case mujoco.mjtJoint.mjJNT_FREE:
+                found[dof : dof + 6] = _FREE_SLOW
+            case mujoco.mjtJoint.mjJNT_BALL:
+                found[dof : dof + 3] = _BALL_SLOW
+            case mujoco.mjtJoint.mjJNT_SLIDE:
+                found[dof] = _SLOW["m"]
+            case _:
+                found[dof] = _SLOW["rad"]
+    return found
+
+
+def _brakes(model: Any, driven: list[Drive]) -> Any:
+    """Return the friction of applied brakes for each degree of freedom, N.m or N."""
+    found = np.zeros(model.nv)
+    free = {
+        int(model.jnt_dofadr[i]) + k
+        for i in range(model.njnt)
+        if model.jnt_type[i] == int(mujoco.mjtJoint.mjJNT_FREE)
+        for k in range(6)
+    }
+    for drive in driven:
+        strongest = _STOPPING * float(max(model.dof_M0[list(drive.dofs)], default=0.0))
+        if model.actuator_forcelimited[drive.number]:
+            strongest = float(np.abs(model.actuator_forcerange[drive.number]).max())
+        for dof in drive.dofs:
+            if dof not in free:
+                found[dof] = max(found[dof], _BRAKE * strongest)
+    return found

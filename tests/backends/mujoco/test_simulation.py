@@ -1,0 +1,428 @@
+"""The physics: what moves, what lapses, what brakes, and what is a fault."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from backends.mujoco.physics import ELBOW, PUCK, model_of, robot_of, run, until
+from rcp_kernel.errors import ConfigError, ModeForbids, PreconditionFailed
+from rcp_kernel.types import LaserScan
+from rcp_mujoco import MujocoConfig
+from rcp_mujoco.arm import Motion
+from rcp_mujoco.gripper import Grip
+from rcp_mujoco.paths import Quintic, Spline, Waypoint
+from rcp_mujoco.wheels import make_trip
+
+STAMP = 1_800_000_000_000_000_000
+
+
+def readings(robot: Any) -> dict[str, Any]:
+    return {reading.name: reading.read(STAMP) for reading in robot.readings()}
+
+
+# Models
+
+
+def test_a_joints_range_bounds_its_actuator(tmp_path: Path) -> None:
+    robot = robot_of(model_of(ELBOW, tmp_path), actuate="position")
+    (drive,) = robot.simulation.drives
+    assert (drive.name, drive.mode, drive.unit) == ("elbow", "position", "rad")
+    assert (drive.low, drive.high) == (-1.0, 0.5)
+    robot.simulation.command(drive, 0.4, None)
+    run(robot, 2.0)
+    assert readings(robot)["sensor/joint_states"].position == [pytest.approx(0.4, abs=0.05)]
+
+
+@pytest.mark.parametrize(
+    ("actuate", "unit", "safe"), [("velocity", "rad/s", 0.0), ("torque", "N.m", 0.0)]
+)
+def test_a_urdf_has_the_actuators_that_are_configured(
+    actuate: Any, unit: str, safe: float, tmp_path: Path
+) -> None:
+    robot = robot_of(model_of(ELBOW, tmp_path), actuate=actuate)
+    (drive,) = robot.simulation.drives
+    assert (drive.mode, drive.unit, drive.safe) == (actuate, unit, safe)
+    run(robot, 1.0)
+    robot.simulation.command(drive, 1.0, 0.2)
+    run(robot, 0.1)
+    assert robot.simulation.fault is None
+
+
+def test_sensors_of_a_model_have_the_units_of_what_they_measure(tmp_path: Path) -> None:
+    robot = robot_of(model_of(PUCK, tmp_path))
+    run(robot, 0.5)
+    values = readings(robot)
+    assert values["sensor/place"] == 0.0
+    assert values["sensor/clock"] == pytest.approx(0.498)
+    assert values["sensor/contact/bumper"] == 0.0
+    assert len(values["sensor/speed"]) == 3
+    assert robot.simulation.drives[0].name == "push_force"  # a segment of a path
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (None, "there is no file"),
+        ("", "not a model"),
+        ("<mujoco><nonsense/></mujoco>", "unrecognized element"),
+        ("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "nothing in .* can move"),
+        (PUCK.replace('joint="slide"', 'joint="slid"'), "slid"),
+    ],
+)
+def test_a_missing_or_damaged_model_is_told(content: str | None, why: str, tmp_path: Path) -> None:
+    model = str(tmp_path / "gone.xml") if content is None else model_of(content, tmp_path)
+    with pytest.raises(ConfigError, match=why):
+        robot_of(model)
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"wheels": {"left": ["left"], "right": ["right"], "radius": 0.1, "track": 0.3}},
+        {"arm": {"joints": ["push_force"]}},
+        {"gripper": {"actuator": "fingers", "open": 1.0, "closed": 0.0}},
+        {"keyframe": "home"},
+    ],
+)
+def test_a_part_that_the_model_lacks_is_told(part: Any, tmp_path: Path) -> None:
+    table = {"model": model_of(PUCK, tmp_path), **part}
+    config = msgspec.convert(table, MujocoConfig)
+    with pytest.raises(ConfigError):
+        robot_of(**{field: getattr(config, field) for field in config.__struct_fields__})
+
+
+# Time
+
+
+def test_a_command_lapses_in_the_simulations_time() -> None:
+    robot = robot_of()
+    robot.wheels.drive(0.5, 0.0, 0.5)
+    run(robot, 0.498)
+    assert robot.wheels.target == (0.5, 0.0)
+    assert robot.simulation.lapsed == []
+    run(robot, 0.01)
+    assert robot.wheels.target == (0.0, 0.0)
+    assert robot.simulation.lapsed == ["cmd_vel"]
+    until(robot, lambda: robot.snapshot().at_rest, 2.0)
+
+
+def test_a_newer_command_starts_the_window_anew() -> None:
+    robot = robot_of()
+    for _ in range(5):
+        robot.wheels.drive(0.5, 0.0, 0.5)
+        run(robot, 0.4)
+    assert robot.wheels.velocity[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_single_actuator_lapses_too() -> None:
+    robot = robot_of()
+    drive = robot.simulation.drive("left_wheel")
+    robot.simulation.command(drive, 3.0, 0.1)
+    run(robot, 0.2)
+    assert robot.simulation.data.ctrl[drive.number] == 0.0
+
+
+def test_noise_comes_from_the_seed_and_from_nothing_else() -> None:
+    def scans(seed: int) -> list[Any]:
+        robot = robot_of(seed=seed)
+        found: list[Any] = []
+        for _ in range(3):
+            run(robot, 0.1)
+            found.append(readings(robot)["sensor/scan"].ranges)
+        return found
+
+    assert scans(1) == scans(1)
+    assert scans(1) != scans(2)
+
+
+def test_a_reset_with_a_seed_repeats_a_run_exactly() -> None:
+    robot = robot_of(seed=3)
+    runs: list[Any] = []
+    for _ in range(2):
+        robot.reset(3)
+        robot.wheels.drive(0.4, 0.3, 1.0)
+        run(robot, 1.0)
+        runs.append((robot.simulation.data.qpos.tolist(), readings(robot)["sensor/scan"].ranges))
+    assert runs[0] == runs[1]
+
+
+# Stops
+
+
+def test_brakes_stop_a_motor_that_would_coast(tmp_path: Path) -> None:
+    robot = robot_of(model_of(PUCK, tmp_path))
+    robot.simulation.command(robot.simulation.drives[0], 10.0, 1.0)
+    run(robot, 0.2)
+    fast = robot.simulation.data.qvel[0]
+    robot.simulation.neutral(robot.simulation.drives[0])
+    run(robot, 0.5)
+    assert robot.simulation.data.qvel[0] == pytest.approx(fast)  # it coasts
+    robot.simulation.brake("test")
+    until(robot, lambda: robot.simulation.at_rest, 1.0)
+    assert robot.simulation.data.qvel[3] < -1.0  # the ball, which is not the robot's, falls on
+
+
+def test_brakes_hold_a_load(tmp_path: Path) -> None:
+    robot = robot_of(model_of(ELBOW, tmp_path), actuate="torque")
+    simulation = robot.simulation
+    simulation.data.qpos[0] = 0.3
+    simulation.brake("test")
+    run(robot, 5.0)
+    assert simulation.data.qpos[0] == pytest.approx(0.3, abs=0.005)
+    assert simulation.at_rest
+
+
+def test_brakes_override_whoever_else_sets_controls() -> None:
+    robot = robot_of()
+    robot.simulation.brake("test")
+    for _ in range(500):
+        robot.simulation.data.ctrl[:] = 8.0
+        robot.simulation.step()
+    assert np.abs(robot.simulation.data.qvel).max() < 0.01
+    assert robot.simulation.at_rest
+
+
+def test_an_arm_that_is_stopped_holds_its_place_when_the_brakes_are_released() -> None:
+    robot = robot_of("arm")
+    goal = robot.arm.positions + np.array([1.5, 0.3, -0.3, 0, 0, 0])
+    motion = Motion(Quintic(robot.arm.positions.copy(), goal, speed=1.5, acceleration=4.0))
+    robot.arm.follow(motion)
+    run(robot, 0.6)
+    robot.simulation.brake("the robot was halted")
+    assert motion.failure == "the robot was halted"
+    until(robot, lambda: robot.simulation.at_rest, 1.0)
+    here = robot.arm.positions.copy()
+    run(robot, 1.0)
+    robot.simulation.release()
+    run(robot, 1.0)
+    assert np.abs(robot.arm.positions - here).max() < 0.02
+
+
+def test_a_robot_that_passes_through_standstill_is_not_at_rest(tmp_path: Path) -> None:
+    robot = robot_of(model_of(PUCK, tmp_path))
+    simulation = robot.simulation
+    simulation.data.qvel[0] = 0.05
+    simulation.command(simulation.drives[0], -10.0, None)
+    slowest = math.inf
+    for _ in range(100):
+        simulation.step()
+        slowest = min(slowest, abs(simulation.data.qvel[0]))
+        assert not simulation.at_rest
+    assert slowest < 0.01
+
+
+# Divergence
+
+
+@pytest.mark.parametrize("state", ["qpos", "qvel", "ctrl"])
+def test_a_diverged_simulation_stops_and_is_never_reset_by_itself(state: str) -> None:
+    robot = robot_of()
+    run(robot, 0.1)
+    getattr(robot.simulation.data, state)[0] = math.nan
+    robot.simulation.step()
+    fault = robot.simulation.fault
+    assert fault is not None
+    assert "not a number" in fault
+    stopped = robot.simulation.time
+    run(robot, 1.0)
+    assert (robot.simulation.fault, robot.simulation.time) == (fault, stopped)
+    assert not robot.simulation.at_rest
+    with pytest.raises(PreconditionFailed, match="not a number"):
+        robot.wheels.drive(0.1, 0.0, 1.0)
+    robot.reset(None)
+    run(robot, 0.2)
+    assert robot.simulation.fault is None
+    assert robot.simulation.at_rest
+
+
+def test_an_explosion_is_a_fault() -> None:
+    robot = robot_of()
+    robot.simulation.data.qvel[:] = 1e12
+    robot.simulation.step()
+    assert robot.simulation.fault is not None
+
+
+# Wheels
+
+
+def test_a_trip_ends_at_rest_at_its_goal_and_turned() -> None:
+    robot = robot_of()
+    trip = make_trip(0.8, 0.5, -1.0, None, None)
+    robot.wheels.go(trip)
+    lefts: list[float] = []
+
+    def over() -> bool:
+        lefts.append(trip.left)
+        return trip.over
+
+    until(robot, over)
+    x, y, yaw = robot.wheels.pose
+    assert trip.phase == "done"
+    assert math.dist((x, y), (0.8, 0.5)) < 0.08
+    assert yaw == pytest.approx(-1.0, abs=0.06)
+    assert robot.simulation.at_rest
+    far = [left for left in lefts[100:] if left > 0.1]
+    assert all(b <= a + 1e-3 for a, b in itertools.pairwise(far))
+
+
+def test_positive_yaw_turns_left_and_positive_speed_goes_along_x() -> None:
+    robot = robot_of()
+    robot.wheels.drive(0.5, 0.0, 1.0)
+    run(robot, 1.0)
+    assert robot.wheels.pose[0] > 0.3
+    assert abs(robot.wheels.pose[1]) < 0.01
+    robot.wheels.drive(0.0, 0.5, 2.0)
+    run(robot, 2.0)
+    assert robot.wheels.pose[2] == pytest.approx(0.9, abs=0.2)
+    x, y, yaw = robot.wheels.odometry
+    assert math.dist((x, y), robot.wheels.pose[:2]) < 0.1
+    assert yaw == pytest.approx(robot.wheels.pose[2], abs=0.1)
+
+
+def test_a_trip_against_a_wall_gives_up() -> None:
+    robot = robot_of()
+    trip = make_trip(9.0, 0.0, None, None, None)
+    robot.wheels.go(trip)
+    until(robot, lambda: trip.over)
+    assert trip.failure is not None
+    assert "something is in the way" in trip.failure
+
+
+def test_a_velocity_is_refused_on_a_trip_and_zero_ends_it() -> None:
+    robot = robot_of()
+    trip = make_trip(2.0, 0.0, None, None, None)
+    robot.wheels.go(trip)
+    run(robot, 0.5)
+    with pytest.raises(ModeForbids, match="on its way"):
+        robot.wheels.drive(0.1, 0.0, 1.0)
+    robot.wheels.drive(0.0, 0.0, 1.0)
+    assert trip.failure == "stopped by actuator/cmd_vel"
+
+
+def test_the_dead_man_of_a_velocity_does_not_end_the_trip_that_took_over() -> None:
+    robot = robot_of()
+    robot.wheels.drive(0.5, 0.0, 0.5)
+    run(robot, 0.1)
+    trip = make_trip(2.0, 0.0, None, None, None)
+    robot.wheels.go(trip)
+    robot.wheels.drive(0.0, 0.0, 0.5)
+    assert not trip.over
+    robot.wheels.drive(0.0, 0.0, 0.5)
+    assert trip.over
+
+
+def test_the_lidar_sees_the_walls_where_they_are() -> None:
+    robot = robot_of()
+    run(robot, 0.2)
+    scan = readings(robot)["sensor/scan"]
+    assert isinstance(scan, LaserScan)
+    assert len(scan.ranges) == 180
+    ahead = min(range(180), key=lambda i: abs(scan.angle_min + i * scan.angle_increment))
+    assert scan.ranges[ahead] == pytest.approx(6.0 - 0.05, abs=0.03)
+    corner = min(range(180), key=lambda i: abs(scan.angle_min + i * scan.angle_increment + 2.356))
+    assert scan.ranges[corner] == math.inf  # beyond its 8 m
+
+
+def test_the_imu_reads_gravity_upwards_at_rest() -> None:
+    robot = robot_of()
+    run(robot, 1.0)
+    imu = readings(robot)["sensor/imu"]
+    assert imu.linear_acceleration.z == pytest.approx(9.81, abs=0.05)
+    assert imu.orientation.w == pytest.approx(1.0, abs=1e-3)
+
+
+# Arm and gripper
+
+
+def motion_to(robot: Any, x: float, y: float, z: float) -> Motion:
+    down = robot.kinematics.tool().quaternion
+    qpos = robot.simulation.data.qpos.copy()
+    joints = robot.kinematics.solve(qpos, np.array([x, y, z]), down)
+    motion = Motion(Quintic(robot.arm.positions.copy(), joints, speed=1.5, acceleration=4.0))
+    robot.arm.follow(motion)
+    until(robot, lambda: motion.over)
+    assert motion.arrived, motion.failure
+    return motion
+
+
+def grip_to(robot: Any, width: float, force: float | None = None) -> Grip:
+    grip = Grip(width, force)
+    robot.gripper.move(grip)
+    until(robot, lambda: grip.over)
+    assert grip.done, grip.failure
+    return grip
+
+
+def test_the_arm_picks_up_the_box_and_holds_it_through_a_stop() -> None:
+    robot = robot_of("arm")
+    motion_to(robot, 0.45, 0.0, 0.12)
+    motion_to(robot, 0.45, 0.0, 0.02)
+    assert not robot.gripper.holding
+    grip_to(robot, 0.0, 8.0)
+    assert robot.gripper.holding
+    assert robot.gripper.width == pytest.approx(0.04, abs=0.004)
+    motion_to(robot, 0.4, 0.1, 0.2)
+    robot.simulation.brake("test")
+    run(robot, 1.0)
+    robot.simulation.release()
+    run(robot, 1.0)
+    box = readings(robot)["sensor/pose/box"].position
+    assert (box.x, box.y, box.z) == pytest.approx((0.4, 0.1, 0.2), abs=0.02)
+    motion_to(robot, 0.4, 0.1, 0.025)
+    grip_to(robot, 0.08)
+    assert not robot.gripper.holding
+
+
+def test_a_gripper_that_closes_on_nothing_does_not_say_that_it_holds() -> None:
+    robot = robot_of("arm")
+    grip_to(robot, 0.0)
+    assert robot.gripper.holding is False
+
+
+def test_joints_that_are_held_up_do_not_arrive() -> None:
+    robot = robot_of("arm")
+    simulation = robot.simulation
+    goal = robot.arm.positions + np.array([1.0, 0, 0, 0, 0, 0])
+    motion = Motion(Quintic(robot.arm.positions.copy(), goal, speed=1.5, acceleration=4.0))
+    robot.arm.follow(motion)
+    simulation.model.actuator_forcerange[0] = (-0.1, 0.1)  # too weak for what it has to move
+    until(robot, lambda: motion.over)
+    assert not motion.arrived
+    assert "joint_1 is" in str(motion.failure)
+    assert abs(simulation.data.ctrl[0] - robot.arm.positions[0]) < 0.02  # and does not press on
+
+
+def test_a_cancelled_motion_brakes_along_its_path() -> None:
+    robot = robot_of("arm")
+    goal = robot.arm.positions + np.array([2.0, 0, 0, 0, 0, 0])
+    motion = Motion(Quintic(robot.arm.positions.copy(), goal, speed=1.5, acceleration=4.0))
+    robot.arm.follow(motion)
+    run(robot, 0.8)
+    assert robot.simulation.data.qvel[0] > 1.0
+    robot.arm.abandon(motion)
+    run(robot, 0.1)
+    assert robot.simulation.data.qvel[0] > 0.2  # no jolt
+    until(robot, lambda: motion.over, 2.0)
+    assert motion.failure == "cancelled"
+
+
+def test_a_trajectory_passes_its_waypoints_at_their_times() -> None:
+    robot = robot_of("arm")
+    start = robot.arm.positions.copy()
+    there, back = start.copy(), start.copy()
+    there[0], back[3] = 0.5, 1.2
+    points = [Waypoint(1.0, there, None), Waypoint(2.0, back, None)]
+    motion = Motion(Spline(start, points, speed=1.5, names=robot.arm.names))
+    robot.arm.follow(motion)
+    run(robot, 1.0)
+    assert robot.arm.positions[0] == pytest.approx(0.5, abs=0.06)
+    until(robot, lambda: motion.over)
+    assert motion.arrived
+    assert np.abs(robot.arm.positions - back).max() < 0.02
