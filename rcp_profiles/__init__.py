@@ -1,4 +1,4 @@
-"""Profiles: one vocabulary of resources for robots of every kind, as data."""
+"""Profiles: a common vocabulary of resources for all kinds of robots, as data."""
 
 from __future__ import annotations
 

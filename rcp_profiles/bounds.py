@@ -1,9 +1,10 @@
-"""Types with the limits of one robot: a copy of a profile's type whose numbers are bounded."""
+"""Types with the limits of one robot: copies of profile types with bounded numbers."""
 
 from __future__ import annotations
 
 import types
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import msgspec
@@ -24,10 +25,10 @@ _AXES = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.
 
 
 class Keyed(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A map that knows its keys: what `bounded` puts in place of a `dict`."""
+    """A map with known keys, which `bounded` substitutes for a `dict`."""
 
     def given(self) -> dict[str, Any]:
-        """Return what was given, by key."""
+        """Return the given items by key."""
         fields = msgspec.structs.fields(self)
         found = {one.encode_name: getattr(self, one.name) for one in fields}
         return {key: value for key, value in found.items() if value is not None}
@@ -45,7 +46,7 @@ def twist_limits(*, x: float, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) 
 def bounded(type_: Any, bounds: Bounds) -> Any:
     """Return a type with bounds; its Structs are subclasses of those of `type_`.
 
-    :raises PluginError: a bound names no number of the type.
+    :raises PluginError: a bound does not name a number of the type.
     """
     return _bounded(type_, bounds, "Keyed")
 
@@ -69,7 +70,7 @@ def _bounded(type_: Any, bounds: Bounds, name: str) -> Any:
     if origin is dict:
         return _keyed(args[1], bounds, name)
     if isinstance(type_, type) and issubclass(type_, Struct):
-        return _struct(type_, bounds)
+        return _struct(type_, tuple(sorted(bounds.items())))
     raise PluginError(f"{', '.join(bounds)}: {type_!r} has no such part")
 
 
@@ -103,8 +104,10 @@ def _parts(bounds: Bounds) -> dict[str, dict[str, Bound]]:
     return found
 
 
-def _struct(type_: type[Struct], bounds: Bounds) -> type[Struct]:
-    parts = _parts(bounds)
+@lru_cache(maxsize=1024)
+def _struct(type_: type[Struct], bounds: tuple[tuple[str, Bound], ...]) -> type[Struct]:
+    """Make a Struct with bounds, once: a resource that is declared again must have the same types."""
+    parts = _parts(dict(bounds))
     fields: list[tuple[str, Any, Any]] = []
     for field in msgspec.structs.fields(type_):
         name = type_.__name__ + field.encode_name.title().replace("_", "")

@@ -1,4 +1,4 @@
-"""A robot's claim: the profiles that it has, and of each resource what is particular to the robot."""
+"""A robot's claim: its profiles, and the robot-specific part of each resource."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CALLS = (Kind.ACTION, Kind.SERVICE)
 
 
 class Particulars(TypedDict, total=False):
-    """What a robot may say of a resource that a profile defines: fields of `Resource`."""
+    """The fields of `Resource` that a robot may set for a resource of a profile."""
 
     description: str
     value: Any
@@ -46,7 +46,7 @@ class Particulars(TypedDict, total=False):
 
 
 class Offer(NamedTuple):
-    """One resource of a profile, as one robot has it."""
+    """One resource of a profile, as one robot offers it."""
 
     name: str
     bounds: Bounds
@@ -100,12 +100,13 @@ def claim(
         what = ", ".join(profile.id for profile in claimed)
         raise PluginError(f"the claim of {what} does not hold: {'; '.join(problems)}")
     segment = place or robot
+    names = {profile.id: profile.definitions.keys() for profile in claimed}
     return [
         structs.replace(
             resource,
             name=_placed(resource.name, segment),
             robot=robot or resource.robot,
-            profiles=tuple(p.id for p in claimed if name in p.definitions),
+            profiles=tuple(id_ for id_, own in names.items() if name in own),
         )
         for name, resource in found.items()
     ]
@@ -158,7 +159,7 @@ def _missing(profiles: list[Profile], found: dict[str, Resource]) -> Iterator[st
 
 
 def _differences(definition: Definition, own: Resource) -> Iterator[str]:
-    """Yield in what a resource is not what its definition says."""
+    """Yield the deviations of a resource from its definition."""
     name, defined = own.name, definition.resource
     kind = kind_of(name)
     offered = BRANCHES[kind] if own.operations is None else own.operations
@@ -186,7 +187,7 @@ def _sent(name: str, part: str, defined: Any, own: Any) -> Iterator[str]:
 
 
 def _received(name: str, part: str, defined: Any, own: Any) -> Iterator[str]:
-    if defined is None or own == defined:  # the profile promises nothing, and more is fine
+    if defined is None or own == defined:  # the profile guarantees nothing, and more is allowed
         return
     if own is None:
         yield f"{name} has no {part}"

@@ -1,7 +1,7 @@
-"""Whether one JSON Schema can stand in for another: what it still accepts, and what it may yield.
+"""Compatibility of JSON Schemas: what a new one still accepts, and what it may return.
 
-`unaccepted` is for what a client sends, `unexpected` for what it receives. Both return sentences,
-each beginning with the place in the value; none: compatible.
+`unaccepted` is for values that a client sends, `unexpected` for values it receives. Both return
+sentences that start with the place in the value; none means compatible.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ __all__ = ["unaccepted", "unexpected"]
 
 _LOWER = ("minimum", "exclusiveMinimum", "minLength", "minItems")
 _UPPER = ("maximum", "exclusiveMaximum", "maxLength", "maxItems")
-_TEXT = ("pattern", "contentEncoding", "format")
+_TEXT = ("pattern", "format")
 
 
 class _Node(NamedTuple):
-    """A schema and the document that its references are resolved in."""
+    """A schema, and the document in which its references are resolved."""
 
     schema: Any
     root: dict[str, Any]
@@ -27,16 +27,16 @@ class _Node(NamedTuple):
 
 
 def unaccepted(old: dict[str, Any], new: dict[str, Any], *, limits: bool = False) -> list[str]:
-    """List what a value of `old` may be that `new` does not accept.
+    """List the values of `old` that `new` does not accept.
 
-    With `limits`, `new` may have bounds of its own: of numbers, lengths, and the words or the keys
-    that it knows.
+    With `limits`, `new` may have additional bounds on numbers and lengths, and on its enum values
+    or keys.
     """
     return list(_Accepts(limits=limits).compare(_Node(old, old), _Node(new, new), ""))
 
 
 def unexpected(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """List what a value of `new` may be, or lack, that `old` did not announce; more fields are fine."""
+    """List the values of `new` that `old` did not announce; additional fields are allowed."""
     return list(_Yields().compare(_Node(old, old), _Node(new, new), ""))
 
 
@@ -87,19 +87,21 @@ def _where(place: str) -> str:
 
 
 class _Comparison:
-    """What both directions share."""
+    """The common part of both directions."""
 
     def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
-        """Yield what stands in the way of `new` in place of `old`."""
+        """Yield the reasons against `new` in place of `old`."""
         raise NotImplementedError
 
     def _units(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
         if _unit(old) != _unit(new):
             yield f"{_where(place)} is in {_unit(new) or 'no unit'}, not in {_unit(old) or 'none'}"
+        if old.schema.get("contentEncoding") != new.schema.get("contentEncoding"):
+            yield f"{_where(place)} is {'text' if 'contentEncoding' in old.schema else 'bytes'}"
 
 
 class _Accepts(_Comparison):
-    """A client goes on sending values of the old schema."""
+    """A client continues to send values of the old schema."""
 
     def __init__(self, *, limits: bool) -> None:
         self._limits = limits
@@ -175,7 +177,7 @@ class _Accepts(_Comparison):
 
 
 class _Yields(_Comparison):
-    """A client goes on reading as the old schema told it to."""
+    """A client continues to read by the old schema."""
 
     def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
         """Yield which values of `new` are not values of `old`."""
@@ -228,7 +230,7 @@ class _Yields(_Comparison):
 
 
 def _is_always_there(schema: Any) -> bool:
-    """Tell whether a field that is not required is sent all the same: it has a default of its own."""
+    """Return whether an optional field is sent anyway, because it has a default."""
     return isinstance(schema, dict) and "default" in schema and schema["default"] is not None
 
 

@@ -85,7 +85,7 @@ def _resource(definition: Definition, types: dict[str, Any]) -> dict[str, Any]:
 
 
 def changes(old: dict[str, Any], new: dict[str, Any]) -> list[Change]:
-    """List what is different in `new`, by what it means to those who know `old`."""
+    """List the changes in `new`, by their effect on users of `old`."""
     mine: dict[str, Any] = old["x-rcp-profile"]
     theirs: dict[str, Any] = new["x-rcp-profile"]
     found = [
@@ -113,7 +113,7 @@ def changes(old: dict[str, Any], new: dict[str, Any]) -> list[Change]:
 
 
 def unannounced(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """List the changes that the version of `new` does not announce to those who know `old`."""
+    """List the changes that are incompatible with the version number of `new`."""
     before, after = (_version(one) for one in (old, new))
     if after[0] > before[0]:
         return []
@@ -131,7 +131,7 @@ def _changed(
     old: tuple[dict[str, Any], dict[str, Any]],
     new: tuple[dict[str, Any], dict[str, Any]],
 ) -> Iterator[Change]:
-    """Yield what is different of one resource; each comes with the document that it stands in."""
+    """Yield the changes of one resource, each with the document that contains it."""
     (mine, before), (theirs, after) = old, new
     for fact in _PROMISES:
         if mine.get(fact) != theirs.get(fact):
@@ -185,7 +185,7 @@ def _type_changed(
 
 
 def _without_words(schema: Any) -> Any:
-    """Leave out what is said of a type: its wording may be improved without a new version."""
+    """Drop the descriptions of a type: wording may change without a new version."""
     if isinstance(schema, list):
         return [_without_words(item) for item in cast("list[Any]", schema)]
     if not isinstance(schema, dict):

@@ -1,4 +1,4 @@
-"""The profiles of what goes from place to place: `drive`, `mobile`, `aerial`, `power`."""
+"""The profiles of moving robots: `drive`, `mobile`, `aerial`, `power`."""
 
 from __future__ import annotations
 

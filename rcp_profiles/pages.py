@@ -1,4 +1,4 @@
-"""Profiles as pages of Markdown, made of their documents alone."""
+"""Profiles as Markdown pages, generated from their documents."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _fields(schema: dict[str, Any], root: dict[str, Any], place: str) -> Iterato
 
 
 def _resolved(schema: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
-    """Follow a reference, and look through `null` at what else a value may be."""
+    """Resolve a reference, and skip `null` among the options."""
     if "$ref" in schema:
         target: Any = root
         for step in schema["$ref"].removeprefix("#/").split("/"):

@@ -1,4 +1,4 @@
-"""What a profile is: a named, versioned set of resources with one meaning on every robot."""
+"""Profiles: named, versioned sets of resources with the same meaning on every robot."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Definition(msgspec.Struct, frozen=True, kw_only=True):
     """Its name, description, types with units, and how it behaves unless a robot says otherwise:
     `safe`, `valid_for`, `max_age`, `energises`, `timeout`. The description is its meaning."""
     frame: str | None = None
-    """The frame that its values are in (REP-103, REP-105); None: they are in no frame."""
+    """The frame of its values (REP-103, REP-105); None: no frame."""
     required: bool = True
     """Whether every robot that claims the profile has it."""
     gateway: bool = False
-    """The gateway itself offers it for every robot that moves; a backend does not declare it."""
+    """Whether the gateway itself offers it for every robot that moves, so that backends do not."""
 
     @property
     def name(self) -> str:
@@ -35,7 +35,7 @@ class Definition(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def operations(self) -> Operation:
-        """What it offers at least."""
+        """Its minimum operations."""
         declared = self.resource.operations
         return BRANCHES[kind_of(self.name)] if declared is None else declared
 
@@ -44,14 +44,14 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
     """A set of resources that a robot can claim."""
 
     name: str
-    """`mobile`; a vendor's begins with a name of the vendor's own: `acme.crane`."""
+    """`mobile`; a vendor's profile starts with the vendor's name: `acme.crane`."""
     version: str
-    """`<major>.<minor>`: the minor rises with what is added, the major with all other changes."""
+    """`<major>.<minor>`: additions increase the minor, all other changes the major."""
     description: str
     """One sentence, ending in a full stop."""
     resources: tuple[Definition, ...]
     includes: tuple[Profile, ...] = ()
-    """Profiles that a robot that claims this one has as well."""
+    """Profiles that are included in this one."""
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
@@ -61,18 +61,18 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def id(self) -> str:
-        """What discovery calls it: `mobile/1.0`."""
+        """Its name in discovery: `mobile/1.0`."""
         return f"{self.name}/{self.version}"
 
     @property
     def whole(self) -> tuple[Profile, ...]:
-        """The profile and all that it includes, included ones first, each once."""
+        """The profile and all included ones, without duplicates, included ones first."""
         found = {one.id: one for other in self.includes for one in other.whole}
         return (*found.values(), self)
 
     @property
     def definitions(self) -> dict[str, Definition]:
-        """All resources by name, included ones too; what one of them requires is required."""
+        """All resources by name, including those of included profiles."""
         found: dict[str, Definition] = {}
         for profile in self.whole:
             for definition in profile.resources:

@@ -38,13 +38,13 @@ def serving(config: Path, text: str) -> Generator[str]:
     rcpd = Path(sys.executable).with_name("rcpd")
     with subprocess.Popen([rcpd, "serve", config], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        told: list[str] = []
+        received: list[str] = []
         for line in process.stderr:
-            told.append(line)
+            received.append(line)
             if "serving on " in line:
                 break
         else:
-            raise AssertionError("rcpd did not serve: " + "".join(told))
+            raise AssertionError("rcpd did not serve: " + "".join(received))
         # A pipe that nobody empties would stop the gateway at its next lines of log.
         reading = threading.Thread(target=process.stderr.read, daemon=True)
         reading.start()

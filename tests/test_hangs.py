@@ -81,10 +81,10 @@ def start(project: Path, **tests: str) -> subprocess.Popen[str]:
 def verdict(process: subprocess.Popen[str]) -> tuple[int, str]:
     with process:
         try:
-            told, _ = process.communicate(timeout=BOUND)
+            output, _ = process.communicate(timeout=BOUND)
         finally:
             process.kill()
-    return process.returncode, told
+    return process.returncode, output
 
 
 def test_a_run_goes_on_after_tests_that_hang_and_excuses_those_that_pass_alone(

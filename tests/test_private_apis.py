@@ -90,17 +90,17 @@ async def test_uvicorns_http_protocol() -> None:
 
 def test_httptools_tells_a_parser_of_what_comes() -> None:
     """For rcp_asgi/http.py, which is called by the names that uvicorn's protocol has."""
-    told: list[str] = []
+    received: list[str] = []
 
     class Listener:
         def __getattr__(self, name: str) -> Any:
-            return lambda *_: told.append(name)
+            return lambda *_: received.append(name)
 
     parser = HttpRequestParser(Listener())
     parser.feed_data(b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\n\r\nx")
     wanted = "message_begin url header headers_complete body message_complete"
     assert [f"on_{name}" for name in wanted.split()] == [
-        n for n in dict.fromkeys(told) if n != "on_chunk_header"
+        n for n in dict.fromkeys(received) if n != "on_chunk_header"
     ]
 
 

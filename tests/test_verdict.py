@@ -33,10 +33,10 @@ def test_a_few_that_pass_alone_twice_are_told_and_excused(
 ) -> None:
     alone = _Alone(*[True] * 10)
     assert tell(_failures(5), alone) == 0
-    told = capsys.readouterr().out
-    assert told.lstrip().startswith(HEADING)
-    assert "SENSITIVE TO LOAD" in told
-    assert "FAILED tests/test_2.py::test_it [passes alone] - reason 2" in told
+    output = capsys.readouterr().out
+    assert output.lstrip().startswith(HEADING)
+    assert "SENSITIVE TO LOAD" in output
+    assert "FAILED tests/test_2.py::test_it [passes alone] - reason 2" in output
     assert alone.ran == [each.test for each in _failures(5) for _ in range(2)]
 
 
@@ -45,9 +45,9 @@ def test_one_that_fails_alone_makes_the_run_fail(
     results: tuple[bool, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert tell(_failures(2), _Alone(True, True, *results)) == 1
-    told = capsys.readouterr().out
-    assert "FAILED tests/test_1.py::test_it [fails alone too] - reason 1" in told
-    assert "FAILED tests/test_0.py::test_it [passes alone] - reason 0" in told
+    output = capsys.readouterr().out
+    assert "FAILED tests/test_1.py::test_it [fails alone too] - reason 1" in output
+    assert "FAILED tests/test_0.py::test_it [passes alone] - reason 0" in output
 
 
 def test_more_than_a_few_are_not_excused() -> None:

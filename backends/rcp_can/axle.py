@@ -1,4 +1,4 @@
-"""Two wheels on one axle: kinematics, limits, and commands that both wheels take or neither."""
+"""Two wheels on one axle: kinematics, limits, and commands applied to both wheels or neither."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Ended = Callable[[Axis, RcpError], None]
 class Axle:
     """The wheels of a differential drive; m/s forward, rad/s to the left (REP-103).
 
-    Whoever commands it owns both motors: if one of them loses its set-point, the other is stopped in
-    the same call, and the owner is told which and why.
+    The commanding owner owns both motors: if one of them loses its set-point, the other is stopped
+    in the same call, and the owner is notified which and why.
     """
 
     def __init__(self, config: DiffDriveConfig, left: Axis, right: Axis) -> None:
@@ -35,7 +35,7 @@ class Axle:
         )
         """Maximum yaw rate, rad/s."""
         self.speed_limit = self.top_speed
-        """The speed limit in force, m/s."""
+        """The current speed limit, m/s."""
         self._accelerations = [self._acceleration(wheel) for wheel in self.wheels]
         self._owner = ""
         self._ended: Ended | None = None
@@ -47,7 +47,7 @@ class Axle:
 
     @property
     def acceleration(self) -> float | None:
-        """Acceleration of the drive, m/s²; None: its set-points are applied in one step."""
+        """Acceleration of the drive, m/s²; None: set-points are applied in one step."""
         known = [each for each in self._accelerations if each is not None]
         return min(known) * self._config.radius if known else None
 
@@ -62,7 +62,7 @@ class Axle:
 
     @property
     def owner(self) -> str | None:
-        """The resource that drives the wheels now."""
+        """The resource that currently drives the wheels."""
         return self._owner if self._ended is not None else None
 
     def _speeds(self, forward: float, turn: float) -> tuple[float, float]:
@@ -75,7 +75,7 @@ class Axle:
         return forward * part, turn * part
 
     def check_range(self, forward: float, turn: float) -> None:
-        """Check that the drive and both wheels can be that fast.
+        """Check that the drive and both wheels can reach these speeds.
 
         :raises OutOfRange: one cannot.
         """
@@ -99,7 +99,7 @@ class Axle:
     def check(self, owner: str) -> None:
         """Check that both wheels can be commanded by `owner`.
 
-        :raises RcpError: as `guard.check` has them, of the first wheel that cannot.
+        :raises RcpError: as for `guard.check`, for the first wheel that cannot.
         :raises ModeForbids: another command drives one of them.
         """
         for wheel in self.wheels:
@@ -111,7 +111,7 @@ class Axle:
             check(wheel)
 
     def drive(self, forward: float, turn: float, owner: str, ended: Ended) -> None:
-        """Command both wheels in one cycle; `ended` is called once, if one loses its set-point."""
+        """Command both wheels in one cycle; `ended` is called once if one loses its set-point."""
         check_fence()
         self._owner, self._ended = owner, ended
         goal = self._speeds(forward, turn)
@@ -128,7 +128,7 @@ class Axle:
         return lambda reason: self._lose(wheel, reason)
 
     def _lose(self, lost: Axis, reason: RcpError) -> None:
-        """Stop the other wheel; hard, unless the lost one was only told to stand still."""
+        """Stop the other wheel; hard, unless the lost one was only commanded to stand still."""
         ended = self._ended
         self.release()
         obeys = lost.status.enabled and lost.online and lost.blind is None and lost.wanted_on
@@ -143,15 +143,15 @@ class Axle:
             ended(lost, reason)
 
     def release(self) -> None:
-        """Give the motors back, whatever they do."""
+        """Release the motors, whatever they are doing."""
         self._ended = None
         for wheel in self.wheels:
             wheel.owner = wheel.ended = None
 
     def rest(self) -> None:
-        """Bring both wheels to rest along one ramp; a wheel that is off or stopped is left so.
+        """Bring both wheels to rest along one ramp; a wheel that is off or stopped is left alone.
 
-        :raises AdapterUnavailable: a wheel cannot be reached; the other is brought to rest all the same.
+        :raises AdapterUnavailable: a wheel cannot be reached; the other is brought to rest anyway.
         """
         self.release()
         obeying = [w for w in self.wheels if w.status.enabled and not w.stopped]
@@ -166,4 +166,4 @@ class Axle:
 
 
 def _ignore(_wheel: Axis, _reason: RcpError) -> None:
-    """Take no notice."""
+    """Do nothing."""

@@ -1,4 +1,4 @@
-"""`move_to` of a differential drive: it has arrived when it is measured there, at rest."""
+"""`move_to` of a differential drive: it has arrived when measured at the goal, at rest."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from rcp_profiles.messages import MoveFeedback, MoveTo
 __all__ = ["BaseMove"]
 
 _FEEDBACK = 0.1  # s between two reports
-_HEADING = 0.05  # rad that count as the heading of the goal
+_HEADING = 0.05  # rad of heading error at the goal
 _TOLERANCE = 0.05  # m
-_TURN = 1.5  # rad/s at most on the spot: the load is not thrown about
-_ACCELERATION = 0.5  # m/s² in the plan of a drive without a limit of its own
+_TURN = 1.5  # rad/s, the maximum on the spot, so that the load does not slip
+_ACCELERATION = 0.5  # m/s² planned for a drive without its own limit
 _STUCK = 5.0  # s without progress
 _PROGRESS = 0.005  # m
-_ATTEMPTS = 4  # times that it may come to rest beside the goal
+_ATTEMPTS = 4  # times that it may come to rest off the goal
 
 
 class BaseMove:
@@ -41,7 +41,7 @@ class BaseMove:
         self._ended: RcpError | None = None
 
     async def run(self, wanted: MoveTo, progress: Progress) -> float:
-        """Drive to the goal; return the distance that is left, m, measured at rest.
+        """Drive to the goal; return the remaining distance, m, measured at rest.
 
         :raises DeviceRejected: it makes no progress, or comes to rest elsewhere.
         """
@@ -84,7 +84,7 @@ class BaseMove:
     async def _approach(
         self, control: GoalControl, speed: Callable[[], float], progress: Progress
     ) -> None:
-        """Drive until the plan is at its end, and wait until rest is measured."""
+        """Drive until the plan ends, and wait until rest is measured."""
         began = control.distance(self._odometry.place)
         best, improved_at, reported_at = began, time.monotonic(), 0.0
         while control.phase != "done":
@@ -114,9 +114,9 @@ class BaseMove:
             raise self._ended
 
     async def _abandon(self, why: BaseException | None) -> None:
-        """Bring the wheels to rest, unless they are out of our hands.
+        """Bring the wheels to rest, unless a stop controls them.
 
-        :raises RcpError: it was cancelled, and a wheel is not known to have come to rest.
+        :raises RcpError: the move was cancelled, and a wheel is not confirmed to be at rest.
         """
         if fenced_off() or self._ended is not None:
             return

@@ -1,4 +1,4 @@
-"""What a differential drive declares."""
+"""The resources of a differential drive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class BaseNames(NamedTuple):
 
     @classmethod
     def make(cls, place: str | None) -> Self:
-        """Place the names of the profile below a segment, if one is given."""
+        """Return the names of the profile, below a segment if one is given."""
         below = f"{place}/" if place else ""
         return cls(
             f"actuator/{below}cmd_vel",

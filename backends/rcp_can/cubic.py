@@ -1,4 +1,4 @@
-"""Cubic curves through points in time, and how far and how fast they go at most."""
+"""Cubic curves through points in time, and their extreme positions and velocities."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Cubic", "Knot", "Sample"]
 
 
 class Knot(NamedTuple):
-    """A point of a curve; without a velocity, that with which the acceleration does not jump."""
+    """A point of a curve; without a velocity, it is chosen for a continuous acceleration."""
 
     time: float
     position: float
@@ -28,7 +28,7 @@ class Sample(NamedTuple):
 
 
 class _Segment(NamedTuple):
-    """`a + b t + c t² + d t³`, from its beginning."""
+    """`a + b t + c t² + d t³`, from its start."""
 
     duration: float
     a: float
@@ -44,13 +44,13 @@ class _Segment(NamedTuple):
         )
 
     def turns(self) -> list[float]:
-        """Return the moments at which position or velocity may be greatest."""
+        """Return the times of possible extremes of position or velocity."""
         moments = [0.0, self.duration]
         if self.d:
             moments.append(-self.c / (3 * self.d))
             root = self.c * self.c - 3 * self.d * self.b
             if root >= 0:
-                # Without cancellation, where `d` is small.
+                # Without cancellation of digits if `d` is small.
                 q = -(self.c + math.copysign(math.sqrt(root), self.c))
                 moments.append(q / (3 * self.d))
                 if q:
@@ -72,18 +72,18 @@ class Cubic:
         ]
 
     def at(self, time: float) -> Sample:
-        """Return the curve at a moment from its beginning to its end."""
+        """Return the curve at a time between its start and end."""
         number = min(bisect_right(self._times, time) - 1, len(self._segments) - 1)
         return self._segments[max(number, 0)].at(time - self._times[max(number, 0)])
 
     def extremes(self, segment: int) -> list[Sample]:
-        """Return the samples of a segment among which every greatest and least value is."""
+        """Return the samples of a segment that include all its extremes."""
         found = self._segments[segment]
         return [found.at(moment) for moment in found.turns()]
 
     @property
     def segments(self) -> int:
-        """How many segments it has: one less than knots."""
+        """The number of segments: one less than knots."""
         return len(self._segments)
 
 
@@ -96,9 +96,9 @@ def _segment(before: Knot, after: Knot, v0: float, v1: float) -> _Segment:
 
 
 def _velocities(knots: Sequence[Knot]) -> list[float]:
-    """Fill in the velocities that are missing, so that the acceleration is continuous there.
+    """Fill in missing velocities for a continuous acceleration.
 
-    The system is tridiagonal and diagonally dominant: elimination needs no pivots.
+    The system is tridiagonal and diagonally dominant, so elimination needs no pivoting.
     """
     over: list[float] = []
     right: list[float] = []

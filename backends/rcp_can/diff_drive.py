@@ -26,7 +26,7 @@ from rcp_profiles.messages import MoveResult, MoveTo, TwistStamped
 __all__ = ["DiffDrivePart"]
 
 _FRAMES = "odom", "map"
-"""Frames of goals: without a map, both begin where the odometry does (REP-105)."""
+"""Frames of goals: without a map, both start at the origin of the odometry (REP-105)."""
 
 
 class DiffDrivePart(Part):
@@ -49,7 +49,7 @@ class DiffDrivePart(Part):
         """Claim the profile `mobile`."""
         return base_resources(self._config, self._axle, self._place)
 
-    # What it measures
+    # Measurements
 
     def _batch(self) -> None:
         fresh = all(wheel.online and wheel.blind is None for wheel in self._axle.wheels)
@@ -72,7 +72,7 @@ class DiffDrivePart(Part):
         return TwistStamped(LinearVelocity(forward), AngularVelocity(z=turn), timestamp=at)
 
     async def read(self, name: str) -> Any:
-        """Return what both wheels measured last, if both are still connected."""
+        """Return the last measurements, if both wheels are still connected."""
         if name == self._names.speed_limit:
             return self._axle.speed_limit
         if name not in (self._names.pose, self._names.velocity):
@@ -85,7 +85,7 @@ class DiffDrivePart(Part):
             raise AdapterUnavailable("a wheel has not reported its velocity yet")
         return value
 
-    # What is asked of it
+    # Commands
 
     async def write(self, name: str, value: Any) -> Any:
         """Set the velocity or the speed limit; return the value in force."""
@@ -103,7 +103,7 @@ class DiffDrivePart(Part):
         return self._drive(value)
 
     def _drive(self, wanted: Twist) -> Twist | None:
-        """Turn the wheels within the speed limit; return what is in force if that is another."""
+        """Turn the wheels within the speed limit; return the value in force if it differs."""
         forward, turn = self._axle.limited(wanted.linear.x, wanted.angular.z)
         self._axle.drive(forward, turn, self._names.cmd_vel, self._lost)
         if forward == wanted.linear.x:
@@ -111,7 +111,7 @@ class DiffDrivePart(Part):
         return Twist(LinearVelocity(forward), AngularVelocity(z=turn))
 
     def _lost(self, wheel: Axis, reason: RcpError) -> None:
-        """Say why the robot was stopped."""
+        """Report why the robot was stopped."""
         self._velocity = None
         self._host.publish(
             self._names.stopped,
@@ -141,7 +141,7 @@ class DiffDrivePart(Part):
         error = await move.run(goal, progress)
         return MoveResult(self._pose(iso(now())), error)
 
-    # What the services of its motors do with it
+    # Called by the services of its motors
 
     @property
     def axes(self) -> Sequence[Axis]:
@@ -149,7 +149,7 @@ class DiffDrivePart(Part):
         return self._axle.wheels
 
     def settle(self, reason: RcpError) -> None:
-        """Bring both wheels to rest; what drives them ends with `reason`."""
+        """Bring both wheels to rest; the running command ends with `reason`."""
         self._velocity = None
         for wheel in self._axle.wheels:
             if wheel.owner not in (None, self._names.cmd_vel):
@@ -157,6 +157,6 @@ class DiffDrivePart(Part):
         self._axle.rest()
 
     def reset(self) -> None:
-        """Forget odometry and the speed limit."""
+        """Reset odometry and speed limit."""
         self._limit(self._axle.top_speed)
         self._odometry.reset()

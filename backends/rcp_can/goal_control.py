@@ -1,4 +1,4 @@
-"""The way of a differential drive to a place: turn towards it, drive there, turn to the heading."""
+"""Control of a differential drive towards a goal: turn towards it, drive, turn to the heading."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from rcp_can.odometry import Place, wrapped
 __all__ = ["Goal", "GoalControl", "Phase"]
 
 Phase = Literal["turning", "driving", "aligning", "done"]
-_AIMED = 0.03  # rad off the bearing at which it drives on
-_ASTRAY = 0.5  # rad off the bearing at which it turns on the spot again
-_STEERING = 2.0  # rad/s of yaw rate for each rad off the bearing
-_RESERVE = 0.6  # part of the deceleration that the plan uses
-_CREEP, _CREEP_TURN = 0.02, 0.04  # m/s and rad/s: slower would stick
+_AIMED = 0.03  # rad of bearing error below which it drives on
+_ASTRAY = 0.5  # rad of bearing error at which it turns on the spot again
+_STEERING = 2.0  # rad/s of yaw rate per rad of bearing error
+_RESERVE = 0.6  # fraction of the deceleration that the plan uses
+_CREEP, _CREEP_TURN = 0.02, 0.04  # m/s and rad/s: below these it would stick
 
 
 class Goal(NamedTuple):
-    """Where to, and how near counts as there; m and rad."""
+    """The goal and its tolerances; m and rad."""
 
     x: float
     y: float
@@ -29,7 +29,7 @@ class Goal(NamedTuple):
 
 
 class GoalControl:
-    """Velocities for each measured place; it plans nothing that the limits do not allow."""
+    """Velocities for each measured place, within the limits."""
 
     def __init__(
         self, goal: Goal, *, turn_rate: float, acceleration: float, turn_acceleration: float
@@ -43,7 +43,7 @@ class GoalControl:
         return math.hypot(self._goal.x - place.x, self._goal.y - place.y)
 
     def reached(self, place: Place) -> bool:
-        """Tell whether a place is the goal, within the tolerances."""
+        """Return whether a place is the goal, within the tolerances."""
         heading = self._goal.heading
         aligned = heading is None or (
             abs(wrapped(heading - place.heading)) <= self._goal.heading_tolerance
@@ -51,7 +51,7 @@ class GoalControl:
         return aligned and self.distance(place) <= self._goal.tolerance
 
     def again(self, place: Place) -> None:
-        """Begin anew from a place."""
+        """Restart from a place."""
         near = self.distance(place) <= self._goal.tolerance
         self.phase = "aligning" if near else "turning"
 
@@ -85,7 +85,7 @@ class GoalControl:
             self.phase = "turning"
             return 0.0, self._turn(off)
         brake = math.sqrt(2 * _RESERVE * self._acceleration * ahead)
-        near = min(1.0, distance / (3 * self._goal.tolerance))  # bearings swing close to the goal
+        near = min(1.0, distance / (3 * self._goal.tolerance))  # the bearing swings near the goal
         turn = clamp(_STEERING * off * near, -self._turn_rate, self._turn_rate)
         return min(speed, max(brake, _CREEP)), turn if speed else 0.0
 
@@ -115,7 +115,7 @@ class GoalControl:
 
 
 def _time(way: float, speed: float, acceleration: float) -> float:
-    """Return the time that a trapezoid takes."""
+    """Return the duration of a trapezoidal profile."""
     if way > speed * speed / acceleration:
         return way / speed + speed / acceleration
     return 2 * math.sqrt(way / acceleration)

@@ -16,7 +16,7 @@ class Gravity:
         self._torques = [torque for _, torque in table]
 
     def torque(self, position: float) -> float:
-        """Return the torque at a position; beyond the table, that of its end."""
+        """Return the torque at a position; outside the table, that of its nearest end."""
         after = bisect_right(self._positions, position)
         if after == 0:
             return self._torques[0]

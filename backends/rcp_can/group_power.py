@@ -1,4 +1,4 @@
-"""The services of a robot of several motors: its power stages switched as one, and a reset."""
+"""The services of a robot with several motors: common power switching, and a reset."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WITHDRAW = 1.0  # s that switching off again may take
 
 
 class Group(Protocol):
-    """Motors that move as one."""
+    """Motors that move together."""
 
     @property
     def axes(self) -> Sequence[Axis]:
@@ -36,19 +36,19 @@ class Group(Protocol):
         ...
 
     def settle(self, reason: RcpError) -> None:
-        """Bring them to rest; what drives them ends with `reason`.
+        """Bring them to rest; the running command ends with `reason`.
 
         :raises AdapterUnavailable: one of them cannot be reached; the others are brought to rest.
         """
         ...
 
     def reset(self) -> None:
-        """Forget what it has counted, and set parameters to what they were at first."""
+        """Reset counters, and restore the initial parameters."""
         ...
 
 
 class GroupPowerPart(Part):
-    """The services of a robot: its power stages as one, and `reset_system`."""
+    """The services of a robot: its power stages together, and `reset_system`."""
 
     def __init__(self, place: str | None, groups: Sequence[Group]) -> None:
         self._place, self._groups = place, groups
@@ -87,7 +87,7 @@ class GroupPowerPart(Part):
             await _switch(verb, self._axes)
 
     async def _reset(self) -> None:
-        with suppress(AdapterUnavailable):  # a motor that is gone has a fault, which stays
+        with suppress(AdapterUnavailable):  # the fault of a lost motor stays
             for group in self._groups:
                 group.settle(ModeForbids("a reset ended the move"))
         await together(rested(axis) for axis in self._axes if axis.online and axis.blind is None)
@@ -99,7 +99,7 @@ class GroupPowerPart(Part):
 def group_powers(
     config: CanConfig, drives: Sequence[Group], joints: Sequence[Group]
 ) -> list[GroupPowerPart]:
-    """Make the services of each group; those that are the robot share one set."""
+    """Create the services of each group; groups that are the same robot share one set."""
     tables = (*config.diff_drives.items(), *config.joint_groups.items())
     named = list(zip(tables, (*drives, *joints), strict=True))
     found = [GroupPowerPart(name, [group]) for (name, table), group in named if not table.as_robot]
@@ -110,7 +110,7 @@ def group_powers(
 async def _switch(verb: str, axes: Sequence[Axis]) -> None:
     """Enable, disable or clear the faults of all motors.
 
-    :raises RcpError: one of them does not; after `enable`, none is on that was not on before.
+    :raises RcpError: one of them fails; after `enable`, no motor is on that was not on before.
     """
     if verb == "disable":
         await together(axis.disable() for axis in axes)
@@ -136,6 +136,6 @@ async def _enable(axes: Sequence[Axis]) -> None:
 
 
 async def _withdraw(axes: Iterable[Axis]) -> None:
-    """Switch off what was switched on for a group that is not complete."""
+    """Switch the motors of an incomplete group off again."""
     with unfenced(), suppress(RcpError), anyio.move_on_after(_WITHDRAW, shield=True):
         await together(axis.disable() for axis in axes)

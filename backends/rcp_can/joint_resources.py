@@ -1,4 +1,4 @@
-"""What a joint group declares."""
+"""The resources of a joint group."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["JointNames", "joint_resources"]
 
 _MOVE = 120.0  # s, the longest that a move may take
 _TRAJECTORY = 3600.0  # s
-_SLOWLY = 4.0  # times the shortest duration, in the example of a trajectory
+_SLOWLY = 4.0  # ratio of the example trajectory's duration to the shortest one
 
 
 class JointNames(NamedTuple):
@@ -29,7 +29,7 @@ class JointNames(NamedTuple):
 
     @classmethod
     def make(cls, place: str | None) -> Self:
-        """Place the names below a segment, if one is given."""
+        """Return the names, below a segment if one is given."""
         below = f"{place}/" if place else ""
         return cls(
             f"sensor/{below}joint_states",

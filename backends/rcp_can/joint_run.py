@@ -1,4 +1,4 @@
-"""A motion of several joints from its first set-point until every drive reports that it is there."""
+"""A motion of several joints, from its first set-point until every drive reports arrival."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ Follow = Callable[[], tuple[float, float]]
 
 
 class Line(Protocol):
-    """What the joints move along together."""
+    """The path that the joints share."""
 
     @property
     def over(self) -> bool:
-        """Whether it is at its end, or at rest on the way."""
+        """Whether it has ended, at the goal or braked."""
         ...
 
     def brake(self) -> None:
-        """Come to rest on the way."""
+        """Come to rest on the path."""
         ...
 
 
 class JointRun:
-    """One motion. The joints are its own while it runs; if one fails, all brake along the line."""
+    """One motion, which owns its joints while it runs; if one fails, all brake along the line."""
 
     def __init__(
         self, name: str, line: Line, goals: Mapping[Axis, float], follows: Mapping[Axis, Follow]
@@ -50,7 +50,7 @@ class JointRun:
         self._ended.append(reason)
 
     async def run(self, watch: Callable[[], None]) -> None:
-        """Move, and wait for arrival; `watch` is called often on the way, and may raise.
+        """Move, and wait for arrival; `watch` is called often, and may raise.
 
         :raises RcpError: a joint has failed, or `end` was called; the joints have braked.
         """

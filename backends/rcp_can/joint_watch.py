@@ -1,4 +1,4 @@
-"""What is reported, and checked, while joints move."""
+"""Progress reports and checks while joints move."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rcp_profiles.messages import MoveJointsFeedback, TrajectoryFeedback
 __all__ = ["MoveWatch", "TrajectoryWatch"]
 
 _FEEDBACK = 0.1  # s between two reports
-_SPAN = 0.1  # s by which a drive and its report may be late, beside two periods of its feedback
+_SPAN = 0.1  # s of delay allowed for a drive and its report, besides two periods of its feedback
 Positions = Callable[[], dict[str, float]]
 
 
 class MoveWatch:
-    """Report how far the joints of a move still are."""
+    """Reports the remaining distance of the joints."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class MoveWatch:
 
 
 class TrajectoryWatch:
-    """Report a trajectory, and abort it if a joint leaves it."""
+    """Reports a trajectory, and aborts it if a joint deviates from it."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class TrajectoryWatch:
         self._reported_at = 0.0
 
     def __call__(self) -> None:
-        """Compare what was commanded with what is measured.
+        """Compare the commanded with the measured position.
 
         :raises DeviceRejected: a joint is too far from its trajectory; it has been stopped.
         """
@@ -86,7 +86,7 @@ class TrajectoryWatch:
 
 
 class _Wake:
-    """Set-points of the last moments: feedback, and the drive itself, are somewhat behind."""
+    """The last set-points, because feedback and the drive itself are delayed."""
 
     def __init__(self, span: float) -> None:
         self._span = span
@@ -99,9 +99,9 @@ class _Wake:
             self._past.popleft()
 
     def off(self, axis: Axis) -> float:
-        """Return how far the last reported position is from all that was commanded."""
+        """Return the distance of the last reported position from all recent set-points."""
         reports, position = axis.status.counts["position"], axis.position
-        if reports != self._reports and position is not None:  # one that is old says nothing
+        if reports != self._reports and position is not None:  # an old report proves nothing
             self._reports = reports
             wanted = [each for _, each in self._past]
             self._off = max(0.0, min(wanted) - position, position - max(wanted))

@@ -13,13 +13,13 @@ from rcp_can.config_diff_drive import DiffDriveConfig
 __all__ = ["Odometry", "Place", "wrapped"]
 
 log = structlog.get_logger("rcp.can")
-_FASTER = 2.0  # times its reported velocity that a wheel may have turned
+_FASTER = 2.0  # maximum ratio of the turned angle to the reported velocity
 _SLACK = 0.05  # rad
-_BUNCH = 0.25  # s of motion that may arrive at once, after the gateway was late
+_BUNCH = 0.25  # s of motion that may arrive together after the gateway was late
 
 
 class Place(NamedTuple):
-    """Where the middle of the axle is, m, and its heading, rad."""
+    """Position of the middle of the axle, m, and heading, rad."""
 
     x: float = 0.0
     y: float = 0.0
@@ -27,7 +27,7 @@ class Place(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """The last position of a wheel that has been counted."""
+    """The last counted position of a wheel."""
 
     position: float
     velocity: float
@@ -37,10 +37,11 @@ class _Seen(NamedTuple):
 
 
 class Odometry:
-    """The place of a differential drive in the frame `odom`.
+    """The pose of a differential drive in the frame `odom`.
 
-    The place never jumps (REP-105): after a gap, a reboot of a drive or a new zero, it goes on from where
-    it was, and what a wheel turned meanwhile is not in it.
+    The pose never jumps (REP-105): after a gap, a reboot of a drive or a new zero, it continues
+    from its
+    last value, without the motion in between.
     """
 
     def __init__(self, config: DiffDriveConfig, left: Axis, right: Axis) -> None:
@@ -48,10 +49,10 @@ class Odometry:
         self.place = Place()
         self._seen: list[_Seen] | None = None
         self._credit = dict.fromkeys(self._wheels, 0.0)
-        """What a wheel may have turned since the last report beyond what it did, rad."""
+        """Additional angle that a wheel may have turned since the last report, rad."""
 
     def update(self) -> bool:
-        """Count what the wheels have turned; tell whether both have reported since the last time."""
+        """Count the motion of the wheels; return whether both have reported since the last call."""
         now = [_look(wheel) for wheel in self._wheels]
         if any(seen is None for seen in now):
             return False
@@ -75,11 +76,11 @@ class Odometry:
         return True
 
     def reset(self) -> None:
-        """Begin a new frame: here is the origin."""
+        """Restart the frame with its origin here."""
         self.place = Place()
 
     def _turned(self, wheel: Axis, old: _Seen, new: _Seen) -> float | None:
-        """Return by how much a wheel has turned; None if that is not known."""
+        """Return the angle that a wheel has turned; None if it is unknown."""
         gap, turned = new.at - old.at, new.position - old.position
         known = new.resets == old.resets and gap <= wheel.limit_of("position")
         speed = _FASTER * max(abs(old.velocity), abs(new.velocity))
@@ -109,5 +110,5 @@ def _look(wheel: Axis) -> _Seen | None:
 
 
 def wrapped(angle: float) -> float:
-    """Return an angle between -π and π."""
+    """Wrap an angle to the range -π to π."""
     return math.remainder(angle, 2 * math.pi)

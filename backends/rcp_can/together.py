@@ -1,4 +1,4 @@
-"""Work on several motors at once."""
+"""Concurrent operations on several motors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A trajectory that several joints follow together, on one clock that a late host only slows down."""
+"""A trajectory shared by several joints, on a clock that a late host only slows down."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from rcp_can.cubic import Cubic
 __all__ = ["Trajectory"]
 
 _NOTHING = 1e-9
-_AT_REST = 1e-3  # part of the planned speed below which a braked trajectory ends
+_AT_REST = 1e-3  # fraction of the planned speed below which a braked trajectory ends
 
 
 class Trajectory:
-    """Curves on one clock; time goes on with each look at it, by `late` s at most.
+    """Curves on one clock; each query advances time, by `late` s at most.
 
-    A host that is late therefore makes the joints late, and never has them jump.
+    A late host therefore delays the joints and never makes them jump.
     """
 
     def __init__(
@@ -30,12 +30,12 @@ class Trajectory:
         self._curves, self._accelerations = curves, accelerations
         self.duration, self._late, self._clock = duration, late, clock
         self.elapsed = 0.0
-        """The moment of the trajectory that is due, s."""
+        """The current time on the trajectory, s."""
         self._rate, self._braking = 1.0, False
         self._last = clock()
 
     def follow(self, joint: int) -> Callable[[], tuple[float, float]]:
-        """Return what tells the position and velocity of one joint now."""
+        """Return a function that gives the current position and velocity of one joint."""
         curve = self._curves[joint]
 
         def now() -> tuple[float, float]:
@@ -46,7 +46,7 @@ class Trajectory:
         return now
 
     def advance(self) -> None:
-        """Let time pass."""
+        """Advance time."""
         now = self._clock()
         dt, self._last = min(now - self._last, self._late), now
         if self._braking and self._rate:
@@ -56,20 +56,20 @@ class Trajectory:
 
     @property
     def over(self) -> bool:
-        """Whether it is at its end, or at rest on the way."""
+        """Whether it has ended, at the goal or braked."""
         return self.elapsed >= self.duration or self._rate == 0.0
 
     def brake(self) -> None:
-        """Come to rest on the way, as early as the joints' accelerations allow."""
+        """Come to rest on the curves, as early as the joints' accelerations allow."""
         self._braking = True
 
     def _deceleration(self) -> float:
-        """Return by how much the pace of time may change, 1/s: all joints stay on their curves.
+        """Return the possible change of the time scale, 1/s: all joints stay on their curves.
 
-        The acceleration of a joint is that of its curve times the pace squared, plus the velocity of its
-        curve times what is returned; without the latter it is within its limit.
+        The acceleration of a joint is that of its curve times the scale squared, plus the velocity
+        of its curve times the returned value; without the latter it is within its limit.
         """
-        lowest = -1.0 / self._late  # in one period at most
+        lowest = -1.0 / self._late  # at most in one period
         for curve, limit in zip(self._curves, self._accelerations, strict=True):
             sample = curve.at(self.elapsed)
             bent = sample.acceleration * self._rate**2

@@ -1,4 +1,4 @@
-"""A change of speed that both wheels make in the same time, so that the curve is kept."""
+"""A speed change that both wheels complete in the same time, which keeps the curve."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 __all__ = ["WheelRamp"]
 
-_LATE = 0.1  # s: a longer gap counts as this, so that no wheel leaps
+_LATE = 0.1  # s: a longer gap counts as this, so that no wheel jumps
 
 
 class WheelRamp:
-    """Speeds that change linearly together; time goes on with each look at it."""
+    """Speeds that change linearly together; each query advances time."""
 
     def __init__(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import anyio
 import numpy as np
@@ -38,6 +38,9 @@ class _Task(Protocol):
         ...
 
 
+_Some = TypeVar("_Some", bound=_Task)
+
+
 class Actions:
     """Trips, motions and grips."""
 
@@ -58,16 +61,19 @@ class Actions:
         elif goal.frame != "map":
             raise _unknown_frame(goal.frame, "map", wheels.config.base)
         trip = make_trip(x, y, yaw, goal.tolerance, goal.speed)
-        await self._device.do(lambda _: wheels.go(trip), moves=True)
         length = math.dist(wheels.pose[:2], (x, y))
 
-        def feedback() -> None:
+        def begin(_: Robot) -> Trip:
+            wheels.go(trip)
+            return trip
+
+        def feedback(trip: Trip) -> None:
             pace = wheels.pace(trip)
             left = trip.left if math.isfinite(trip.left) else length
             told = p.MoveFeedback(left, left / pace if pace else None)
             progress(told, fraction=max(0.0, min(1.0, 1 - left / length)) if length else 1.0)
 
-        await self._carry_out(trip, progress, feedback, lambda _: wheels.abandon(trip))
+        await self._carry_out(begin, progress, feedback, wheels.abandon)
         return await self._device.do(lambda robot: self._arrived(robot, trip))
 
     def _arrived(self, robot: Robot, trip: Trip) -> p.MoveResult:
@@ -92,13 +98,11 @@ class Actions:
             speed, acceleration = arm.config.speed * goal.speed, arm.config.acceleration
             return self._follow(Quintic(here, there, speed=speed, acceleration=acceleration))
 
-        motion = await self._device.do(plan, moves=True)
-
-        def feedback() -> None:
+        def feedback(motion: Motion) -> None:
             left = motion.left if math.isfinite(motion.left) else 0.0
             progress(p.MoveJointsFeedback(self._positions(), left), fraction=_part(motion))
 
-        return await self._move(motion, progress, feedback)
+        return await self._move(plan, progress, feedback)
 
     async def follow_trajectory(self, goal: Any, progress: Progress) -> p.JointsMoved:
         """Move through waypoints."""
@@ -120,13 +124,11 @@ class Actions:
                 points.append(Waypoint(point.time, places, velocities))
             return self._follow(Spline(here, points, speed=arm.config.speed, names=arm.names))
 
-        motion = await self._device.do(plan, moves=True)
-
-        def feedback() -> None:
+        def feedback(motion: Motion) -> None:
             told = p.TrajectoryFeedback(motion.seconds, self._positions(), motion.error)
             progress(told, fraction=_part(motion))
 
-        return await self._move(motion, progress, feedback)
+        return await self._move(plan, progress, feedback)
 
     async def move_tool(self, goal: p.MoveTool, progress: Progress) -> p.MoveResult:
         """Move the tool along the straight line in joint space that ends at a pose."""
@@ -159,13 +161,11 @@ class Actions:
             )
             return self._follow(path)
 
-        motion = await device.do(plan, moves=True)
-
-        def feedback() -> None:
+        def feedback(motion: Motion) -> None:
             left = float(np.linalg.norm(target - kinematics.tool().position))
             progress(p.MoveFeedback(left, motion.time_left), fraction=_part(motion))
 
-        await self._move(motion, progress, feedback)
+        await self._move(plan, progress, feedback)
         here = await device.do(lambda robot: robot.tool_pose(device.publisher.stamp, goal.frame))
         tool = await device.do(lambda _: kinematics.tool().position)
         return p.MoveResult(here, float(np.linalg.norm(target - tool)))
@@ -178,11 +178,14 @@ class Actions:
         return motion
 
     async def _move(
-        self, motion: Motion, progress: Progress, feedback: Callable[[], None]
+        self,
+        plan: Callable[[Robot], Motion],
+        progress: Progress,
+        feedback: Callable[[Motion], None],
     ) -> p.JointsMoved:
         arm = self._device.robot.arm
         assert arm is not None
-        await self._carry_out(motion, progress, feedback, lambda _: arm.abandon(motion))
+        motion = await self._carry_out(plan, progress, feedback, arm.abandon)
         positions = await self._device.do(lambda _: self._positions())
         return p.JointsMoved(positions, motion.path.duration + motion.settling)
 
@@ -200,35 +203,41 @@ class Actions:
         assert gripper is not None
         grip = Grip(goal.width, goal.force)
         start = gripper.width
-        await device.do(lambda _: gripper.move(grip), moves=True)
 
-        def feedback() -> None:
+        def begin(_: Robot) -> Grip:
+            gripper.move(grip)
+            return grip
+
+        def feedback(_: Grip) -> None:
             way = abs(goal.width - start) or 1.0
             part = 1 - abs(goal.width - gripper.width) / way
             state = device.robot.grip_state(device.publisher.stamp)
             progress(state, fraction=max(0.0, min(1.0, part)))
 
-        await self._carry_out(grip, progress, feedback, lambda _: gripper.abandon(grip))
+        await self._carry_out(begin, progress, feedback, gripper.abandon)
         return await device.do(lambda robot: robot.grip_state(device.publisher.stamp))
 
     # All of them
 
     async def _carry_out(
         self,
-        task: _Task,
+        begin: Callable[[Robot], _Some],
         progress: Progress,
-        feedback: Callable[[], None],
-        abandon: Callable[[Robot], None],
-    ) -> None:
-        """Wait until a task is over; a cancellation brings the robot to rest first.
+        feedback: Callable[[_Some], None],
+        abandon: Callable[[_Some], None],
+    ) -> _Some:
+        """Begin a task and wait until it is over; a cancellation brings the robot to rest first.
 
         :raises DeviceRejected: it failed.
         """
         device, simulation = self._device, self._device.robot.simulation
-        progress(fraction=0.0)  # it has begun, whatever becomes of it
+        begun: list[_Some] = []
         try:
+            await device.do(lambda robot: begun.append(begin(robot)), moves=True)
+            progress(fraction=0.0)  # it has begun, whatever becomes of it
+            task = begun[0]
             while not task.over and simulation.fault is None:
-                feedback()
+                feedback(task)
                 due = simulation.elapsed + _FEEDBACK
                 await device.waiting.until(
                     lambda due=due: (
@@ -237,7 +246,8 @@ class Actions:
                 )
         except anyio.get_cancelled_exc_class():
             with anyio.move_on_after(_REST, shield=True):
-                await device.do(abandon)
+                # It may have begun though nobody has been told yet: jobs are done in their order.
+                await device.do(lambda _: [abandon(task) for task in begun])
                 await device.waiting.until(
                     lambda: (
                         device.snapshot.at_rest
@@ -253,7 +263,8 @@ class Actions:
             )
         if task.failure is not None:
             raise DeviceRejected(task.failure)
-        feedback()
+        feedback(task)
+        return task
 
 
 def _part(motion: Motion) -> float:

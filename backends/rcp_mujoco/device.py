@@ -212,9 +212,9 @@ class Device:
             prepare(robot)
             self.stepper.demand(budget)
 
-        await self.do(begin, moves=True)
-        progress(fraction=0.0)
         try:
+            await self.do(begin, moves=True)
+            progress(fraction=0.0)
             await over.wait()
         finally:
             budget.left = 0

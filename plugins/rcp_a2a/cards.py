@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Generator
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -29,7 +31,7 @@ from rcp_a2a.places import JWKS, PREFIX, Place
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, refuse
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
-from rcp_kernel.api import Session, gateway_version
+from rcp_kernel.api import Session, SharedWork, at_once, gateway_version
 from rcp_kernel.asgi import JSON, Headers, Scope, Send, header, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, Unauthenticated
@@ -39,6 +41,7 @@ __all__ = ["INPUT_MODES", "OUTPUT_MODES", "Cards"]
 INPUT_MODES = ("application/json", "text/plain")
 OUTPUT_MODES = ("application/json", "text/plain")
 _KEPT = 64  # number of cached cards
+_STEP = 16  # skills that are written at once: a millisecond
 _HOST = re.compile(r"[A-Za-z0-9.\-_\[\]:]+\Z")
 _DESCRIPTION = (
     "Robots behind one gateway. Send a plan or a single command. The gateway checks all of it "
@@ -58,6 +61,7 @@ class Cards:
         self._client_api = client_api
         self._key = None if config.card_key is None else CardKey(config.card_key)
         self._ready: dict[tuple[Any, ...], tuple[bytes, bytes]] = {}
+        self._under_way = SharedWork[None](client_api.loop)
 
     def base(self, scope: Scope) -> str:
         """Return the gateway's URL as a client sees it, without a trailing slash."""
@@ -82,7 +86,7 @@ class Cards:
             body = msgspec.json.encode(self._key.jwks)
             tag = hashlib.sha256(body).hexdigest()[:32].encode()
         else:
-            body, tag = self._public(self.base(scope), place.tenant)
+            body, tag = await self._public(self.base(scope), place.tenant)
         headers: Headers = [
             (b"etag", b'W/"' + tag + b'"'),
             (b"cache-control", b"public, max-age=%d" % self._config.card_max_age),
@@ -94,19 +98,28 @@ class Cards:
             return
         await respond(send, 200, body, JSON, headers)
 
-    def _public(self, base: str, tenant: str | None) -> tuple[bytes, bytes]:
+    async def _public(self, base: str, tenant: str | None) -> tuple[bytes, bytes]:
         session = self._stranger(tenant)
         generation = None if session is None else self._client_api.generation(session)
         rights = None if session is None else session.rights
         key = (base, tenant, generation, rights, self._client_api.proofs)
-        if key not in self._ready:
-            if len(self._ready) >= _KEPT:
-                self._ready.pop(next(iter(self._ready)))
-            card = self._make(base, session, tenant)
-            # The tag covers the unsigned content: some algorithms sign differently every time.
-            tag = hashlib.sha256(card.SerializeToString(deterministic=True)).hexdigest()[:32]
-            self._ready[key] = msgspec.json.encode(self._written(card, base)), tag.encode()
-        return self._ready[key]
+        while (ready := self._ready.get(key)) is None:
+            owner = None if session is None else session.principal.identity
+            work = self._prepare(key, base, session, tenant)
+            await self._under_way.result(key, partial(self._client_api.turns.finish, owner, work))
+        return ready
+
+    def _prepare(
+        self, key: tuple[Any, ...], base: str, session: Session | None, tenant: str | None
+    ) -> Generator[None]:
+        """Build and write a public card in steps."""
+        card = yield from self._make(base, session, tenant)
+        # The tag covers the unsigned content: some algorithms sign differently every time.
+        tag = hashlib.sha256(card.SerializeToString(deterministic=True)).hexdigest()[:32]
+        written = yield from self._written(card, base)
+        if len(self._ready) >= _KEPT:
+            self._ready.pop(next(iter(self._ready)))
+        self._ready[key] = msgspec.json.encode(written), tag.encode()
 
     def _stranger(self, tenant: str | None) -> Session | None:
         """Return the rights without authentication; none in a tenant that is not open to them."""
@@ -117,31 +130,46 @@ class Cards:
         except (Unauthenticated, Forbidden):
             return None
 
-    def _written(self, card: AgentCard, base: str) -> dict[str, Any]:
-        """Encode a card as JSON, signed; fields of 0.3 are added only if it is not signed.
+    def _written(self, card: AgentCard, base: str) -> Generator[None, None, dict[str, Any]]:
+        """Write a card as plain data in steps, signed; fields of 0.3 are added only if it is not.
 
         A verifier that checks the whole document would find those fields unsigned.
         """
         if self._key is not None:
             self._key.sign(card, f"{base}{PREFIX}{JWKS}")
-            return MessageToDict(card)
-        return agent_card_to_dict(card) if self._config.compatible else MessageToDict(card)
+        compatible = self._config.compatible and self._key is None
+        plain = agent_card_to_dict if compatible else MessageToDict
+        part = AgentCard()
+        part.CopyFrom(card)
+        del part.skills[_STEP:]
+        written = plain(part)
+        for begin in range(_STEP, len(card.skills), _STEP):
+            yield
+            del part.skills[:]
+            part.skills.extend(card.skills[begin : begin + _STEP])
+            written["skills"] += plain(part)["skills"]
+        return written
 
     # -- building ------------------------------------------------------------------------------
 
     def plain(self) -> AgentCard:
         """Build the card that the SDK uses to check requests; it is not served."""
-        return self._make("http://localhost", None, None)
+        return at_once(self._make("http://localhost", None, None))
 
     async def extended(self, _card: AgentCard, context: ServerCallContext) -> AgentCard:
         """Build the card with what a caller may do."""
         caller = caller_of(context)
-        card = self._make(caller.base, caller.session, caller.tenant)
+        work = self._make(caller.base, caller.session, caller.tenant)
+        card = await self._client_api.turns.finish(caller.principal.identity, work)
         if self._key is not None:
             self._key.sign(card, f"{caller.base}{PREFIX}{JWKS}")
         return card
 
-    def _make(self, base: str, session: Session | None, tenant: str | None) -> AgentCard:
+    def _make(
+        self, base: str, session: Session | None, tenant: str | None
+    ) -> Generator[None, None, AgentCard]:
+        """Build a card in steps."""
+        skills = yield from skills_of(self._client_api, session)
         config = self._config
         name = config.name or self._client_api.title
         card = AgentCard(
@@ -157,7 +185,7 @@ class Cards:
             ),
             default_input_modes=INPUT_MODES,
             default_output_modes=OUTPUT_MODES,
-            skills=skills_of(self._client_api, session),
+            skills=skills,
         )
         if config.provider is not None:
             given = config.provider

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import Any
 
 import msgspec
 from a2a.types.a2a_pb2 import AgentSkill
 
-from rcp_kernel.api import Query, Session, at_once
+from rcp_kernel.api import Query, Session
 from rcp_kernel.client_api import ClientApi
 
 __all__ = ["PLAN", "STOP", "skills_of"]
 
 Node = dict[str, Any]
 _PAGE = 1000
+_STEP = 16  # skills that are described at once: a millisecond
 _SHOWN = 8  # parameters listed in a description
 
 PLAN = AgentSkill(
@@ -54,19 +56,28 @@ _STOPPING = ("/system/plans", "/system/estop")  # stopping by a task runs a plan
 _MAY = Query(op="execute", limit=1)
 
 
-def skills_of(client_api: ClientApi, session: Session | None) -> list[AgentSkill]:
-    """List what a session may execute in its tenant; without a session, only general skills."""
+def skills_of(
+    client_api: ClientApi, session: Session | None
+) -> Generator[None, None, list[AgentSkill]]:
+    """List what a session may execute in its tenant, in steps; without one, only general skills."""
     if session is None or session.tenant is None:
         return [PLAN]
     root = f"/tenant/{session.tenant}"
     found: list[AgentSkill] = [PLAN]
-    if all(at_once(client_api.discover(session, path, _MAY))["resources"] for path in _STOPPING):
+    may = True
+    for path in _STOPPING:
+        page = yield from client_api.discover(session, path, _MAY)
+        may = may and bool(page["resources"])
+    if may:
         found.append(STOP)
     cursor: str | None = None
     while True:
         query = Query(op="execute", limit=_PAGE, cursor=cursor)
-        page = at_once(client_api.discover(session, f"{root}/**", query))
-        found += [_skill(resource, root) for resource in page["resources"]]
+        page = yield from client_api.discover(session, f"{root}/**", query)
+        for number, resource in enumerate(page["resources"], 1):
+            found.append(_skill(resource, root))
+            if not number % _STEP:
+                yield
         cursor = page.get("cursor")
         if cursor is None:
             return found

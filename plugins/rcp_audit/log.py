@@ -124,7 +124,7 @@ class AuditLog:
         if event.request is not None:
             facts |= requested(event.request, event.what, hide=event.hide)
         facts |= {
-            key: value[:_TEXT] if isinstance(value, str) else value
+            key: value[:_TEXT] if isinstance(value, str) and key != "value" else value
             for key, value in event.facts.items()
             if value is not None
         }

@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.acl import reach
+from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.turns import Work, at_once
+from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
@@ -164,9 +164,9 @@ class SubscribeHandler:
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
 
-        def view(entry: Entry) -> Callable[[Encoding], Any] | None:
+        def view(entry: Entry) -> OwnView | None:
             shown = self._views.get(entry.path)
-            return None if shown is None else partial(_whole, shown, session)
+            return None if shown is None else OwnView(shown, session, self._links)
 
         def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
             shown = self._filters.get(entry.path)
@@ -347,10 +347,29 @@ class SubscribeHandler:
         self._links.end(subscription, _send_rest if error is None else None, on_end)
 
 
-def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:
-    """Return the value of a view; a list as far as it fits in one page."""
-    value = view(session)
-    return at_once(listed(value, encoding, MOST_BYTES)) if is_listing(value) else value
+class OwnView:
+    """What a path shows a session."""
+
+    def __init__(self, shown: View, session: Session, links: Links) -> None:
+        self._shown = shown
+        self._session = session
+        self._links = links
+
+    @property
+    def sees(self) -> Rights:
+        """Its rights."""
+        return self._session.rights
+
+    def make(self, encoding: Encoding) -> Generator[None, None, Any]:
+        """Make the value; of a list as much as fits in one page, in steps."""
+        value = self._shown(self._session)
+        if is_listing(value):
+            return (yield from listed(value, encoding, MOST_BYTES))
+        return value
+
+    def begin(self, work: Work) -> None:
+        """Do work beside the client's requests."""
+        self._links.begin_for(self._session.principal.identity, work)
 
 
 def _send_rest(feed: PathSubscription) -> None:

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Generator, Hashable, Iterable
+from typing import Any, NamedTuple, Protocol
 
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.filters import Change
-from rcp_kernel.streams.outbox import Outbox
+from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.streams.path_subscription import PathSubscription, Subscriber
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample, masked, project
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, encode_body, encode_frame
 
-__all__ = ["FilteredPathSubscription", "ViewSubscription", "VisibilityFilteredSubscription"]
+__all__ = [
+    "FilteredPathSubscription",
+    "View",
+    "ViewSubscription",
+    "VisibilityFilteredSubscription",
+]
 
 _LONGEST = 86_400.0  # s between updates, however low the rate
 
@@ -149,24 +155,154 @@ class VisibilityFilteredSubscription(FilteredPathSubscription):
         return masked(sample, self._shown)
 
 
-class ViewSubscription(PathSubscription):
-    """A path whose value depends on who asks: a sample only says that it changed."""
+class View(Protocol):
+    """What a path shows one reader: made anew for each."""
 
-    __slots__ = ("_view",)
+    @property
+    def sees(self) -> Hashable:
+        """What of the reader decides of what is shown: it is not sent once that has changed."""
+        ...
+
+    def make(self, encoding: Encoding) -> Generator[None, None, Any]:
+        """Make the value, a list in steps and no longer than fits in one page."""
+        ...
+
+    def begin(self, work: Generator[None]) -> None:
+        """Do work in the turns of the loop that have time for it."""
+        ...
+
+
+class _Made(NamedTuple):
+    """A value as it was made for a reader."""
+
+    sees: Hashable
+    data: bytes
+    cut: bool
+
+
+class ViewSubscription(PathSubscription):
+    """A path whose value depends on who asks: a sample only says that it changed.
+
+    A list of all that is known may be long, and its subscribers many: each value is made in turns of
+    its own, before the samples that are waiting for it are queued.
+    """
+
+    __slots__ = ("_fresh", "_made", "_making", "_past", "_view", "_works")
 
     def __init__(
-        self,
-        subscription: Subscriber,
-        entry: Entry,
-        outbox: Outbox | None,
-        view: Callable[[Encoding], Any],
+        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: View
     ) -> None:
         super().__init__(subscription, entry, outbox)
         self._plain = False
         self._view = view
+        self._fresh: deque[Sample] = deque()
+        """Samples that wait for a value to be made."""
+        self._making: deque[Sample] = deque()
+        """Those for which one is being made."""
+        self._past: deque[Sample] = deque()
+        """Earlier samples, to be replayed with it."""
+        self._made: _Made | None = None
+        """The newest value, with which all that is queued is sent."""
+        self._works = False
+
+    @property
+    def waiting(self) -> int:
+        """How many samples wait to be collected."""
+        made = len(self._fresh) + len(self._making) + len(self._past)
+        return super().waiting + made
+
+    def offer(self, sample: Sample) -> None:
+        """Have a value made, then queue the sample."""
+        if len(self.queue) + len(self._fresh) >= self.depth:
+            if self.reliable:
+                self.subscription.overrun(self)
+                return
+            (self.queue or self._fresh).popleft()
+            self.dropped += 1
+            self.subscription.skipped += 1
+        self._fresh.append(sample)
+        self._begin()
+
+    def replay(self, samples: Iterable[Sample]) -> None:
+        """Have a value made, then queue earlier samples ahead of everything else."""
+        self._past = deque(samples)
+        self._begin()
+
+    def _begin(self) -> None:
+        if not self._works and (self._fresh or self._past):
+            self._works = True
+            self._view.begin(self._work())
+
+    def _work(self) -> Generator[None]:
+        try:
+            while (outbox := self.outbox) is not None and (self._fresh or self._past):
+                # What comes from now on may be of a change that the value does not show.
+                self._making, self._fresh = self._fresh, deque()
+                past, self._past = self._past, deque()
+                encoding, *_ = self._heads or self._make_heads()
+                made = yield from self._make(encoding)
+                if made is not None and self.outbox is outbox:
+                    self._queue(made, past)
+                self._making.clear()
+        finally:
+            self._works = False
+
+    def _make(self, encoding: Encoding) -> Generator[None, None, _Made | None]:
+        sees = self._view.sees
+        try:
+            value = yield from self._view.make(encoding)
+            cut = isinstance(value, Body) and value.cut
+            if self.fields is not None:
+                value = project(value.value if isinstance(value, Body) else value, self.fields)
+            return _Made(sees, encode_body(value, encoding), cut)
+        except Exception as error:  # a bug of the view costs this update, and is in the log
+            to_internal_error(error, path=self.entry.path)
+            return None
+
+    def _queue(self, made: _Made, past: deque[Sample]) -> None:
+        self._made = made
+        if past:
+            super().replay(past)
+        for sample in self._making:
+            super().offer(sample)
+
+    def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
+        """Move what is queued to `out`, unless it was made for other eyes: then it is made anew."""
+        if self._made is not None and self._made.sees != self._view.sees:
+            self._fresh.extendleft(reversed(self.queue))
+            self._past = self.backlog or self._past
+            self.queue.clear()
+            self.backlog = None
+            self._begin()
+            return 0
+        return super().drain(out, budget, wrap, big)
+
+    def conflate(self) -> None:
+        """Let go of all that waits but the newest."""
+        if self._fresh or self._making or self._past:
+            old = self.waiting - 1
+            newest = (self._fresh or self._making or self._past)[-1]
+            for held in (self._fresh, self._making, self._past, self.queue):
+                held.clear()
+            self.backlog = None
+            self._fresh.append(newest)
+            self.dropped += old
+            self.subscription.skipped += old
+            self._begin()
+        else:
+            super().conflate()
+
+    def leave(self) -> None:
+        """Forget what waits."""
+        super().leave()
+        for held in (self._fresh, self._making, self._past):
+            held.clear()
+        self._made = None
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, *_ = self._heads or self._make_heads()
+        made = self._made
+        assert made is not None
         facts: dict[str, Any] = {
             "type": "update",
             "id": self.subscription.id,
@@ -174,12 +310,6 @@ class ViewSubscription(PathSubscription):
             "seq": sample.seq,
             "timestamp": sample.time,
         }
-        try:
-            value = self._view(encoding)
-            if isinstance(value, Body) and value.cut:
-                facts["truncated"] = True
-            if self.fields is not None:
-                value = project(value.value if isinstance(value, Body) else value, self.fields)
-            return encode_frame(facts, encode_body(value, encoding), encoding)
-        except Exception as error:
-            raise to_internal_error(error, path=self.entry.path) from error
+        if made.cut:
+            facts["truncated"] = True
+        return encode_frame(facts, made.data, encoding)

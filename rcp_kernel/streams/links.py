@@ -6,7 +6,7 @@ the tree may change: each step does what holds by then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 
 from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.streams.feeds import new_path_subscription
@@ -57,7 +57,11 @@ class Links:
 
     def begin(self, subscription: Subscription, work: Work) -> None:
         """Do work on a subscription, after all that was begun before."""
-        self._turns.oblige((_STREAMS, subscription.owner), work)
+        self.begin_for(subscription.owner, work)
+
+    def begin_for(self, owner: Hashable, work: Work) -> None:
+        """Do work for a client's subscriptions, after all that was begun before."""
+        self._turns.oblige((_STREAMS, owner), work)
 
     def _search(self, subscription: Subscription, found: Iterator[Entry]) -> Work:
         for number, entry in enumerate(found, 1):

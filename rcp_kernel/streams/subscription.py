@@ -7,11 +7,11 @@ from typing import Any, Protocol
 
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.model import Pattern
+from rcp_kernel.streams.filtered import View
 from rcp_kernel.streams.filters import Options, Where, parse_where
 from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.values import Encoding
 
 __all__ = ["Subscription"]
 
@@ -72,7 +72,7 @@ class Subscription:
         owner: Hashable,
         may: Callable[[Entry], bool],
         end: Callable[[Subscription, str, RcpError | None], None],
-        view: Callable[[Entry], Callable[[Encoding], Any] | None],
+        view: Callable[[Entry], View | None],
         visibility_filter: Callable[[Entry], Callable[[Any], Any] | None],
         placed: Callable[[PathSubscription], None],
     ) -> None:

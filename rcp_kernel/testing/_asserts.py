@@ -1,4 +1,4 @@
-"""Have pytest explain the asserts of the suites; imported before they are."""
+"""Register the suites for pytest's assert rewriting; imported before them."""
 
 from __future__ import annotations
 

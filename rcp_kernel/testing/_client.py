@@ -17,7 +17,7 @@ from rcp_kernel.values import Encoding
 
 __all__ = ["BOUND", "Client", "MemoryClient", "Message", "decode", "encode"]
 
-BOUND = 20.0  # s that any wait of a test may take, on a machine that is busy otherwise
+BOUND = 20.0  # s that any wait of a test may take, also on a busy machine
 _FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
 
 Message = dict[str, Any]
@@ -38,7 +38,7 @@ def encode(message: Any, encoding: Encoding) -> bytes:
 
 
 def decode(data: bytes, encoding: Encoding) -> Any:
-    """Read plain data, as strictly as the encoding's own standard asks."""
+    """Decode plain data, as strictly as the encoding's standard requires."""
     if encoding is Encoding.JSON:
         return json.loads(data, parse_constant=_no_constant)
     if encoding is Encoding.CBOR:
@@ -47,12 +47,12 @@ def decode(data: bytes, encoding: Encoding) -> Any:
 
 
 class Client(ABC):
-    """Sends requests and sorts what comes back; every wait is bounded and says what it missed."""
+    """Sends requests and sorts the replies; every wait is bounded and reports what was missing."""
 
     def __init__(self, encoding: Encoding = Encoding.JSON) -> None:
         self.encoding = encoding
         self.inbox: list[Message] = []
-        """What came and was not asked for yet, in order."""
+        """Received messages that no test has taken yet, in order."""
         self.reading = asyncio.Event()
         """Cleared by `pause`: nothing is taken from the carrier."""
         self.reading.set()
@@ -68,11 +68,11 @@ class Client(ABC):
         """Cut the connection."""
 
     def pause(self) -> None:
-        """Take nothing more from the gateway: a client that does not keep up."""
+        """Stop reading from the gateway: a client that does not keep up."""
         self.reading.clear()
 
     def resume(self) -> None:
-        """Take what waited."""
+        """Read again, including queued messages."""
         self.reading.set()
 
     async def transmit(self, message: Message) -> None:
@@ -80,7 +80,7 @@ class Client(ABC):
         await self.transmit_raw(encode(message, self.encoding))
 
     def received(self, message: Message) -> None:
-        """Take in what the carrier brought, for whoever waits for it or asks later."""
+        """Store a received message, for a current or later wait."""
         for future, wanted in self._waiting.items():
             if not future.done() and wanted(message):
                 future.set_result(message)
@@ -88,7 +88,7 @@ class Client(ABC):
         self.inbox.append(message)
 
     async def send(self, envelope: Mapping[str, Any] | None = None, /, **fields: Any) -> str:
-        """Send a request, with an id of its own if none is given; return the id."""
+        """Send a request, with a new id unless one is given; return the id."""
         message: Message = {**(envelope or {}), **fields}
         id_: str = message.setdefault("id", f"c-{next(self._count)}")
         await self.transmit(message)
@@ -103,9 +103,9 @@ class Client(ABC):
         return await self.final(await self.send(fields, type=type_), within)
 
     async def until(self, wanted: Callable[[Message], bool], within: float = BOUND) -> Message:
-        """Take the first message out of the inbox for which `wanted` holds.
+        """Take the first message for which `wanted` holds out of the inbox.
 
-        :raises AssertionError: none came within so many seconds.
+        :raises AssertionError: none arrived within `within` seconds.
         """
         for place, message in enumerate(self.inbox):
             if wanted(message):
@@ -170,7 +170,7 @@ class MemoryClient(Client):
                 self.received(decode(data, self.encoding))
 
     def resume(self) -> None:
-        """Take what waited."""
+        """Read again, including queued messages."""
         super().resume()
         self._flush()
 

@@ -1,4 +1,4 @@
-"""A `Host` that notes what a backend does with it, and passes everything on."""
+"""A `Host` that records what a backend does with it, and passes everything on."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class Recorder:
         self.tenant = host.tenant
         self.robot = host.robot
         self.resources: dict[str, Resource] = {}
-        """What is declared now, by name."""
+        """The declared resources, by name."""
         self.published: dict[str, int] = {}
-        """How many values were published of each name."""
+        """Number of published values, by name."""
         self.wrong_thread: set[str] = set()
         """Methods that were called from another thread than the event loop's, and must not be."""
         self.plans: dict[str, StopPlan] = {}
-        """What the guard process has, by name."""
+        """The plans of the guard process, by name."""
         self._thread = threading.get_ident()
         self._waiting: list[tuple[str, asyncio.Event]] = []
 
     async def publishes(self, name: str, within: float) -> bool:
-        """Wait for the next value of a name; tell whether one came within so many seconds."""
+        """Wait for the next value of a name; return whether one arrived within `within` seconds."""
         waiter = name, asyncio.Event()
         self._waiting.append(waiter)
         try:

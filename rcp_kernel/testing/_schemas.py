@@ -1,4 +1,4 @@
-"""What a published JSON Schema allows and what not, as values to try a backend with."""
+"""Valid and invalid example values of a published JSON Schema."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _unitless(node: Any, root: Schema, where: str, seen: set[str]) -> list[str]:
 
 
 def legal(schema: Schema) -> list[Any]:
-    """Make a few values that a schema allows, different where it allows more than one."""
+    """Return a few valid values of a schema, different ones where possible."""
     return _legal(schema, schema, 0)
 
 
@@ -119,7 +119,7 @@ def _objects(node: Schema, root: Schema, deep: int) -> list[Any]:
 
 
 def beyond(schema: Schema) -> list[Any]:
-    """Make values that fit a schema but for one bound of it."""
+    """Return values that violate exactly one bound of a schema."""
     return _beyond(schema, schema, 0)
 
 

@@ -50,7 +50,7 @@ class Life(msgspec.Struct, frozen=True):
 
 
 class Served:
-    """A gateway that is up, and the backends that were opened in it."""
+    """A running gateway, and the backends opened in it."""
 
     def __init__(self, server: Server, lives: list[Life]) -> None:
         self.server = server
@@ -89,11 +89,12 @@ async def serve(
 ) -> AsyncGenerator[Served]:
     """Run the gateway of a configuration while entered.
 
-    What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point, and `features` are
-    active beside those of the configuration; `transports` and `adapters` serve its tables by name. Transports that the
-    configuration names are opened; a text that names none opens none. Where `guard_after` has its default, the
-    guard waits as long as it can: the test, and whatever it simulates, share the gateway's event loop.
-    A test that moves time gives the `clock` of its `SteppedClock`, and runs on a `SteppedLoop`.
+    Recent warnings appear in its status if `recent`, of `configure`, is given. The `kinds` serve its
+    `[[backends]]` by name, without an entry point, and `features` are active besides those of the
+    configuration; `transports` and `adapters` serve its tables by name. Transports in a `GatewayConfig`
+    are opened; a text that names none opens none. With the default `guard_after`, the guard waits as
+    long as possible: the test and its simulations share the gateway's event loop. A test that steps
+    time passes the `clock` of its `SteppedClock`, and runs on a `SteppedLoop`.
 
     :raises StartupError: as `rcpd serve` would.
     """
@@ -140,7 +141,7 @@ async def serve(
 
 
 def _patient(config: GatewayConfig) -> GatewayConfig:
-    """Have the guard not take a busy machine for a gateway that stands still."""
+    """Let the guard tolerate a busy machine."""
     if config.safety.guard_after != Safety().guard_after:
         return config
     safety = msgspec.structs.replace(config.safety, guard_after=_GUARD_AFTER)
@@ -176,8 +177,8 @@ async def serve_backend(
 ) -> AsyncGenerator[Served]:
     """Run a gateway around one backend: a kind with its table, or an `open` with its Struct.
 
-    Kinds `beside` it, which have no options, front the same robot. Clients get in by the keys
-    `OPERATOR`, `VIEWER` and `ADMIN`. `guard_after` is as in `[safety]`, for tests that have the loop stand still.
+    The kinds in `beside`, which have no options, serve the same robot. Clients use the keys `OPERATOR`,
+    `VIEWER` and `ADMIN`. `guard_after` is as in `[safety]`, for tests that block the event loop.
 
     :raises ConfigError: the table does not fit the kind's type.
     """

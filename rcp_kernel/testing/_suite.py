@@ -1,4 +1,4 @@
-"""What both suites share: their tests are theirs, and each says which promise it proves."""
+"""The common part of the suites: each test names the requirement it proves."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def proves(*ids: str) -> Callable[[_Test], _Test]:
 async def eventually(
     holds: Callable[[], Awaitable[bool]], what: str, within: float = BOUND
 ) -> None:
-    """Wait until something holds of a device, which can only be looked at.
+    """Wait until something holds of a device that can only be polled.
 
-    :raises AssertionError: it did not within so many seconds.
+    :raises AssertionError: it did not within `within` seconds.
     """
     try:
         async with asyncio.timeout(within):
@@ -42,7 +42,7 @@ async def eventually(
 
 
 class Suite:
-    """A class of tests to subclass; a subclass gives what the tests need and changes none."""
+    """A class of tests to subclass; a subclass provides what the tests need and changes none."""
 
     pytestmark: ClassVar[Any] = pytest.mark.anyio
 

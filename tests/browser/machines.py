@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any
 
 import msgspec
@@ -16,8 +17,8 @@ from browser.watched import Watched, signed_in
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import serve
+from rcp_kernel.spi import BackendKind, Host, Progress
+from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import Int64, Point, PoseStamped, Twist, quantity
 from rcp_kernel.values import to_plain
 
@@ -79,11 +80,24 @@ class Nothing(msgspec.Struct):
     """There is nothing to configure."""
 
 
-class Machine(BaseBackend):
+RESOURCES = (
+    Resource(name="sensor/pose", description="Where.", value=PoseStamped, live=True, deadline=1.0),
+    Resource(name="sensor/fix", description="Where on Earth.", value=Fix, live=True),
+    Resource(name="param/serial", description="A long number.", value=Int64),
+    Resource(name="param/robot_description", description="Its looks.", value=str),
+    Resource(name="actuator/cmd_vel", description="Drives.", value=Twist, safe=Twist()),
+    Resource(name="action/move_to", description="Goes.", input=MoveTo),
+    Resource(name="action/dock", description="Docks."),
+    Resource(name="action/go_to", description="Goes on Earth.", input=Fix),
+    Resource(name="service/assets/fetch", description="Gives files.", input=Wanted, output=File),
+)
+
+
+class Machine(ScriptedRobot):
     """Tells where it is, and takes whatever it is told."""
 
     def __init__(self, host: Host, got: list[tuple[str, Any]]) -> None:
-        self.host = host
+        super().__init__(host, values={"param/serial": 0})
         self.files: dict[str, bytes] = {}
         """What its description names, by the ends of the addresses."""
         self.asked: asyncio.Queue[str] = asyncio.Queue()
@@ -91,53 +105,33 @@ class Machine(BaseBackend):
         """Files are given while it is set."""
         self.held.set()
         self._got = got
-        self._serial = 0
-        self._declared = (
-            Resource(
-                name="sensor/pose", description="Where.", value=PoseStamped, live=True, deadline=1.0
-            ),
-            Resource(name="sensor/fix", description="Where on Earth.", value=Fix, live=True),
-            Resource(name="param/serial", description="A long number.", value=Int64),
-            Resource(name="param/robot_description", description="Its looks.", value=str),
-            Resource(name="actuator/cmd_vel", description="Drives.", value=Twist, safe=Twist()),
-            Resource(name="action/move_to", description="Goes.", input=MoveTo),
-            Resource(name="action/dock", description="Docks."),
-            Resource(name="action/go_to", description="Goes on Earth.", input=Fix),
-            Resource(
-                name="service/assets/fetch", description="Gives files.", input=Wanted, output=File
-            ),
-        )
+        self.behaviours["service/assets/fetch"] = self._fetch
+        for name in ("action/move_to", "action/dock", "action/go_to"):
+            self.behaviours[name] = partial(self._go, name)
 
     def come(self, x: float = 0, z: float = 0) -> None:
         """Put its resources into the tree, with where it is."""
-        self.host.declare(*self._declared)
+        self.add(*RESOURCES)
         self.host.publish("sensor/pose", PoseStamped(Point(x, 0, z)))
         self.host.publish("sensor/fix", Fix(47.5, 8.5))
 
     def go(self) -> None:
         """Take them away."""
-        self.host.withdraw(*(one.name for one in self._declared))
-
-    async def read(self, name: str) -> Any:
-        return self._serial if name == "param/serial" else await super().read(name)
+        self.remove(*(one.name for one in RESOURCES))
 
     async def write(self, name: str, value: Any) -> Any:
-        if name == "param/serial":
-            self._serial = value
+        await super().write(name, value)
         self._got.append((name, value))
 
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        if name == "service/assets/fetch":
-            self.asked.put_nowait(value.uri)
-            await self.held.wait()
-            return File(next(data for end, data in self.files.items() if value.uri.endswith(end)))
+    async def _fetch(self, value: Wanted, _progress: Progress) -> File:
+        self.asked.put_nowait(value.uri)
+        await self.held.wait()
+        return File(next(data for end, data in self.files.items() if value.uri.endswith(end)))
+
+    async def _go(self, name: str, value: Any, progress: Progress) -> None:
         self._got.append((name, to_plain(value)))
         if isinstance(value, MoveTo) and value.words == "for ever":
-            await asyncio.Event().wait()
-        return None
-
-    async def halt(self) -> None:
-        """Stand still, as it does anyway."""
+            await self.wait(value, progress)
 
 
 @dataclass

@@ -96,8 +96,8 @@ async def test_what_is_refused_is_told_with_the_reason(browser: Browser, url: st
         asked = ada.page.get_by_role("article", name="lena requests")
         await asked.get_by_label("Reason").fill("too fast for the hall")
         await asked.get_by_role("button", name="Reject").click()
-        told = lena.page.get_by_test_id("approval")
-        await expect(told).to_contain_text("ada rejected it: too fast for the hall")
+        status_text = lena.page.get_by_test_id("approval")
+        await expect(status_text).to_contain_text("ada rejected it: too fast for the hall")
         await lena.shoot("approval-refused")
 
 

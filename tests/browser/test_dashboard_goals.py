@@ -242,8 +242,8 @@ async def test_a_goal_that_wants_approval_is_shown_as_it_is_and_sent_when_it_is_
         assert not told.one
         headers = {"authorization": f"Bearer {key_of('ada')}"}
         async with httpx.AsyncClient(base_url=told.url, headers=headers) as ada:
-            asked = (await ada.get("/rcp/v1/context/system/approvals")).json()["body"][0]
-            decision = {"id": asked["approval"], "decision": "approve"}
+            reply = (await ada.get("/rcp/v1/context/system/approvals")).json()["body"][0]
+            decision = {"id": reply["approval"], "decision": "approve"}
             await ada.post("/rcp/v1/context/system/approvals", json=decision)
         await expect(tab.page.get_by_test_id("goal-status")).to_contain_text("completed")
         [(_, goal)] = told.one

@@ -250,14 +250,14 @@ async def test_a_lease_that_comes_when_its_page_is_left_is_given_back(
     await tab.open("teleop?robot=rover")
     button = tab.page.get_by_role("button", name="Take control")
     await expect(button).to_be_enabled()
-    told = tab.page.get_by_test_id("action-status")
+    status_text = tab.page.get_by_test_id("action-status")
     await tab.page.get_by_role("button", name="Clear faults").click()
-    await expect(told).to_contain_text("Clear faults")
+    await expect(status_text).to_contain_text("Clear faults")
     await tab.page.evaluate("stall()")
     await button.click()
     await until(robot, "/system/leases", bool)
     await tab.page.get_by_role("combobox", name="Robot").select_option("other")
-    await expect(told).to_contain_text("No commands yet")  # it is another robot's
+    await expect(status_text).to_contain_text("No commands yet")  # it is another robot's
     await tab.page.evaluate("goOn()")
     await until(robot, "/system/leases", lambda found: not found)
     await expect(tab.page.get_by_test_id("control")).to_contain_text("No control")
@@ -367,8 +367,8 @@ async def test_a_key_that_is_held_presses_a_button_once(tab: Watched) -> None:
         await page.keyboard.down("Enter")
     await page.keyboard.up("Enter")
     await expect(page.get_by_test_id("action-status")).to_contain_text("completed")
-    asked = [one for one in sent if "clear_faults" in one and "execute" in one]
-    assert len(asked) == 1
+    requests = [one for one in sent if "clear_faults" in one and "execute" in one]
+    assert len(requests) == 1
 
 
 async def test_what_nothing_stops_is_not_offered_to_be_driven(browser: Browser, url: str) -> None:

@@ -39,10 +39,10 @@ def moment(row: dict[str, str]) -> float:
 
 
 async def test_plots_of_one_path_share_one_subscription(tab: Watched) -> None:
-    asked: list[dict[str, Any]] = []
+    requests: list[dict[str, Any]] = []
 
     def sent(payload: str | bytes) -> None:
-        asked.append(json.loads(payload))
+        requests.append(json.loads(payload))
 
     def opened(socket: WebSocket) -> None:
         socket.on("framesent", sent)
@@ -54,7 +54,7 @@ async def test_plots_of_one_path_share_one_subscription(tab: Watched) -> None:
     await expect(shown).to_have_count(3)
     for at in range(3):
         await expect(shown.nth(at)).to_have_text(re.compile(r"-?\d+\.\d+ m/s"))
-    made = [one for one in asked if one["type"] == "subscribe" and IMU in str(one)]
+    made = [one for one in requests if one["type"] == "subscribe" and IMU in str(one)]
     assert len(made) == 1, made
 
 

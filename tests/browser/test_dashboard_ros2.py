@@ -101,19 +101,19 @@ def layer(tab: Watched, kind: str, path: str) -> Locator:
 
 async def stands(row: Locator, *place: float) -> None:
     """Wait until something is drawn at a place of the fixed frame."""
-    told: Any = None
+    attribute: Any = None
     try:
         async with asyncio.timeout(_BOUND):
             while True:
-                told = await row.get_attribute("data-at")
-                found = [float(word) for word in (told or "").split()]
+                attribute = await row.get_attribute("data-at")
+                found = [float(word) for word in (attribute or "").split()]
                 if len(found) == 3 and all(
                     abs(a - b) < 0.02 for a, b in zip(found, place, strict=True)
                 ):
                     return
                 await asyncio.sleep(0.05)
     except TimeoutError:
-        pytest.fail(f"it stands at {told}, not at {place}")
+        pytest.fail(f"it stands at {attribute}, not at {place}")
 
 
 async def hues(tab: Watched, x: float, y: float, middle: tuple[float, float]) -> dict[str, int]:
@@ -244,8 +244,8 @@ async def test_a_fix_stands_on_the_map(tab: Watched) -> None:
 async def test_meshes_are_got_from_the_robot_and_one_that_is_not_there_is_told(
     tab: Watched,
 ) -> None:
-    asked: list[str | bytes] = []
-    noted = asked.append
+    requests: list[str | bytes] = []
+    noted = requests.append
     tab.page.on("websocket", lambda one: one.on("framesent", lambda sent: noted(sent)))  # noqa: PLW0108
     await tab.page.reload()
     await scene(tab)
@@ -264,4 +264,4 @@ async def test_meshes_are_got_from_the_robot_and_one_that_is_not_there_is_told(
     await tab.shoot("ros2-meshes")
     assert await robot.locator(".bad").count() == 1
     assert "\n" not in await robot.locator(".bad").inner_text()
-    assert len([one for one in asked if "red.stl" in str(one)]) == 1  # though it is drawn twice
+    assert len([one for one in requests if "red.stl" in str(one)]) == 1  # though it is drawn twice

@@ -173,8 +173,8 @@ async def test_hold_brings_one_robot_to_rest_without_a_latch(
     async with person(browser, gateway, "otto") as tab:
         page = tab.page
         await page.get_by_role("button", name="Hold near", exact=True).press("Enter")
-        told = card(page, "near").get_by_test_id("hold-status")
-        await expect(told).to_contain_text("near: at rest")
+        status_text = card(page, "near").get_by_test_id("hold-status")
+        await expect(status_text).to_contain_text("near: at rest")
         assert near.speeds == {None: 0.0}
         assert near.holds
         assert right.speeds["right"] == 0.7
@@ -183,7 +183,7 @@ async def test_hold_brings_one_robot_to_rest_without_a_latch(
         near.tell(None, 0.2)
         await page.get_by_role("button", name="Hold near", exact=True).click()
         await expect(card(page, "near")).to_contain_text("near is not confirmed at rest")
-        await expect(told).not_to_contain_text("at rest.")
+        await expect(status_text).not_to_contain_text("at rest.")
 
 
 async def test_who_drives_and_holds_or_stops_moves_it_again_by_a_new_press_alone(

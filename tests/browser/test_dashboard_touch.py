@@ -20,9 +20,9 @@ _NEAR = 0.15  # s: less than two pixels
 
 async def shown(page: Page) -> tuple[float, float]:
     """Return the begin and end of the time that is shown."""
-    told = await page.get_by_test_id("chart").get_attribute("data-range")
-    assert told is not None
-    begin, end = map(float, told.split())
+    status_text = await page.get_by_test_id("chart").get_attribute("data-range")
+    assert status_text is not None
+    begin, end = map(float, status_text.split())
     return begin, end
 
 

@@ -264,8 +264,8 @@ async def test_the_drone_is_in_the_scene_at_its_height_and_on_the_map_where_it_i
         re.compile(r", [23]\.\d\d m, -?\d+° in origin")
     )
     north = (await robot.read("tenant/gamma/sensor/attitude"))["yaw"]
-    told = await tab.page.get_by_test_id("where").inner_text()
-    turned = re.search(r"(-?\d+)°", told)
+    output = await tab.page.get_by_test_id("where").inner_text()
+    turned = re.search(r"(-?\d+)°", output)
     assert turned is not None
     assert abs((90 - math.degrees(north) - int(turned[1]) + 180) % 360 - 180) < 10
     await tab.page.get_by_role("button", name="3D").click()

@@ -13,8 +13,8 @@ import msgspec
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host
-from rcp_kernel.testing import Served, serve
+from rcp_kernel.spi import BackendKind, Host
+from rcp_kernel.testing import ScriptedRobot, Served, serve
 
 __all__ = [
     "KEY",
@@ -60,13 +60,11 @@ class Who(msgspec.Struct):
     who: str
 
 
-class Teller(BaseBackend):
-    """A robot that has what a test declares, and tells what a test publishes."""
-
-    def __init__(self, host: Host) -> None:
-        self.host = host
+class Teller(ScriptedRobot):
+    """A robot that has what a test declares, and tells what a test publishes or writes."""
 
     async def write(self, name: str, value: Any) -> Any:
+        await super().write(name, value)
         self.host.publish(name, value)
 
 
@@ -110,8 +108,7 @@ async def world(
 
     @asynccontextmanager
     async def opened(asked: Who, host: Host) -> AsyncGenerator[Teller]:
-        teller = Teller(host)
-        host.declare(*robots[asked.who][1])
+        teller = Teller(host, *robots[asked.who][1])
         made.robots[asked.who] = teller
         if len(made.robots) == len(robots):
             there.set()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -19,8 +20,8 @@ from rcp_kernel.clock import Clock as GatewayClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import Client, MemoryClient, serve
+from rcp_kernel.spi import Host, Progress
+from rcp_kernel.testing import Client, MemoryClient, ScriptedRobot, scripted, serve
 from rcp_kernel.types import Real
 from rcp_kernel.values import Encoding
 
@@ -99,34 +100,37 @@ class Several(msgspec.Struct, frozen=True):
     by: str = "agent"
 
 
-class Recorder(BaseBackend):
-    """Writes down what reaches it and when, and refuses what a tag says."""
+RESOURCES = (
+    Resource(
+        name="actuator/drive",
+        description="A drive.",
+        value=Value,
+        safe=Value(),
+        valid_for=LONGEST,
+    ),
+    Resource(name="param/several", description="Several numbers.", value=Several),
+    Resource(name="service/several", description="Several numbers.", input=Several),
+    Resource(name="action/line", description="Queues.", input=Value, policy="queue"),
+)
 
-    def __init__(self, host: Host, clock: Clock) -> None:
-        self.seen: list[tuple[str, Any, float]] = []
-        self.clock = clock
-        host.declare(
-            Resource(
-                name="actuator/drive",
-                description="A drive.",
-                value=Value,
-                safe=Value(),
-                valid_for=LONGEST,
-            ),
-            Resource(name="param/several", description="Several numbers.", value=Several),
-            Resource(name="service/several", description="Several numbers.", input=Several),
-            Resource(name="action/line", description="Queues.", input=Value, policy="queue"),
-        )
 
-    async def write(self, name: str, value: Any) -> None:
-        self.seen.append((name, value, self.clock.now))
-        await asyncio.sleep(0)
+def recorder(host: Host, clock: Clock, seen: list[tuple[str, Any, float]]) -> ScriptedRobot:
+    """Make a robot that writes down what reaches it and when, and refuses what a tag says."""
+    robot = ScriptedRobot(host, *RESOURCES)
+
+    async def take(name: str, value: Any) -> None:
+        seen.append((name, value, clock.now))
         if "!" in value.tag:
             raise DeviceRejected("no")
 
-    async def execute(self, name: str, value: Any, progress: Progress) -> None:
-        self.seen.append((name, value, self.clock.now))
-        await asyncio.sleep(0)
+    async def run(name: str, value: Any, _progress: Progress) -> None:
+        seen.append((name, value, clock.now))
+
+    for name in ("actuator/drive", "param/several"):
+        robot.takes[name] = partial(take, name)
+    for name in ("service/several", "action/line"):
+        robot.behaviours[name] = partial(run, name)
+    return robot
 
 
 class Clock:
@@ -269,8 +273,9 @@ COUNT = itertools.count()
 class Bench:
     """A gateway that is up, its robot, and a client for each principal and encoding."""
 
-    def __init__(self, robot: Recorder, clock: Clock) -> None:
-        self.robot = robot
+    def __init__(self, seen: list[tuple[str, Any, float]], clock: Clock) -> None:
+        self.seen = seen
+        """What has reached the robot, and when."""
         self.clock = clock
         self.model = Model(clock.now)
         self.checked = 0
@@ -315,28 +320,23 @@ class Bench:
         self.clients[who, encoding] = await self.connect(who, encoding)
 
     def check(self) -> None:
-        for name, value, when in self.robot.seen[self.checked :]:
+        for name, value, when in self.seen[self.checked :]:
             self.model.check(name, value, when)
-        self.checked = len(self.robot.seen)
+        self.checked = len(self.seen)
 
 
 @asynccontextmanager
 async def running(wire: str) -> AsyncGenerator[Bench]:
     clock = Clock()
     gateway_clock = GatewayClock(monotonic=lambda: clock.now)
-    made: list[Recorder] = []
+    seen: list[tuple[str, Any, float]] = []
 
-    @asynccontextmanager
-    async def opened(_config: Any, host: Host) -> AsyncIterator[Recorder]:
-        made.append(Recorder(host, clock))
-        yield made[-1]
-
-    kind = BackendKind("recorder", msgspec.Struct, opened)
+    kind = scripted(lambda host: recorder(host, clock, seen), "recorder")
     async with (
         serve(parse(CONFIG, "test"), kind, clock=gateway_clock) as served,
         AsyncExitStack() as stack,
     ):
-        bench = Bench(made[-1], clock)
+        bench = Bench(seen, clock)
 
         async def connect(who: str, encoding: Encoding) -> Client:
             server, token = served.server, AGENT if who == "agent" else OPERATOR

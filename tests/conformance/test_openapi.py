@@ -85,11 +85,11 @@ async def test_the_document_holds(tmp_path: Path) -> None:
         )
         try:
             async with asyncio.timeout(BOUND):
-                told, _ = await program.communicate()
+                output, _ = await program.communicate()
         finally:
             if program.returncode is None:
                 program.kill()
                 await program.wait()
-        assert program.returncode == 0, told.decode()[-8000:]
+        assert program.returncode == 0, output.decode()[-8000:]
         alive = (await gateway.client(OPERATOR).request("status"))["body"]
         assert alive["backends"][0]["state"] == "ready"

@@ -125,7 +125,7 @@ class Crooked(Arm):
         return await super().read(name)
 
 
-def kind_of(arm: type[Arm]) -> BackendKind:
+def kind_of(arm: type[Arm], place: str | None = None) -> BackendKind:
     @asynccontextmanager
     async def opened(_: msgspec.Struct, host: Host) -> AsyncGenerator[Arm]:
         host.declare(
@@ -137,6 +137,7 @@ def kind_of(arm: type[Arm]) -> BackendKind:
                 "sensor/tool_pose",
                 "sensor/gripper",
                 offer("action/move_gripper", {"width": (0, 0.08)}),
+                place=place,
             )
         )
         yield arm()
@@ -179,3 +180,30 @@ async def test_a_flaw_is_found(flaw: type[Arm], test: str, says: str) -> None:
 
     with pytest.raises(AssertionError, match=says):
         await prove(Suite(), test)
+
+
+class Left(Arm):
+    """One of several parts of a robot."""
+
+    async def read(self, name: str) -> Any:
+        return await super().read(name.replace("/left/", "/"))
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        return await super().execute(name.replace("/left/", "/"), value, progress)
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        "test_it_claims_what_its_author_says",
+        "test_what_it_does_not_claim_is_refused",
+        "test_joints_go_where_they_are_sent_and_others_stay",
+        "test_the_gripper_opens_and_closes",
+    ],
+)
+async def test_a_part_is_proved_at_its_place(test: str) -> None:
+    class Suite(TestArm):
+        kind = kind_of(Left, "left")
+        place = "left"
+
+    await prove(Suite(), test)

@@ -211,7 +211,7 @@ class TestRest(Wire):
     @proves("rest.codes")
     async def test_every_code_has_its_status(self, world: World, http: httpx.AsyncClient) -> None:
         seen: set[str] = set()
-        asked: list[tuple[str, str, Any]] = [
+        requests: list[tuple[str, str, Any]] = [
             ("GET", "/context/sensor/le%20vel", None),
             ("GET", "/context/sensor/absent", None),
             ("PUT", "/context/sensor/level", 1),
@@ -225,7 +225,7 @@ class TestRest(Wire):
             ("POST", "/context/action/go", WAIT),
             ("POST", "/context/action/go", WAIT),
         ]
-        for method, url, body in asked:
+        for method, url, body in requests:
             reply = await http.request(method, url, json=body)
             error = reply.json().get("error")
             if error is None:

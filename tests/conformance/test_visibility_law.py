@@ -18,8 +18,8 @@ from conformance.wires import BASE, HttpClient, SseClient, WebSocketClient, addr
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, parse
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, operation_names
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import Client, MemoryClient, serve
+from rcp_kernel.spi import BackendKind, Host, Progress
+from rcp_kernel.testing import Client, MemoryClient, ScriptedRobot, serve
 from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import quantity
 from rcp_kernel.values import Encoding
@@ -50,31 +50,32 @@ SHAPES = ("sensor/q{}a", "sensor/arm/q{}b", "param/q{}c", "actuator/arm/q{}d", "
 POOL = {tenant: [shape.format(tenant[0]) for shape in SHAPES] for tenant in ("alpha", "beta")}
 
 
-class Garden(BaseBackend):
-    """Takes everything."""
+class Garden(ScriptedRobot):
+    """Takes everything, and has what an example wants."""
 
     def __init__(self, host: Host) -> None:
-        self.host = host
+        super().__init__(
+            host, Resource(name="sensor/truth", description="One.", value=int, live=True)
+        )
         self.declared: set[str] = set()
-        host.declare(Resource(name="sensor/truth", description="One.", value=int, live=True))
-        host.publish("sensor/truth", 1)
+        self.measure("sensor/truth", 1)
 
     def grow(self, names: set[str]) -> None:
-        self.host.withdraw(*sorted(self.declared - names))
+        self.remove(*sorted(self.declared - names))
         for name in sorted(names - self.declared):
             number = quantity("1", description=f"about {name}")
             called = name.startswith(("action", "service"))
             kinds: Any = {"output": number} if called else {"value": number, "live": True}
-            self.host.declare(Resource(name=name, description=f"Of {name}.", **kinds))
-            if not called:
+            self.add(Resource(name=name, description=f"Of {name}.", **kinds))
+            if called:
+                self.behaviours[name] = half
+            else:
                 self.host.publish(name, 0.5)
         self.declared = names
 
-    async def write(self, name: str, value: Any) -> None:
-        pass
 
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        return 0.5
+async def half(value: Any, progress: Progress) -> Any:
+    return 0.5
 
 
 class Bench:
@@ -268,14 +269,14 @@ async def test_nobody_is_told_of_what_is_hidden(
     bench.client.inbox.clear()
     bench.shown += len(model.visible())
     bench.hidden += len(model.paths) - len(model.visible())
-    told = [
+    received = [
         await discovered(bench, model, pattern, limit, word),
         await read(bench, model, pattern),
         await subscribed(bench, model, pattern),
         await documents(bench),
     ]
     await asked(bench, model)
-    text = json.dumps([told, bench.client.inbox])
+    text = json.dumps([received, bench.client.inbox])
     leaked = [text[at - 200 : at + 50] for name in model.secrets() if (at := text.find(name)) >= 0]
     assert not leaked
 
@@ -320,24 +321,24 @@ async def subscribed(bench: Bench, model: Model, pattern: str) -> list[Any]:
     ]
     if bench.wire != "sse":
         assert [p for p in reply["body"]["paths"] if not p.startswith("/system/")] == standing
-    heard: list[Any] = []
+    received: list[Any] = []
     for path in standing:
         if "subscribe" in model.now(path):
-            heard.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
+            received.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
         else:
-            heard.append(await client.until(lambda m, p=path: _of(m, id_, "notice", p)))
-            assert heard[-1]["code"] == "paused"
+            received.append(await client.until(lambda m, p=path: _of(m, id_, "notice", p)))
+            assert received[-1]["code"] == "paused"
     for tenant, garden in bench.gardens.items():
         for name in sorted(garden.declared):
             if not name.startswith(("action", "service")):
                 garden.host.publish(name, 0.25)
                 path = f"/tenant/{tenant}/{name}"
                 if path in standing and "subscribe" in model.now(path):
-                    heard.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
+                    received.append(await client.until(lambda m, p=path: _of(m, id_, "update", p)))
     await client.request("unsubscribe", body={"subscription": id_})
     rest = [m for m in client.inbox if m["type"] == "update" and "/tenant/" in m["path"]]
     assert not rest
-    return heard
+    return received
 
 
 @LAW

@@ -148,8 +148,8 @@ def test_tls_is_told() -> None:
 def test_every_backend_of_the_house_tells_its_keys() -> None:
     for name, kind in house().backends.items():
         readme = ROOT / "backends" / f"rcp_{name}" / "README.md"
-        told = set(keys(section(readme, "Configuration")))  # and those of tables within
-        assert set(defaults(kind.config)) - told == set()
+        documented = set(keys(section(readme, "Configuration")))  # and those of tables within
+        assert set(defaults(kind.config)) - documented == set()
 
 
 @pytest.mark.parametrize(

@@ -52,8 +52,8 @@ def test_a_table_has_every_field_of_its_type(heading: str, type_: Any) -> None:
 
 
 def test_the_request_table_is_the_envelope() -> None:
-    told = set(keys(section(PAGE, "Request")))
-    assert told == fields(Request) - {"x-", "~encoding"} | {"x-…"}
+    documented = set(keys(section(PAGE, "Request")))
+    assert documented == fields(Request) - {"x-", "~encoding"} | {"x-…"}
 
 
 def test_every_request_type_is_told() -> None:
@@ -77,9 +77,9 @@ def test_hello_tells_its_fields() -> None:
 
 def test_the_error_table_is_that_of_the_code() -> None:
     cells = rows(section(PAGE, "Errors"))
-    told = {c[0].strip("`"): (int(c[1]), c[2], c[3] == "yes") for c in cells}
-    assert len(told) == len(cells)
-    assert told == {code: (e.http, e.status, e.retryable) for code, e in BY_CODE.items()}
+    documented = {c[0].strip("`"): (int(c[1]), c[2], c[3] == "yes") for c in cells}
+    assert len(documented) == len(cells)
+    assert documented == {code: (e.http, e.status, e.retryable) for code, e in BY_CODE.items()}
 
 
 def test_the_branches_are_told_with_their_operations() -> None:
@@ -102,8 +102,8 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
     kernel = compose(
         config, loop, store=Store(), recent=Recent(), clock=SYSTEM_CLOCK, features=features
     )
-    told = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
-    assert told == {
+    documented = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
+    assert documented == {
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))
         for path, entry in kernel.registry.entries.items()
     }

@@ -90,5 +90,5 @@ def test_the_python_of_a_page_runs(page: Path, live: Demo, tmp_path: Path) -> No
 
 def test_every_command_of_rcpctl_is_told() -> None:
     text = (DOCS / "client.md").read_text(encoding="utf-8")
-    told = set(re.findall(r"^\| `rcpctl (\w+)", text, re.MULTILINE))
-    assert told == set(rcpctl.commands)
+    documented = set(re.findall(r"^\| `rcpctl (\w+)", text, re.MULTILINE))
+    assert documented == set(rcpctl.commands)

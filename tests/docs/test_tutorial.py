@@ -26,7 +26,7 @@ PROGRAMS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 @pytest.fixture
 def turntable(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The tutorial's module."""
-    code, _ = PROGRAMS
+    code, *_ = PROGRAMS
     module = ModuleType("rcp_turntable")
     monkeypatch.setitem(sys.modules, "rcp_turntable", module)
     exec(compile(code, "write-a-backend.md", "exec"), vars(module))
@@ -66,7 +66,7 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
 
 
 def test_the_suite_of_the_page_proves_the_turntable(tmp_path: Path) -> None:
-    code, suite = PROGRAMS
+    code, suite, *_ = PROGRAMS
     (tmp_path / "rcp_turntable.py").write_text(code, encoding="utf-8")
     (tmp_path / "test_turntable.py").write_text(suite, encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
@@ -82,7 +82,7 @@ def test_the_suite_of_the_page_proves_the_turntable(tmp_path: Path) -> None:
 
 
 def test_the_table_of_resources_has_fields_that_there_are() -> None:
-    told = set(keys(section(DOCS / "write-a-backend.md", "Reference")))
+    documented = set(keys(section(DOCS / "write-a-backend.md", "Reference")))
     real = {field.name for field in msgspec.structs.fields(Resource)}
     elsewhere = {"name", "description", "value", "input", "output", "feedback", "examples"}
-    assert told == real - elsewhere
+    assert documented == real - elsewhere

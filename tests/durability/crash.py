@@ -30,10 +30,11 @@ from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.spi import BackendKind, Host, Progress
 from rcp_kernel.store.damage import find_damage
 from rcp_kernel.store.file import open_read_only
 from rcp_kernel.store.latch_file import LatchFile
+from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.values import Encoding
 from rcpd.examination import examined
 
@@ -104,32 +105,34 @@ class NoOptions(msgspec.Struct):
     """Nothing to configure."""
 
 
-class Robot(BaseBackend):
-    """Writes down what it is told, before anything else."""
+def robot(host: Host, ran: Journal) -> ScriptedRobot:
+    """Make a robot that writes down what it is told, before anything else."""
+    made = ScriptedRobot(
+        host,
+        Resource(name="param/label", description="A text.", value=str),
+        Resource(name="service/run", description="Runs.", input=str, output=str),
+    )
+    if host.tenant == "beta":
+        names = [f"service/s{number}" for number in range(SCOPES)]
+        made.add(*(Resource(name=name, description="Is leased.") for name in names))
 
-    def __init__(self, host: Host, ran: Journal) -> None:
-        self._ran = ran
-        host.declare(
-            Resource(name="param/label", description="A text.", value=str),
-            Resource(name="service/run", description="Runs.", input=str, output=str),
-        )
-        if host.tenant == "beta":
-            for number in range(SCOPES):
-                host.declare(Resource(name=f"service/s{number}", description="Is leased."))
+    async def take(value: Any) -> None:
+        ran.write(value)
 
-    async def write(self, name: str, value: Any) -> Any:
-        self._ran.write(value)
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        self._ran.write(value)
+    async def run(value: Any, _progress: Progress) -> Any:
+        ran.write(value)
         await asyncio.sleep(random.choice((0, 0, 0.002)))
         return value[::-1]
+
+    made.takes["param/label"] = take
+    made.behaviours["service/run"] = run
+    return made
 
 
 def prepared(folder: Path) -> Prepared:
     @asynccontextmanager
-    async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-        yield Robot(host, Journal(folder / "ran"))
+    async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[ScriptedRobot]:
+        yield robot(host, Journal(folder / "ran"))
 
     plugins: Any = SimpleNamespace(
         backends={"robot": BackendKind("robot", NoOptions, open_robot)},

@@ -84,10 +84,10 @@ async def _watched(url: str, seconds: float) -> Worst:
         stdout=asyncio.subprocess.PIPE,
         preexec_fn=_beside,
     )
-    said, _ = await watcher.communicate()
+    output, _ = await watcher.communicate()
     if watcher.returncode:
         raise AssertionError("a client beside the attackers was refused, or waited too long")
-    return Worst(*json.loads(said))
+    return Worst(*json.loads(output))
 
 
 def _cores() -> tuple[set[int], set[int]]:

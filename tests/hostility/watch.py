@@ -91,8 +91,8 @@ async def main(url: str, seconds: float) -> None:
         (await client.put(place, json=0.0)).raise_for_status()
         until = time.perf_counter() + seconds
         found = await asyncio.gather(stops(socket, until), gaps(socket, until), health(url, until))
-        told = (await client.get(place, params={"fresh": "true"})).raise_for_status().json()
-        turn = told["body"]
+        reply = (await client.get(place, params={"fresh": "true"})).raise_for_status().json()
+        turn = reply["body"]
     sys.stdout.write(json.dumps([round(one * 1000, 1) for one in (*map(max, found), turn)]))
 
 

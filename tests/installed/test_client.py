@@ -60,8 +60,8 @@ def test_rcpctl_reads_and_moves_a_robot(programs: Path, robots: Demo) -> None:
     at = {"RCP_URL": robots.url, "RCP_TOKEN": robots.key}
     assert "position" in said(programs, "rcpctl", "read", "/tenant/alpha/sensor/pose", **at)
     goal = '{"position": {"x": 0.3, "y": 0.0, "z": 0.0}}'
-    told = said(programs, "rcpctl", "execute", "/tenant/beta/action/move_to", goal, **at)
-    assert "completed" in told
+    output = said(programs, "rcpctl", "execute", "/tenant/beta/action/move_to", goal, **at)
+    assert "completed" in output
 
 
 def test_a_script_reads_moves_and_watches_a_robot(programs: Path, robots: Demo) -> None:

@@ -68,16 +68,16 @@ def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Pat
     with demo(tmp_path, programs=programs) as running:
         assert remedies(running.banner) == set(WANTED)
         assert urlopen(running.url + "/healthz").status == 200
-        told = said(programs, "rcpctl", "--url", running.url, "read", "/tenant/alpha/sensor/pose")
-        assert "position" in told
+        output = said(programs, "rcpctl", "--url", running.url, "read", "/tenant/alpha/sensor/pose")
+        assert "position" in output
         page = urlopen(running.url + "/").read().decode()
     if "RCP_WHEELS" in os.environ:  # those that are built for the tests alone have no pages
         assert 'id="app"' in page
 
 
 def test_plugins_says_what_to_install(programs: Path) -> None:
-    told = said(programs, "rcpd", "plugins")
-    unavailable = {line for line in told.splitlines() if "unavailable" in line}
+    output = said(programs, "rcpd", "plugins")
+    unavailable = {line for line in output.splitlines() if "unavailable" in line}
     assert remedies("\n".join(unavailable)) == set(WANTED)
 
 

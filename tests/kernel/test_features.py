@@ -170,11 +170,11 @@ async def test_who_has_control_is_asked_about_a_safe_value_and_not_about_a_hold_
 
 
 async def test_a_listener_with_a_bug_keeps_neither_a_session_nor_a_stop_from_its_end() -> None:
-    heard: list[str] = []
+    received: list[str] = []
 
     def listening(name: str) -> FeatureKind:
         def hear(what: str, *_: object) -> None:
-            heard.append(f"{name} {what}")
+            received.append(f"{name} {what}")
             if name == "broken":
                 raise ZeroDivisionError(what)
 
@@ -201,7 +201,7 @@ async def test_a_listener_with_a_bug_keeps_neither_a_session_nor_a_stop_from_its
             reply = await client.ask(type="execute", path="/system/estop", body={})
         assert reply["body"]["active"]
         what = ("session", "rights", "halted")
-        assert heard == [f"{name} {one}" for one in what for name in kinds]
+        assert received == [f"{name} {one}" for one in what for name in kinds]
         assert [one["feature"] for one in said if one["event"] == "feature_failed"] == [
             "broken"
         ] * 3

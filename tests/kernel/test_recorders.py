@@ -95,12 +95,12 @@ async def test_it_hears_commands_writes_refusals_and_stops_in_their_order() -> N
     async with recorded(box) as (client, _):
         for envelope in (LIMIT, GO, DARK, {"type": "execute", "path": "/system/estop"}):
             await client.ask(**envelope)
-    told = [fact.partition(" by ")[0] for fact in box.heard if not fact.startswith("holds")]
-    assert told[0] == "start ok"
-    assert told[-1] == "stop ok"
+    received = [fact.partition(" by ")[0] for fact in box.heard if not fact.startswith("holds")]
+    assert received[0] == "start ok"
+    assert received[-1] == "stop ok"
     wanted = ["login ok", "write ok", "go accepted", "go in_progress", "go completed"]
     wanted += ["denial unknown_path", "estop ok"]
-    places = [told.index(fact) for fact in wanted]
+    places = [received.index(fact) for fact in wanted]
     assert places == sorted(places)
     assert [fact for fact in box.heard if fact.startswith("write ok by ")] != []
 
@@ -109,15 +109,15 @@ async def test_a_reply_leaves_when_its_record_is_kept_and_the_robot_does_not_wai
     box = BlackBox()
     async with recorded(box) as (client, robot):
         box.kept.clear()
-        asked = asyncio.ensure_future(client.ask(**LIMIT))
+        pending = asyncio.ensure_future(client.ask(**LIMIT))
         async with asyncio.timeout(BOUND):
             await box.holding.wait()
         assert robot.writes
         stopped = await client.ask(type="execute", path="/system/estop")
         assert stopped["status"] == "completed"
-        assert not asked.done()
+        assert not pending.done()
         box.kept.set()
-        assert (await asked)["status"] == "completed"
+        assert (await pending)["status"] == "completed"
     assert "holds e-stop completed" in box.heard
 
 
@@ -217,8 +217,8 @@ async def test_a_bug_in_one_that_keeps_no_record_is_told_and_changes_nothing() -
         for envelope in (LIMIT, GO, {"type": "execute", "path": "/system/estop"}):
             assert (await client.ask(**envelope))["status"] == "completed"
         assert robot.writes
-        told = (await client.ask(type="status"))["body"]
-        assert (told["state"], told["features"][0]["state"]) == ("degraded", "degraded")
+        reply = (await client.ask(type="status"))["body"]
+        assert (reply["state"], reply["features"][0]["state"]) == ("degraded", "degraded")
 
 
 async def test_a_gateway_without_the_audit_log_keeps_no_record_and_has_no_trace_of_it() -> None:

@@ -53,13 +53,13 @@ def test_one_that_raises_does_not_silence_the_others(new_loop: Loops) -> None:
     async def run() -> None:
         done = asyncio.Event()
         loop = asyncio.get_running_loop()
-        told: list[object] = []
-        loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
+        received: list[object] = []
+        loop.set_exception_handler(lambda _, context: received.append(context["exception"]))
         timers = Timers(loop)
         timers.later(0.0, lambda: 1 / 0)
         timers.later(0.0001, done.set)
         await asyncio.wait_for(done.wait(), 10)
-        assert [type(error) for error in told] == [ZeroDivisionError]
+        assert [type(error) for error in received] == [ZeroDivisionError]
 
     with asyncio.Runner(loop_factory=new_loop) as runner:
         runner.run(run())

@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from configuration import backend, configuration, key
 from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.plugins import Plugins
@@ -170,27 +171,9 @@ class World:
         return Client(self.server.client_api, token)
 
 
-CONFIG = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "robot"
-tenant = "alpha"
-
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-operator"
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-"""
+CONFIG = configuration(
+    backend(), key("operator", "operator-operator"), key("admin", "admin-admin-admin")
+)
 
 
 def kept_in(path: Path, text: str = CONFIG) -> str:

@@ -47,10 +47,10 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def heard_until(heard: socket.socket, wanted: str, most: int = 1000) -> list[str]:
-    said: list[str] = []
-    while wanted not in said and len(said) < most:
-        said += heard.recv(4096).decode().splitlines()
-    return said
+    received: list[str] = []
+    while wanted not in received and len(received) < most:
+        received += heard.recv(4096).decode().splitlines()
+    return received
 
 
 def test_a_gateway_says_that_it_is_ready_turns_and_stops(address: str, tmp_path: Path) -> None:

@@ -50,9 +50,9 @@ def test_it_installs_serves_and_passes_the_suite(tmp_path: Path) -> None:
     config.write_text('[[backends]]\nuse = "lab-axis"\ntenant = "lab"\nlength = 2.0\n')
     checked = run("-c", RCPD, "check", str(config), cwd=tmp_path, path=site)
     assert "lab-axis (lab-axis, tenant lab)" in checked
-    told = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=made, path=site)
-    assert " passed" in told
-    assert " failed" not in told
+    output = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=made, path=site)
+    assert " passed" in output
+    assert " failed" not in output
 
 
 def test_it_is_clean_and_short(tmp_path: Path) -> None:
@@ -95,9 +95,9 @@ def test_every_kind_passes_its_suite_without_being_installed(kind: str, tmp_path
     made = tmp_path / f"rcp-{kind}-lab-thing"
     # Of a transport's suite, a part: all of it runs in the tests of the documentation.
     few = ["-k", "ping or updates_come"] if kind == "transport" else []
-    told = run("-m", "pytest", "-q", "-p", "no:cacheprovider", *few, cwd=made, path=made)
-    assert " passed" in told
-    assert " failed" not in told
+    output = run("-m", "pytest", "-q", "-p", "no:cacheprovider", *few, cwd=made, path=made)
+    assert " passed" in output
+    assert " failed" not in output
 
 
 @pytest.mark.parametrize("kind", list(KINDS))

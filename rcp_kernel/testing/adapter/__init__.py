@@ -1,4 +1,4 @@
-"""The adapter suite: whatever an adapter makes of the tree, its clients see what they may, and no more."""
+"""The adapter suite: clients of an adapter see what they may see, and no more."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class _NoOptions(msgspec.Struct):
 
 
 class _Robot(BaseBackend):
-    """Has one value for everybody, and one that the outsider may not see."""
+    """Has one public value, and one that is hidden from one principal."""
 
     def __init__(self, host: Host) -> None:
         host.declare(
@@ -82,17 +82,17 @@ class AdapterGateway:
 
     @property
     def url(self) -> str:
-        """Where the gateway listens."""
+        """The URL of the gateway's listener."""
         return next(f["url"] for f in self.served.server.status.transports if "url" in f)
 
     def withdraw_keys(self) -> None:
-        """Have no key prove anything any more, as a reload of the configuration does."""
+        """Revoke all keys, as a reload of the configuration does."""
         kernel = self.served.server.kernel
         kernel.reconfigure(msgspec.structs.replace(kernel.settings.config, keys=()))
 
 
 class AdapterSuite(Suite):
-    """What is asked of an adapter, whatever it speaks.
+    """The tests of an adapter.
 
     Give `kind` (and `options`), and how a client of it looks at the tree::
 
@@ -133,15 +133,15 @@ class AdapterSuite(Suite):
 
     @proves("adapter.shows")
     async def test_a_client_is_shown_what_it_may_read(self, gateway: AdapterGateway) -> None:
-        """See that the values of the tree come through."""
+        """Check that the values of the tree are shown."""
         shown = await self.look(gateway.url, OPERATOR)
         assert "level" in shown
         assert "secret" in shown
 
     @proves("adapter.rights")
     async def test_what_is_hidden_from_a_client_is_nowhere(self, gateway: AdapterGateway) -> None:
-        """See that neither its path nor its value is told, to the second caller either."""
-        await self.look(gateway.url, OPERATOR)  # nothing of an answer is kept for somebody else
+        """Check that neither its path nor its value is shown, to the second caller either."""
+        await self.look(gateway.url, OPERATOR)  # no reply may be reused for another caller
         shown = await self.look(gateway.url, _OUTSIDER)
         assert "level" in shown
         assert "secret" not in shown

@@ -18,7 +18,7 @@ __all__ = ["BackendSuite", "BackendTests", "Goal", "Robot"]
 class BackendSuite(
     LifeTests, TreeTests, ValueTests, CommandTests, MotionTests, StreamTests, LinkTests
 ):
-    """Every proof that the house asks of a backend.
+    """All tests of a backend.
 
     Give `kind` (and `config`), `truth` for what can be written, `goals` for what can be executed,
     `at_rest` for what moves, and `break_link` with `mend_link` where the link can be cut::

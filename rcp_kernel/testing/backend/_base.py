@@ -1,4 +1,4 @@
-"""What the author of a backend gives its suite, and what its tests stand on."""
+"""What the author of a backend provides to its suite, and the helpers of its tests."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Goal(msgspec.Struct, frozen=True):
 
     @property
     def fails(self) -> bool:
-        """Whether there is an input that the robot cannot do."""
+        """Whether there is an input that the robot cannot execute."""
         return self.bad is not _UNGIVEN
 
 
@@ -71,17 +71,17 @@ class Robot:
 
     @property
     def resources(self) -> dict[str, Resource]:
-        """What it declares now, by name."""
+        """The declared resources, by name."""
         return self.served.life.host.resources
 
     @property
     def faults(self) -> int:
-        """How many bad values it has published."""
+        """Number of invalid values it has published."""
         return self.served.supervisor.faults
 
     @property
     def last_error(self) -> str | None:
-        """What its last fault was."""
+        """Its last fault."""
         return self.served.supervisor.last_error
 
     def having(self, operation: Operation, *kinds: Kind) -> list[Resource]:
@@ -101,9 +101,9 @@ class Robot:
         return await self.client.request(type_, self.path(name), **fields)
 
     async def begin(self, name: str, value: Any) -> str:
-        """Start a command and wait until it is under way; return the request's id.
+        """Start a command and wait until it is running; return the request's id.
 
-        :raises AssertionError: it ends before it can be seen to run.
+        :raises AssertionError: it ends before it was seen running.
         """
         id_ = await self.client.send(type="execute", path=self.path(name), body=value)
         reply = await self.client.reply(id_)
@@ -112,7 +112,7 @@ class Robot:
 
 
 class BackendTests(Suite):
-    """Base of the themes of the backend suite: what the author gives."""
+    """Base of the parts of the backend suite: what the author provides."""
 
     kind: ClassVar[BackendKind]
     """The backend, as its hook offers it."""
@@ -128,9 +128,9 @@ class BackendTests(Suite):
     beside: Sequence[BackendKind] = ()
     """Further backends of the same robot."""
     store: Path | None = None
-    """Where the gateway keeps what survives it."""
+    """The folder of the gateway's store."""
     device: Any = None
-    """What `twin` yielded."""
+    """The value yielded by `twin`."""
     running: Robot
     """The backend in its gateway; kept after it has closed."""
     prompt: bool
@@ -141,10 +141,10 @@ class BackendTests(Suite):
         """The backend that was opened last; kept after it has closed."""
         return self.running.backend
 
-    # What the author gives
+    # Provided by the author
 
     def twin(self) -> AbstractAsyncContextManager[Any]:
-        """Run what the backend talks to, where that is not the backend itself: a simulated peer."""
+        """Run the peer of the backend, if it needs one: a simulated device."""
         return nullcontext()
 
     def table(self) -> Mapping[str, Any]:
@@ -187,11 +187,11 @@ class BackendTests(Suite):
         """Restore the link."""
         raise NotImplementedError
 
-    # What the tests stand on
+    # Helpers of the tests
 
     @property
     def link_breaks(self) -> bool:
-        """Whether the author gave a way to break the link."""
+        """Whether the author provided `break_link`."""
         own = type(self)
         return (
             own.break_link is not BackendTests.break_link
@@ -206,12 +206,12 @@ class BackendTests(Suite):
 
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Robot]:
-        """Run a gateway around the backend, whose device runs already."""
+        """Run a gateway around the backend, whose device is already running."""
         async with serve_backend(
             self.kind, self.table(), beside=self.beside, store=self.store
         ) as served:
             self.prompt = served.supervisor.settled.is_set()
-            with suppress(TimeoutError):  # it is late on a machine that is busy otherwise
+            with suppress(TimeoutError):  # late on a busy machine
                 await asyncio.wait_for(served.supervisor.settled.wait(), BOUND)
             assert served.supervisor.name == self.kind.name
             assert served.lives, (
@@ -276,5 +276,5 @@ class BackendTests(Suite):
         await eventually(self.at_rest, f"at rest after {why}", self.cancel_within)
 
     def admin(self) -> Client:
-        """Connect somebody who may do everything."""
+        """Connect a client with all rights."""
         return self.running.served.client(ADMIN)

@@ -16,7 +16,7 @@ _ROBOTS_REASONS = {
 
 
 class CommandTests(BackendTests):
-    """What becomes of its actions and services."""
+    """Tests of its actions and services."""
 
     async def test_a_good_goal_completes_in_the_state_it_reports(self, robot: Robot) -> None:
         for name, goal in self.goals().items():

@@ -32,7 +32,7 @@ def _sockets() -> set[Any]:
 
 
 class LifeTests(BackendTests):
-    """What opening and closing owe."""
+    """Tests of opening and closing."""
 
     async def test_it_opens_twice_in_a_row(self) -> None:
         for _ in range(2):
@@ -43,7 +43,7 @@ class LifeTests(BackendTests):
                 )
 
     async def test_it_leaves_no_task_thread_or_socket_behind(self) -> None:
-        async with self.opened():  # what a library keeps for the process is kept from here on
+        async with self.opened():  # what a library keeps for the process exists from here
             pass
         gc.collect()
         tasks, threads, sockets = asyncio.all_tasks(), _threads(), _sockets()
@@ -64,7 +64,7 @@ class LifeTests(BackendTests):
         assert not left, f"left behind: {left}"
 
     async def test_it_is_open_within_the_time_a_start_waits(self) -> None:
-        for _ in range(3):  # a machine that is busy otherwise may hold it up
+        for _ in range(3):  # a busy machine may delay it
             async with self.opened():
                 if self.prompt:
                     return

@@ -1,4 +1,4 @@
-"""The link of a backend, for those whose author can break it: told, never hung on, and mended."""
+"""The link of a backend, if the author can break it: loss is reported and recovered from."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WAIT = 8.0  # s in which a call over a broken link has ended
 
 
 class LinkTests(BackendTests):
-    """What a cut does, and what its end does."""
+    """Tests of a link that breaks and recovers."""
 
     def _needs_a_link(self) -> None:
         if not self.link_breaks:

@@ -1,4 +1,4 @@
-"""Motion: whatever happens to clients, gateway or e-stop, what moves comes to rest."""
+"""Motion: whatever happens to clients, gateway or e-stop, moving parts come to rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The streams of a backend: they begin at once, end when nobody looks, and wait for nobody."""
+"""The streams of a backend: they start at once, end without subscribers, and are independent."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rcp_kernel.values import value_type
 __all__ = ["StreamTests"]
 
 _QUIET = 0.3  # s in which nothing may be published any more
-_SETTLE = 1.0  # s that a source has to come to its end
+_SETTLE = 1.0  # s for a source to stop
 
 
 class StreamTests(BackendTests):
-    """What subscribers get."""
+    """Tests of subscriptions."""
 
     async def test_a_subscriber_has_a_typed_first_value(self, robot: Robot) -> None:
         for resource in robot.having(Operation.SUBSCRIBE, Kind.SENSOR):

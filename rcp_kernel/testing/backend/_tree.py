@@ -1,4 +1,4 @@
-"""What a backend declares: paths, types with units, and operations that it keeps."""
+"""The declarations of a backend: paths, types with units, and operations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _types(resource: Resource) -> list[tuple[str, ValueType]]:
 
 
 class TreeTests(BackendTests):
-    """What discovery shows of it, and whether it is so."""
+    """Tests of discovery against the actual behaviour."""
 
     async def test_its_paths_are_legal_and_its_own(self, robot: Robot) -> None:
         found = await robot.client.request("discover", body={"limit": 1000})
@@ -78,7 +78,7 @@ class TreeTests(BackendTests):
 
 
 def _check_schema(schema: dict[str, Any]) -> None:
-    """Check a schema against the standard, where the library for that is installed."""
+    """Check a schema against the standard, if the library for that is installed."""
     try:
         import jsonschema
     except ImportError:

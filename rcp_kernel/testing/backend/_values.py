@@ -1,4 +1,4 @@
-"""The values of a backend: typed on the way out, checked on the way in, true on the device."""
+"""The values of a backend: typed when sent, checked when received, true on the device."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _MAY_BE_EMPTY = (Kind.EVENT, Kind.ACTUATOR)  # nothing has happened yet, or been
 
 
 def _ignore(feedback: Any = None, *, fraction: float | None = None) -> None:
-    """Take feedback that nobody looks at."""
+    """Ignore feedback."""
 
 
 class ValueTests(BackendTests):
-    """What it says, and what it does with what it is told."""
+    """Tests of reads and writes."""
 
     async def test_what_can_be_read_arrives_typed_within_a_second(self, robot: Robot) -> None:
         for resource in robot.having(Operation.READ):
@@ -82,7 +82,7 @@ class ValueTests(BackendTests):
 
     async def test_what_is_out_of_range_is_refused_and_changes_nothing(self, robot: Robot) -> None:
         for resource in robot.having(Operation.WRITE):
-            # No dead-man may come in between, on however slow a machine.
+            # No dead-man may act in between, on however slow a machine.
             lasting = {} if resource.valid_for is None else {"valid_for": _LASTING}
             await robot.ask("write", resource.name, body=self.values(resource.name)[0], **lasting)
             before = await self.typed_truth(resource)

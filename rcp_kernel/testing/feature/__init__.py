@@ -10,7 +10,7 @@ __all__ = ["FeatureGateway", "FeatureSuite"]
 
 
 class FeatureSuite(LifeTests, GuardTests):
-    """Every proof that is asked of a feature.
+    """All tests of a feature.
 
     Give `kind` (and `options`); for a guard, the code of its `refusal`, `engage` and `release`::
 

@@ -1,4 +1,4 @@
-"""What a guard owes: it refuses what it must, and never what brings a robot to rest."""
+"""Requirements of a guard: it refuses commands, but never one that brings a robot to rest."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COMMANDS = (("write", LIMIT), ("write", DRIVE), ("execute", GO))
 
 
 class GuardTests(FeatureRig):
-    """What every guard is held to."""
+    """Tests of every guard."""
 
     @proves("guard.refuses")
     @pytest.mark.parametrize(("type_", "path"), COMMANDS)
@@ -27,7 +27,7 @@ class GuardTests(FeatureRig):
         await self.engage(guarded)
         for dry in (False, True):
             if dry and self.refusal == "approval_required":
-                continue  # a dry run asks nobody
+                continue  # a dry run calls no guard
             reply = await guarded.operator.request(type_, path, body=0.5, dry_run=dry)
             assert error_code(reply) == self.refusal
             assert reply["error"].get("remedy"), "a refusal says what to do next"

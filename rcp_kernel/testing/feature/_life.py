@@ -1,4 +1,4 @@
-"""What every feature owes: it starts, shows what it declares to whom it may, and leaves nothing."""
+"""Requirements of every feature: it starts, shows resources by right, and cleans up."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _resources(gateway: FeatureGateway, name: str) -> list[SystemResource]:
 
 
 class LifeTests(FeatureRig):
-    """What opening, closing and showing owe."""
+    """Tests of opening, closing and views."""
 
     @proves("feature.life")
     async def test_it_opens_twice_in_a_row_and_leaves_no_task_behind(self) -> None:

@@ -1,4 +1,4 @@
-"""What the author of a feature gives its suite, and the robot that its guard stands before."""
+"""What the author of a feature provides to its suite, and the robot behind its guard."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class _NoOptions(msgspec.Struct):
 
 
 class GuardedRobot(BaseBackend):
-    """Notes what reaches it; its action ends when it is told to."""
+    """Records what reaches it; its action ends on request."""
 
     def __init__(self, host: Host) -> None:
         self.speed = 0.0
@@ -72,7 +72,7 @@ class GuardedRobot(BaseBackend):
         )
 
     async def write(self, name: str, value: Any) -> None:
-        """Take it."""
+        """Record the value."""
         self.reached.append((name, value))
         if name == "actuator/drive":
             self.speed = value
@@ -92,7 +92,7 @@ class GuardedRobot(BaseBackend):
 
 
 class FeatureGateway:
-    """A gateway with the feature, a robot, and somebody at hand of each role."""
+    """A gateway with the feature, a robot, and a client of each role."""
 
     def __init__(self, served: Served, config: GatewayConfig) -> None:
         self.served = served
@@ -103,7 +103,7 @@ class FeatureGateway:
 
     @property
     def robot(self) -> GuardedRobot:
-        """The robot; it says what has reached it."""
+        """The robot, which records what has reached it."""
         backend = self.served.life.backend
         assert isinstance(backend, GuardedRobot)
         return backend
@@ -114,7 +114,7 @@ class FeatureGateway:
 
 
 class FeatureRig(Suite):
-    """What only the author of a feature knows."""
+    """What only the author of a feature can provide."""
 
     kind: ClassVar[FeatureKind]
     """The feature under test."""
@@ -130,7 +130,7 @@ class FeatureRig(Suite):
         raise NotImplementedError
 
     async def release(self, gateway: FeatureGateway) -> None:
-        """Have it let them pass again."""
+        """Make the guard let commands pass again."""
         raise NotImplementedError
 
     def features(self, config: GatewayConfig, options: Any = None) -> tuple[ActiveFeature, ...]:
@@ -179,5 +179,5 @@ class FeatureRig(Suite):
 
 
 def error_code(reply: Message) -> str | None:
-    """Return the code of a refusal, None for what was done."""
+    """Return the error code of a refusal, None for success."""
     return reply.get("error", {}).get("code")

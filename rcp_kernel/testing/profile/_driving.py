@@ -196,7 +196,8 @@ class MobileTests(DriveTests):
         await self.make_ready()
         start = await self.body()
         at = {"x": start.x + x, "y": start.y + y, "z": start.z}
-        result, feedback = await self.run("action/move_to", {"position": at, **goal})
+        goal = {"position": at, "frame": self.frame, **goal}
+        result, feedback = await self.run("action/move_to", goal)
         body = await self.body()
         off = math.hypot(body.x - at["x"], body.y - at["y"])
         assert off <= self.near, f"sent ({x:g}, {y:g}) m, it went {_way(start, body)}"
@@ -251,7 +252,8 @@ class MobileTests(DriveTests):
         limit = await self.do("write", "param/speed_limit", body=self.speed)
         assert _close(await self.fresh("param/speed_limit"), limit)
         start = await self.body()
-        goal = {"position": {"x": start.x + _METRE, "y": start.y, "z": start.z}}
+        at = {"x": start.x + _METRE, "y": start.y, "z": start.z}
+        goal = {"position": at, "frame": self.frame}
         path = self.running.path(self.full("action/move_to"))
         id_ = await self.running.client.send(type="execute", path=path, body=goal)
         fastest = 0.0

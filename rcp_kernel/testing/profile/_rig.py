@@ -23,7 +23,7 @@ _LASTING = 600.0  # s: a velocity that no dead-man ends during a test
 class Body(msgspec.Struct, frozen=True, kw_only=True):
     """Where a robot is and how it moves, as its device has it: metres, radians, seconds.
 
-    The place is in the frame of its goals and of `sensor/pose`, x and y level and z up; velocities are
+    The place is in the frame of its goals and of `sensor/pose` (`frame`), x and y level and z up; velocities are
     those of the body: forward, left, up, and turning left.
     """
 
@@ -65,6 +65,8 @@ class ProfileRig(BackendTests):
 
     place: ClassVar[str | None] = None
     """The segment after the branch in the names of the robot under test, where it has one."""
+    frame: ClassVar[str] = "map"
+    """The frame of `body`, in which goals are given."""
     speed: ClassVar[float] = 0.4
     """A moderate speed, m/s."""
     turn: ClassVar[float] = 0.5
@@ -119,9 +121,16 @@ class ProfileRig(BackendTests):
     # What the tests stand on
 
     def full(self, name: str) -> str:
-        """Return a profile's name with the place of the robot in it."""
+        """Return a profile's name with the place of the robot in it.
+
+        The gateway's `service/hold` is that of what an e-stop can stop alone.
+        """
+        own = self.running.resources.values()
+        alone = any(resource.robot == self.place for resource in own)
+        if self.place is None or (name == "service/hold" and not alone):
+            return name
         branch, _, rest = name.partition("/")
-        return f"{branch}/{self.place}/{rest}" if self.place else name
+        return f"{branch}/{self.place}/{rest}"
 
     @property
     def claimed(self) -> set[str]:

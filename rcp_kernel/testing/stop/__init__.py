@@ -1,4 +1,4 @@
-"""The stop suite: whatever goes on and whatever goes wrong, a stopped robot is at rest and stays so."""
+"""The stop suite: whatever runs or fails, a stopped robot is at rest and stays at rest."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from rcp_kernel.testing.stop._situations import SITUATIONS, Situation
 __all__ = ["SCOPES", "StopRig", "StopSuite"]
 
 SCOPES = {"robot": "robot", "tenant": "/tenant/t", "all": None}
-"""What is stopped: the robot by its backend's name, its tenant, everything."""
+"""Scopes of a stop: the robot by its backend's name, its tenant, everything."""
 _LOOK = 0.02  # s between two looks at the device
-_ANSWERED = 20.0  # s that the first attempt may take: a store that is lost holds its answer back
+_ANSWERED = 20.0  # s that the first attempt may take: a lost store delays its reply
 _STAYS = float(os.environ.get("RCP_STOP_STAYS", "1"))
 
 
 class StopSuite(InterleavingTests):
-    """Every proof that the house asks of a stop.
+    """All tests of a stop.
 
-    Subclass it together with what you give to `BackendSuite` (`kind`, `goals`, `at_rest`, …), and give
-    the faults that can be injected: `break_link` with `mend_link`, `freeze_device` with `thaw_device`,
-    `freeze_feedback` with `thaw_feedback`, and `foreign_commander`. A situation whose fault is not given is
-    skipped. RCP_STOP_STAYS sets for how many seconds each robot is watched; a release wants 10.
+    Subclass it together with what you provide to `BackendSuite` (`kind`, `goals`, `at_rest`, …), and
+    provide the faults that can be injected: `break_link` with `mend_link`, `freeze_device` with
+    `thaw_device`, `freeze_feedback` with `thaw_feedback`, and `foreign_commander`. Situations without
+    their fault are skipped. RCP_STOP_STAYS sets for how many seconds each robot is watched; use 10 for
+    a release.
     """
 
     stop_within: ClassVar[float] = 3.0
     """Seconds from the request until the device is at rest, with the link whole."""
     stays: ClassVar[float] = _STAYS
-    """Seconds for which everybody tries to move it after the stop."""
+    """Seconds for which all clients try to move it after the stop."""
 
     def test_no_test_of_the_stop_suite_is_changed_without_a_reason(self) -> None:
         """See that nothing was overridden or taken out but under xfail with a reason."""
@@ -72,7 +73,7 @@ class StopSuite(InterleavingTests):
             yield case, robot
 
     async def _stop(self, case: Situation, robot: Robot, scope: str) -> Message:
-        """Request the stop; `completed` may only be said of a device that is at rest."""
+        """Request the stop; check that `completed` implies that the device is at rest."""
         scopes = SCOPES[scope]
         body = {
             "scope": robot.served.supervisor.name if scopes == "robot" else scopes,
@@ -93,7 +94,7 @@ class StopSuite(InterleavingTests):
         return reply
 
     async def _confirmed(self, robot: Robot) -> None:
-        """Wait until the gateway says what the device does: that it is at rest."""
+        """Wait until the gateway confirms that the device is at rest."""
         admin = self.admin()
 
         async def confirmed() -> bool:
@@ -106,7 +107,7 @@ class StopSuite(InterleavingTests):
         await admin.close()
 
     async def _stays_at_rest(self, case: Situation, robot: Robot) -> None:
-        """See that nothing moves it while everybody tries."""
+        """Check that nothing moves it while all clients try."""
         attempts = Attempts(self, robot)
         task = asyncio.create_task(attempts.run())
         loop = asyncio.get_running_loop()

@@ -63,7 +63,7 @@ class _Player:
                 return
 
     async def act(self) -> None:
-        """Begin an action, beside or in place of what runs."""
+        """Start an action, besides or instead of the running one."""
         for name in self._rig.actions():
             await self._send("execute", self._robot.path(name), self._rig.goals()[name].lasting)
             return
@@ -75,11 +75,11 @@ class _Player:
             return
 
     async def hold(self) -> None:
-        """Have it hold."""
+        """Execute a hold."""
         await self._send("execute", self._robot.path("service/hold"), None)
 
     async def lease(self) -> None:
-        """Take control."""
+        """Acquire a lease."""
         await self._send("execute", "/system/leases", {"do": "acquire", "scope": "/tenant/t"})
 
     async def release(self) -> None:
@@ -87,12 +87,12 @@ class _Player:
         await self._send("execute", "/system/leases", {"do": "release", "scope": "/tenant/t"})
 
     async def reconnect(self) -> None:
-        """Be gone, and come back as another session."""
+        """Disconnect, and connect again with a new session."""
         await self._client.close()
         self._client = self._robot.served.client(OPERATOR)
 
     async def wait(self) -> None:
-        """Let what is under way go on."""
+        """Let pending work continue."""
         for _ in range(20):
             await asyncio.sleep(0)
 
@@ -101,7 +101,7 @@ class _Player:
         await self._client.send(fields | ({} if body is None else {"body": body}))
 
     async def answers(self) -> None:
-        """See that each stop was answered, and by nothing but what is true."""
+        """Check that each stop was answered, and truthfully."""
         for id_ in self._stops:
             reply = await self._admin.final(id_)
             assert reply["status"] in ("completed", "failed"), reply

@@ -1,4 +1,4 @@
-"""What the author of a backend gives the stop suite beside what the backend suite has."""
+"""What the author of a backend provides to the stop suite, besides the backend suite."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class StopRig(BackendTests):
     """The faults of a device that a test can bring about."""
 
     async def freeze_device(self) -> None:
-        """Have the device answer nothing and take nothing, as if its processor stood still."""
+        """Make the device neither respond nor accept anything, as if its processor had stopped."""
         raise NotImplementedError
 
     async def thaw_device(self) -> None:
-        """Let it go on."""
+        """Let the device continue."""
         raise NotImplementedError
 
     async def freeze_feedback(self) -> None:
-        """Have what measures motion stop or repeat itself, while the link stays up."""
+        """Make the measurement of motion stop or repeat itself, while the link stays up."""
         raise NotImplementedError
 
     async def thaw_feedback(self) -> None:
@@ -29,7 +29,7 @@ class StopRig(BackendTests):
         raise NotImplementedError
 
     def foreign_commander(self) -> AbstractAsyncContextManager[object]:
-        """Have somebody else command the device, past the gateway, while entered."""
+        """Let another commander control the device, past the gateway, while entered."""
         raise NotImplementedError
 
     def gives(self, name: str) -> bool:

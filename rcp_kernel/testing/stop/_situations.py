@@ -1,4 +1,4 @@
-"""What goes on when a robot is stopped, and what goes wrong: one class a situation."""
+"""The situations in which a robot is stopped, and the faults injected: one class each."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NOTICED = 5.0  # s in which a cut link or a frozen device is noticed
 
 
 class Situation:
-    """Nothing goes on, and nothing goes wrong."""
+    """Nothing is running, and nothing fails."""
 
     needs: ClassVar[tuple[str, ...]] = ()
     """Faults that the author has to give."""
@@ -38,16 +38,17 @@ class Situation:
     store: ClassVar[bool] = False
     """Whether the gateway keeps a store."""
     deadline: ClassVar[float | None] = None
-    """Seconds for which the stop's answer waits; short where it cannot come."""
+    """Time in s to wait for the reply to the stop; short if none can come."""
     shoves: ClassVar[bool] = False
-    """Whether somebody past the gateway goes on to move it, so that it can only be stopped again."""
+    """Whether a foreign commander continues to move it, so that it can only be stopped
+    repeatedly."""
 
     def __init__(self, rig: StopRig, robot: Robot) -> None:
         self.rig, self.robot = rig, robot
 
     @classmethod
     def check(cls, rig: StopRig) -> None:
-        """Skip what the author cannot bring about."""
+        """Skip the situation if the author cannot bring it about."""
         missing = [name for name in cls.needs if not rig.gives(name)]
         if missing:
             pytest.skip(f"{', '.join(missing)} not given")
@@ -76,18 +77,18 @@ class Situation:
         """Do something when the stop is requested and not answered."""
 
     async def after(self, reply: Message) -> None:
-        """See what the answer was, and do what comes after it."""
+        """Check the reply, and do what follows it."""
         assert reply["status"] == "completed", reply
 
     async def end(self) -> None:
-        """Mend what is left broken."""
+        """Repair what is still broken."""
 
 
 class VelocityStream(Situation):
     """A client drives it by a stream of velocities, and does not stop to."""
 
     async def go_on(self) -> None:
-        """Write without end, whatever comes of it."""
+        """Write continuously, whatever the replies."""
         client = self.robot.served.client(OPERATOR)
         resource = next((r for r in self.rig.moving() if r.safe is not None), None)
         while resource is not None:
@@ -119,7 +120,7 @@ class Action(Situation):
 
 
 class Plan(Situation):
-    """A plan runs, with steps to come."""
+    """A plan is running, with steps to come."""
 
     async def begin(self) -> None:
         """Send a plan that does the same action again and again."""
@@ -222,7 +223,7 @@ class CutDuring(Cut):
 
 
 class CutAfter(Cut):
-    """The link is cut after the stop was confirmed, and comes back."""
+    """The link is cut after the stop was confirmed, and is restored."""
 
     async def after(self, reply: Message) -> None:
         """Cut it and mend it."""
@@ -233,7 +234,7 @@ class CutAfter(Cut):
 
 
 class DeviceFrozen(Cut):
-    """The device stands still, with its motors turning, and goes on later."""
+    """The device freezes with its motors turning, and continues later."""
 
     needs = ("freeze_device", "thaw_device")
     deadline = _IN_VAIN
@@ -244,13 +245,13 @@ class DeviceFrozen(Cut):
         await self.rig.freeze_device()
 
     async def after(self, reply: Message) -> None:
-        """See that nothing was promised; then let it go on, and the stop must follow."""
+        """Check that nothing was promised; then let it continue, and expect the stop."""
         assert reply["status"] == "failed", reply
         await self.rig.thaw_device()
 
 
 class FeedbackFrozen(Cut):
-    """What measures its motion has stopped; the link is whole."""
+    """The measurement of its motion has stopped; the link is intact."""
 
     needs = ("freeze_feedback", "thaw_feedback")
     deadline = _IN_VAIN
@@ -300,7 +301,7 @@ class TwoBackends(Action):
 
 
 class PartnerStopped(TwoBackends):
-    """The second backend's e-stop is what is requested elsewhere, just before."""
+    """The second backend's e-stop is requested elsewhere, just before."""
 
     async def begin(self) -> None:
         """Stop the robot by its other backend's name."""

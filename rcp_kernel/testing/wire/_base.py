@@ -1,4 +1,4 @@
-"""The ground the wire tests stand on: a gateway with robots, and clients over one transport."""
+"""The base of the wire tests: a gateway with robots, and clients over one transport."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from rcp_kernel.values import Encoding
 __all__ = ["ASKING", "LOCAL", "Wire", "World", "configuration"]
 
 ASKING = "asking-of-the-test-kit"
-"""API key of somebody who has to have `service/nothing` approved."""
+"""API key of a principal that needs approval for `service/nothing`."""
 LOCAL = "local-of-the-test-kit"
 """API key of an operator of one tenant, who may not see `sensor/secret`."""
 
-ARRIVAL = 30.0  # s within which a backend that waits between two tries has come up
+ARRIVAL = 30.0  # s within which a backend that waits between two attempts has come up
 
 _CONFIG = f"""
 [[backends]]
@@ -111,7 +111,7 @@ def _toml(value: Any) -> str:
 
 
 class World:
-    """A gateway with its robots, and clients that are let go of in the end."""
+    """A gateway with its robots, and clients that are closed at the end."""
 
     def __init__(self, served: Served, suite: Wire) -> None:
         self._served = served
@@ -133,12 +133,12 @@ class World:
         return found
 
     def publish(self, name: str, *values: Any) -> None:
-        """Have the main robot publish."""
+        """Publish values of the main robot."""
         for value in values:
             self.robot().host.publish(name, value)
 
     async def arrive(self) -> None:
-        """Have the robot come that was not there; return once it has."""
+        """Bring up the missing robot; return once it is available."""
         Absence.ends = True
         supervisor = next(
             supervisor for supervisor in self.server.supervisors if supervisor.name == "ghost"
@@ -170,7 +170,7 @@ class World:
 
 
 class Wire(Suite):
-    """Base of the themes of the wire suite: what the author gives, and the gateway they share."""
+    """Base of the parts of the wire suite: what the author provides, and the shared gateway."""
 
     offers: ClassVar[frozenset[str]] = frozenset({"stream", "connection", "session"})
     """What the transport carries: `stream` for subscriptions and feedback, `connection` for many

@@ -25,7 +25,7 @@ async def _begun(client: Client, path: str = GO, distance: float = 4.0) -> Messa
 
 
 class Commands(Wire):
-    """What becomes of an execute."""
+    """Tests of executes."""
 
     @proves("command.life")
     async def test_a_command_is_accepted_in_progress_and_completed(self, world: World) -> None:

@@ -32,7 +32,7 @@ async def lease(client: Client, **fields: object) -> Message:
 
 
 async def estop(client: Client, **fields: object) -> Message:
-    """Stop, or reset; a stop is not waited for, since a backend that is not there never confirms it."""
+    """Stop or reset, without waiting for a stop: a missing backend never confirms it."""
     deadline = BOUND if "reset" in fields else _STOP
     return await client.request("execute", "/system/estop", body=fields, deadline=deadline)
 

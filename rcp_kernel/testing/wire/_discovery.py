@@ -1,4 +1,4 @@
-"""Discovery and the health report: what a client can find out."""
+"""Discovery and the health report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _names(found: list[Message]) -> set[str]:
 
 
 class Discovery(Wire):
-    """What there is, and how it is."""
+    """Tests of discovery and status."""
 
     @proves("discover.facts")
     async def test_it_tells_all_about_a_resource(self, world: World) -> None:

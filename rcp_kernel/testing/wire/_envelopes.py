@@ -1,4 +1,4 @@
-"""Section 3 of the contract: what a message may look like, and what comes of one that may not."""
+"""Section 3 of the protocol: valid messages, and the replies to invalid ones."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ NOT_TEXT = {
 
 
 def _nested(encoding: Encoding, depth: int) -> bytes:
-    """Write a ping with a list in a list in a list, so deep, in a field of its own."""
+    """Encode a ping with lists nested to this depth, in a custom field."""
     if encoding is Encoding.JSON:
         return b'{"type":"ping","x-deep":' + b"[" * depth + b"]" * depth + b"}"
     if encoding is Encoding.CBOR:

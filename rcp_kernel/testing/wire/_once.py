@@ -15,7 +15,7 @@ NO_BATCHES: tuple[Any, ...] = (None, {}, 3, "x")
 
 
 class Once(Wire):
-    """What runs once, what runs not at all, and what runs together."""
+    """Tests of what runs once, not at all, or concurrently."""
 
     @proves("envelope.once")
     async def test_a_repeat_under_a_key_returns_the_first_outcome_and_runs_nothing(

@@ -1,4 +1,4 @@
-"""Backends that are not open yet: what they may have is neither there nor unknown."""
+"""Backends that are not open yet: their possible paths are neither available nor unknown."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _PATH = "/sensor/ghost/arrived"
 
 
 def _waits(reply: Message) -> bool:
-    """Tell whether a refusal says to ask again."""
+    """Return whether a refusal asks for a retry."""
     error = reply["error"]
     assert (reply["status"], error["code"]) == ("rejected", "adapter_unavailable"), reply
     assert error["path"] == "/tenant/alpha" + _PATH
@@ -20,7 +20,7 @@ def _waits(reply: Message) -> bool:
 
 
 class Opening(Wire):
-    """A robot that is not there yet."""
+    """A robot that is not available yet."""
 
     @proves("path.opening")
     async def test_what_a_backend_may_have_that_is_not_open_is_to_be_asked_for_again(

@@ -1,4 +1,4 @@
-"""Section 2 of the contract: paths, patterns, and what may not be seen."""
+"""Section 2 of the protocol: paths, patterns and hidden resources."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_PATTERNS = ("/sensor/le*el", "/sensor/***", "/**/a/**/b/**/c/**", "sensor/*")
 
 
 def _facts(reply: Message, path: str) -> Any:
-    """Return what a client can learn from a refusal, whatever the path's name."""
+    """Return what a client can learn from a refusal, independent of the path's name."""
     error = {key: item for key, item in reply["error"].items() if key != "trace_id"}
     kept = {k: item for k, item in reply.items() if k not in ("id", "timestamp", "error")}
     return str([kept, error]).replace(path, "<path>")
@@ -31,7 +31,7 @@ async def _paths(client: Client, pattern: str) -> list[str]:
 
 
 class Paths(Wire):
-    """What a text leads to."""
+    """Tests of the resolution of paths."""
 
     @proves("path.relative", "path.full")
     async def test_a_relative_path_means_the_sessions_own_tenant(self, world: World) -> None:

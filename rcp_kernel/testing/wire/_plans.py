@@ -1,4 +1,4 @@
-"""Plans and approvals: many operations as one command, and what a person has to approve."""
+"""Plans and approvals: several operations as one command, and commands that require approval."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def code(reply: Message) -> str:
 
 
 class Planning(Wire):
-    """What holds for plans and approvals on every wire."""
+    """Tests of plans and approvals on every transport."""
 
     @proves("plan.steps")
     async def test_a_plan_runs_in_order_with_results_of_earlier_steps(self, world: World) -> None:

@@ -19,7 +19,7 @@ _MANY = 80  # times the above: more than sockets hold
 
 
 class Quality(Wire):
-    """What happens when there is too much, too little, or too late."""
+    """Tests of too much, too little and too late data."""
 
     @proves("stream.best-effort")
     async def test_best_effort_gives_the_newest_and_counts_what_it_skipped(

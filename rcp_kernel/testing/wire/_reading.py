@@ -1,4 +1,4 @@
-"""Reads and writes: what comes, from where, and what it does to the robot."""
+"""Reads and writes: the values returned, their sources, and the effect on the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Section 9 of the contract: what is done, and what is refused, is on record."""
+"""Section 9 of the protocol: actions and refusals are recorded."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ LIMIT = "/tenant/alpha/param/limit"
 
 
 async def last(auditor: Client) -> Message:
-    """Read the last record that somebody may see."""
+    """Read the last record visible to a client."""
     reply = await auditor.request("read", AUDIT)
     assert reply["status"] == "completed", reply
     return reply["body"]
 
 
 class Records(Wire):
-    """Who did what, and what came of it."""
+    """Tests of audit records."""
 
     @proves("record.acts")
     async def test_a_write_is_on_record_once_it_is_answered(self, world: World) -> None:
         auditor, client = await world.client(ADMIN), await world.client()
-        await auditor.request("ping")  # whoever comes in may be on record too
+        await auditor.request("ping")  # logins may be recorded too
         reply = await client.request("write", LIMIT, body=2.0, id="w-1")
         assert reply["status"] == "completed"
         record = await last(auditor)
@@ -55,7 +55,7 @@ class Records(Wire):
     @proves("record.denials")
     async def test_a_refusal_is_on_record_once_it_is_answered(self, world: World) -> None:
         auditor, client = await world.client(ADMIN), await world.client(VIEWER)
-        await auditor.request("ping")  # whoever comes in may be on record too
+        await auditor.request("ping")  # logins may be recorded too
         refused = await client.request("write", LIMIT, body=2.0)
         record = await last(auditor)
         assert (record["what"], record["principal"]) == ("denial", "viewer")

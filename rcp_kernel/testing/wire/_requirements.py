@@ -1,4 +1,4 @@
-"""The wire requirements as data: what the contract promises, and which tests prove it."""
+"""The wire requirements as data: the guarantees of the protocol, and the tests that prove them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Requirement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     text: str
     """The promise in one sentence."""
     needs: frozenset[str] = frozenset()
-    """What a transport has to carry for the promise to apply to it."""
+    """What a transport must support for the requirement to apply to it."""
     gap: str | None = None
     """Why the gateway does not keep the promise yet."""
 

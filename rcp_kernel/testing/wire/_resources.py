@@ -1,4 +1,4 @@
-"""What the robot of the wire suite declares: one resource for each thing a promise is about."""
+"""The resources of the wire suite's robot: one for each kind of requirement."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Parcel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Go(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far, and what is to happen on the way."""
+    """Distance, and events to inject on the way."""
 
     distance: quantity("m", ge=-100, le=100)  # pyright: ignore[reportInvalidTypeForm]
     mode: Literal["quick", "wait", "refuse", "stumble", "timeout", "crash"] = "quick"
@@ -59,7 +59,7 @@ BROKEN: dict[str, Exception] = {
     "sensor/cut": ConnectionResetError("the cable was pulled"),
     "sensor/crashed": ZeroDivisionError("a secret of the backend's code"),
 }
-"""Values that cannot be read, and what comes instead."""
+"""Values that cannot be read, and their substitutes."""
 
 
 def small() -> list[Resource]:
@@ -85,13 +85,13 @@ def small() -> list[Resource]:
 
 
 def ghost() -> list[Resource]:
-    """Return what a robot declares that is not there."""
+    """Return the resources of a robot that is not available."""
     go = Resource(name="action/go", description="Would go.", input=Go)
     return [*small(), go]
 
 
 def arrived() -> list[Resource]:
-    """Return what it declares besides, once it has come."""
+    """Return the resources it declares additionally once it is available."""
     level = quantity("m")
     return [
         Resource(name="sensor/arrived", description="Comes with the robot.", value=level, live=True)

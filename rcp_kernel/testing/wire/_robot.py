@@ -1,7 +1,7 @@
-"""The robot behind the wire suite: a twin whose every reaction a test decides.
+"""The robot of the wire suite: a twin whose reactions are chosen by the tests.
 
-What it does is chosen by the value that it is sent, so that a test needs nothing but the wire;
-what it was made to do can be looked up in it.
+The values sent to it select its behaviour, so that a test needs only the wire; its calls can be
+inspected.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class WireConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The robot's table."""
 
     small: bool = False
-    """Only a level and a limit: a second robot beside the first."""
+    """Only a level and a limit: a second robot."""
 
 
 class WireRobot(BaseBackend):
@@ -48,10 +48,10 @@ class WireRobot(BaseBackend):
         self.left: list[str] = []
         self.halts = 0
         self.release = asyncio.Event()
-        """Lets what waits go on."""
+        """Releases waiting actions."""
 
     async def read(self, name: str) -> Any:
-        """Answer, or fail the way the name says."""
+        """Return a value, or fail as the name says."""
         self.reads.append(name)
         if name == "sensor/silent":
             await asyncio.Event().wait()
@@ -62,7 +62,7 @@ class WireRobot(BaseBackend):
         return self.values[name]
 
     async def write(self, name: str, value: Any) -> Any:
-        """Take a value, or refuse it the way the name says."""
+        """Accept a value, or refuse it as the name says."""
         if name == "param/refused":
             raise DeviceRejected("the valve is locked")
         if name == "param/slow":
@@ -72,7 +72,7 @@ class WireRobot(BaseBackend):
         return self.values[name]
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Run what the name says; an action does as its `mode` says."""
+        """Run the resource; an action behaves as its `mode` says."""
         self.ran.append((name, value))
         match name:
             case "service/echo":
@@ -131,7 +131,7 @@ async def _open(config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
 
 
 class Absence:
-    """Whether the robot that is not there stays away."""
+    """Whether the missing robot stays away."""
 
     ends = False
 
@@ -147,4 +147,4 @@ async def _absent(_config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
 
 ROBOT = BackendKind("wire-robot", WireConfig, _open)
 DEAD = BackendKind("dead-robot", WireConfig, _absent)
-"""A robot of which a part is declared, and that comes up only where a test has it come."""
+"""A robot of which a part is declared, and that comes up only when a test requests it."""

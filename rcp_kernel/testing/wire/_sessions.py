@@ -32,7 +32,7 @@ async def _cut(world: World, client: Client) -> None:
 
 
 class Sessions(Wire):
-    """What a client holds, and how it comes back to it."""
+    """Tests of sessions and their resumption."""
 
     @proves("session.hello")
     async def test_hello_tells_who_one_is_and_what_holds(self, world: World) -> None:

@@ -31,7 +31,7 @@ MIXED: tuple[tuple[Message, str | None], ...] = (
     ({"type": "dance"}, "bad_request"),
     ({"type": "execute", "path": "/action/short", "body": WAIT}, None),
 )
-"""Good, bad and dead requests, each with the code it must end with; None may end in any way."""
+"""Valid, invalid and unanswerable requests, each with its final code; None allows any."""
 
 
 async def _flood(client: Client, count: int) -> dict[str, list[Message]]:

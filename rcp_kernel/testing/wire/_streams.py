@@ -1,4 +1,4 @@
-"""Section 7 of the contract: what a subscription lets through."""
+"""Section 7 of the protocol: filtering by subscriptions."""
 
 from __future__ import annotations
 

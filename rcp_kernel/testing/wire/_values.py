@@ -52,7 +52,7 @@ async def _refused(client: Client, **fields: Any) -> str:
 
 
 class Values(Wire):
-    """What goes in, what comes out, and what may not."""
+    """Tests of valid, returned and refused values."""
 
     @proves("value.schema-in")
     async def test_a_value_that_does_not_fit_never_reaches_the_robot(self, world: World) -> None:

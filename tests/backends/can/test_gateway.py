@@ -78,8 +78,8 @@ async def test_enable_move_gear_direction_and_offset(profile: str) -> None:
         moved = await motor.done("action/m/move_to", {"position": 1.5})
         assert moved["position"] == pytest.approx(1.5, abs=0.02)
         assert motor.twin.plant.position == pytest.approx(-2.0, abs=0.05)
-        told = (await motor.ask("read", "sensor/m/motion"))["body"]
-        assert told["position"] == pytest.approx(1.5, abs=0.03)
+        reply = (await motor.ask("read", "sensor/m/motion"))["body"]
+        assert reply["position"] == pytest.approx(1.5, abs=0.03)
         await motor.done("service/m/disable")
         await motor.until(lambda: not motor.twin.enabled)
 

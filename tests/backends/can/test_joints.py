@@ -98,8 +98,8 @@ async def test_joints_are_told_together_and_go_where_they_are_told() -> None:
         await rig.until(lambda: abs(plants["tilt"].position + 0.2) < 0.02)
         await rig.until(lambda: abs(plants["roll"].position - 0.1) < 0.02)
         await rig.until(lambda: abs(rig.host.last(STATES).positions.joint_0 - 0.3) < 0.02)
-        told = await rig.backend.read(STATES)
-        assert msgspec.to_builtins(told)["positions"]["tilt"] == pytest.approx(-0.2, abs=0.02)
+        reply = await rig.backend.read(STATES)
+        assert msgspec.to_builtins(reply)["positions"]["tilt"] == pytest.approx(-0.2, abs=0.02)
 
 
 async def test_nothing_named_brings_all_joints_to_rest_on_their_way() -> None:

@@ -36,12 +36,12 @@ async def test_forward_is_along_x_and_positive_yaw_is_to_the_left() -> None:
         await rig.velocity(0.5, 0.5)
         await rig.until(lambda: rig.truth.moving == pytest.approx((0.5, 0.5), abs=0.02))
 
-        def told() -> bool:
+        def moves() -> bool:
             velocity = rig.host.last("sensor/velocity")
             found = velocity.linear.x, velocity.angular.z
             return found == pytest.approx((0.5, 0.5), abs=0.02)
 
-        await rig.host.until(told)
+        await rig.host.until(moves)
         await rig.velocity(0.0)
         await rig.until(rig.truth.still)
         await rig.host.until(lambda: abs(rig.host.last("sensor/velocity").linear.x) < 0.001)
@@ -269,13 +269,13 @@ async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None)
 async def test_distance_and_time_left_shrink_on_the_way() -> None:
     async with rover() as rig:
         await rig.moving(1.5, speed=0.6)
-        told = [feedback for feedback, _ in rig.feedback]
-        assert len(told) > 3
-        distances = [each.distance_remaining for each in told]
+        received = [feedback for feedback, _ in rig.feedback]
+        assert len(received) > 3
+        distances = [each.distance_remaining for each in received]
         assert all(after < before + 0.01 for before, after in pairwise(distances))
         assert distances[-1] < distances[0] / 2
-        assert told[0].eta > told[-1].eta
-        assert told[0].eta == pytest.approx(3.0, abs=1.5)
+        assert received[0].eta > received[-1].eta
+        assert received[0].eta == pytest.approx(3.0, abs=1.5)
 
 
 async def test_a_cancelled_move_has_braked_when_it_ends() -> None:

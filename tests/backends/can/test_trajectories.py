@@ -230,10 +230,10 @@ async def test_joints_are_at_each_waypoint_at_its_time_and_end_at_the_last() -> 
             assert moved["positions"][name] == pytest.approx(position, abs=0.02)
         assert moved["duration"] >= 2.4
         assert rig.still()
-        told = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
-        assert len(told) > 5
-        assert [each.time for each in told] == sorted(each.time for each in told)
-        assert max(each.positions["roll"] for each in told) > 0.4  # it passed the second
+        received = [feedback for feedback, _ in rig.feedback if hasattr(feedback, "error")]
+        assert len(received) > 5
+        assert [each.time for each in received] == sorted(each.time for each in received)
+        assert max(each.positions["roll"] for each in received) > 0.4  # it passed the second
         states = to_plain(await rig.backend.read(STATES))
         assert states["name"] == ["pan", "tilt", "roll"]
         assert states["position"][0] == pytest.approx(0.5, abs=0.02)

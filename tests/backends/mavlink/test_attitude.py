@@ -64,11 +64,11 @@ async def test_the_heading_does_not_wander_while_it_is_kept() -> None:
 @pytest.mark.parametrize("asked", [None, 0.3])
 async def test_px4_is_given_the_heading_that_it_has(asked: float | None) -> None:
     puppet = Px4()
-    told: list[Any] = []
+    received: list[Any] = []
 
     def take(message: Any) -> None:
         puppet.setpoints += 1
-        told.append(message)
+        received.append(message)
 
     puppet.on["SET_ATTITUDE_TARGET"] = take
     puppet.also.append(
@@ -80,7 +80,7 @@ async def test_px4_is_given_the_heading_that_it_has(asked: float | None) -> None
         reply = await found.write("actuator/attitude", body, valid_for=1.0)
         assert reply["status"] == "completed", reply["error"]
         assert puppet.mode == OFFBOARD
-        for message in told:
+        for message in received:
             w, x, y, z = message.q
             yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
             assert yaw == pytest.approx(HEADING if asked is None else asked, abs=1e-3)
@@ -89,8 +89,8 @@ async def test_px4_is_given_the_heading_that_it_has(asked: float | None) -> None
 
 async def test_without_any_heading_it_is_refused_and_nothing_is_sent() -> None:
     puppet = Px4()
-    told: list[Any] = []
-    puppet.on["SET_ATTITUDE_TARGET"] = told.append
+    received: list[Any] = []
+    puppet.on["SET_ATTITUDE_TARGET"] = received.append
     send = puppet.send
 
     def blind(name: str, *fields: Any) -> None:
@@ -104,9 +104,9 @@ async def test_without_any_heading_it_is_refused_and_nothing_is_sent() -> None:
         reply = await found.write("actuator/attitude", {"pitch": -0.1})
         assert reply["error"]["code"] == "precondition_failed"
         assert "yaw" in reply["error"]["remedy"]
-        assert told == []
+        assert received == []
         reply = await found.write("actuator/attitude", {"pitch": -0.1, "yaw": 1.0})
-        assert told
+        assert received
 
 
 async def _is(truth: bool) -> bool:  # noqa: FBT001 - for `eventually`, which awaits

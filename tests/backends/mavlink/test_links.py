@@ -132,8 +132,10 @@ async def test_with_a_key_only_who_has_it_is_heard() -> None:
             assert await mode_of(served) == "GUIDED"
         async with reading(link, key="theirs", connect=1.5) as served:
             assert not served.lives
-            told = "not signed with `key`"
-            await eventually(lambda: _is(told in (served.supervisor.detail or "")), "it says why")
+            message = "not signed with `key`"
+            await eventually(
+                lambda: _is(message in (served.supervisor.detail or "")), "it says why"
+            )
 
 
 @pytest.mark.parametrize(

@@ -352,12 +352,12 @@ def test_telemetry_stands_still_while_heartbeats_go_on(how: Any, ages: int | Non
     station.send(HEARTBEAT)
     station.pass_time(3)
     assert station.last("HEARTBEAT")
-    told = [m for m in station.heard if m.get_type() == "GLOBAL_POSITION_INT"]
+    received = [m for m in station.heard if m.get_type() == "GLOBAL_POSITION_INT"]
     if ages is None:
-        assert told == []
+        assert received == []
     else:
-        assert {m.time_boot_ms - before.time_boot_ms for m in told} == {ages}
-        assert {m.lat for m in told} == {before.lat}
+        assert {m.time_boot_ms - before.time_boot_ms for m in received} == {ages}
+        assert {m.lat for m in received} == {before.lat}
     station.vehicle.faults.telemetry = "live"
     station.pass_time(1)
     assert station.last("GLOBAL_POSITION_INT").time_boot_ms > before.time_boot_ms

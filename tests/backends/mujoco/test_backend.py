@@ -18,6 +18,7 @@ import rcp_mujoco
 from backends.mujoco.physics import ELBOW, PUCK, model_of
 from rcp_kernel.testing import Served, eventually, serve_backend
 from rcp_kernel.testing._serve import ADMIN, OPERATOR
+from rcp_kernel.values import value_type
 
 pytestmark = pytest.mark.anyio
 KIND = next(iter(rcp_mujoco.rcp_backends()))
@@ -129,6 +130,29 @@ async def test_time_passes_as_fast_as_it_is_told_to() -> None:
             return (await robot.good("read", "sensor/simulation"))["time"] > 5.0
 
         await eventually(fast, "5 s of simulation time", 60.0)
+
+
+@pytest.mark.parametrize("name", ["service/step", "action/move_to"])
+async def test_what_is_cancelled_while_it_begins_does_not_go_on(name: str) -> None:
+    async with gateway() as robot:
+        bodies = {"service/step": {"steps": 100_000}, "action/move_to": FAR}
+        type_ = value_type(robot.served.life.host.resources[name].input)
+        begun = threading.Event()
+
+        def note(_: Any) -> None:
+            begun.set()
+
+        task = asyncio.create_task(
+            robot.backend.execute(name, type_.convert(bodies[name]), lambda *_, **__: None)
+        )
+        await asyncio.sleep(0)  # its job is submitted
+        robot.device.post(note)
+        assert begun.wait(20)  # and done; the loop, which stood still, does not know yet
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        await robot.step()
+        assert robot.simulation.time < 100.0
+        assert robot.device.robot.busy is None
 
 
 # Lapsing

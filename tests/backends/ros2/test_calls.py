@@ -45,16 +45,18 @@ async def test_a_slow_service_times_out_in_time(robot: Robot) -> None:
 
 
 async def test_an_action_tells_its_feedback_and_its_result(robot: Robot) -> None:
-    heard: list[Any] = []
+    received: list[Any] = []
     goal = robot.input("action/fibonacci", {"order": 6})
     result = await robot.backend.execute(
-        "action/fibonacci", goal, lambda feedback, **_: heard.append(feedback)
+        "action/fibonacci", goal, lambda feedback, **_: received.append(feedback)
     )
     assert list(result.sequence) == [0, 1, 1, 2, 3, 5, 8]
-    told = [list(feedback.sequence) for feedback in heard]
+    sequences = [list(feedback.sequence) for feedback in received]
     whole = [list(result.sequence)[:length][-5:] for length in range(3, 8)]
-    assert told
-    assert told == whole[-len(told) :]  # the middleware may miss the first for a new client
+    assert sequences
+    assert (
+        sequences == whole[-len(sequences) :]
+    )  # the middleware may miss the first for a new client
 
 
 async def test_a_rejected_goal_is_a_refusal(robot: Robot) -> None:

@@ -95,9 +95,9 @@ async def test_what_does_not_fit_is_in_the_graph_in_words(
         demanding.backend.watch("sensor/imu", None),
         seen.backend.watch(GRAPH, None),
     ):
-        said = "/peer publishes best effort and /demanding requests reliable"
+        message = "/peer publishes best effort and /demanding requests reliable"
         await seen.until(
-            lambda: any(said in " ".join(topic(g, "/imu").mismatches) for g in seen.of(GRAPH))
+            lambda: any(message in " ".join(topic(g, "/imu").mismatches) for g in seen.of(GRAPH))
         )
 
 
@@ -106,8 +106,8 @@ async def test_an_actuator_that_does_not_reach_its_listeners_says_so(
 ) -> None:
     weak = {"topic": "/cmd_vel", "qos": {"reliability": "best_effort"}}
     async with robot_of(domain, map={"/actuator/cmd_vel": weak}, grace=1.0) as robot:
-        said = "/cmd_vel does not reach every subscriber"
-        await robot.until(lambda: robot.reports and said in (robot.reports[-1] or ""))
+        message = "/cmd_vel does not reach every subscriber"
+        await robot.until(lambda: robot.reports and message in (robot.reports[-1] or ""))
 
 
 async def test_the_robots_description_is_its_text(seen: Robot) -> None:

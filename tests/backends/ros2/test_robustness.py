@@ -49,8 +49,8 @@ async def test_two_types_on_one_topic_are_told_in_words(fleet_domain: int, graph
     async with robot_of(fleet_domain, expose=["/odd/*"], poll=0.2, grace=0.5) as robot:
         await robot.until(lambda: "sensor/odd/two" in robot.resources)
         graph.tell("offer", topic="/odd/two", kind="std_msgs/String", beside=True)
-        said = "/odd/two is published as std_msgs/msg/Float64 by /extra, std_msgs/msg/String by"
-        await robot.until(lambda: robot.reports and said in (robot.reports[-1] or ""))
+        message = "/odd/two is published as std_msgs/msg/Float64 by /extra, std_msgs/msg/String by"
+        await robot.until(lambda: robot.reports and message in (robot.reports[-1] or ""))
         assert (await robot.backend.read("sensor/odd/two")).data == 2.5
         graph.tell("withdraw", stem="/odd/two")
         await robot.until(lambda: robot.reports[-1] is None)

@@ -94,8 +94,8 @@ async def test_a_mismatch_of_qos_is_told_in_words(domain: int, peer: object) -> 
     wrong = {"topic": "/imu", "qos": {"reliability": "reliable"}}
     async with robot_of(domain, map={"/sensor/imu": wrong}, grace=1.0) as robot:
         async with robot.backend.watch("sensor/imu", None):
-            said = "/peer publishes best effort"
-            await robot.until(lambda: robot.reports and said in (robot.reports[-1] or ""))
+            message = "/peer publishes best effort"
+            await robot.until(lambda: robot.reports and message in (robot.reports[-1] or ""))
         await robot.until(lambda: robot.reports[-1] is None)
 
 

@@ -126,11 +126,11 @@ def test_a_mask_that_a_folder_has_in_common_is_that_of_each_path_in_it(
 def test_thousands_of_paths_in_a_folder_are_looked_up_in_the_rules_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked: list[str] = []
+    requests: list[str] = []
     usual = Rights.compute_mask
 
     def compute_mask(self: Rights, path: str) -> int:
-        asked.append(path)
+        requests.append(path)
         return usual(self, path)
 
     monkeypatch.setattr(Rights, "compute_mask", compute_mask)
@@ -139,4 +139,4 @@ def test_thousands_of_paths_in_a_folder_are_looked_up_in_the_rules_once(
     rights = Rights((("alpha", ("own",)),), {"own": role})
     for folder, number in product("abc", range(1000)):
         rights.mask(f"/tenant/alpha/sensor/{folder}/{number}")
-    assert len(asked) == 1002  # in b each by itself, as one rule names a path there
+    assert len(requests) == 1002  # in b each by itself, as one rule names a path there

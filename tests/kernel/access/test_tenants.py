@@ -8,44 +8,20 @@ from typing import Any
 import pytest
 import structlog
 
+from configuration import backend, configuration, key
 from kernel.world import Client, World, world_of
 from rcp_kernel.model import Resource
 from rcp_kernel.types import quantity
 
 pytestmark = pytest.mark.anyio
 ALPHA, BETA, ALL = "alpha-alpha-alpha", "beta-beta-beta-beta", "all-all-all-all-all"
-CONFIG = f"""
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "robot"
-name = "rover"
-tenant = "alpha"
-
-[[backends]]
-use = "robot"
-name = "drone"
-tenant = "beta"
-
-[[keys]]
-name = "ann"
-roles = {{ alpha = "admin" }}
-key = "{ALPHA}"
-
-[[keys]]
-name = "ann"
-roles = {{ beta = "admin" }}
-key = "{BETA}"
-
-[[keys]]
-name = "boss"
-role = "admin"
-key = "{ALL}"
-"""
+CONFIG = configuration(
+    backend("rover"),
+    backend("drone", "beta"),
+    key("ann", ALPHA, roles={"alpha": "admin"}),
+    key("ann", BETA, roles={"beta": "admin"}),
+    key("boss", ALL, role="admin"),
+)
 
 
 @pytest.fixture

@@ -108,8 +108,8 @@ async def test_feedback_that_cannot_be_written_goes_without_its_body(world: Worl
     world.robot.execute = talk
     client = world.client()
     id_ = client.send(type="execute", path="/action/talk")
-    said = await client.until(lambda m: m.get("status") == "in_progress")
-    assert "body" not in said
+    reply = await client.until(lambda m: m.get("status") == "in_progress")
+    assert "body" not in reply
     go_on.set()
     assert (await client.final(id_))["status"] == "completed"
 

@@ -74,9 +74,9 @@ async def test_a_command_that_the_crash_cut_off_is_told_of(tmp_path: Path) -> No
     async with after(tmp_path) as world:
         client = world.client()
         await greeting(client, **returning(hello))
-        told = await client.final("go")
-        assert told["status"] == "failed"
-        assert "stopped while" in told["error"]["message"]
+        reply = await client.final("go")
+        assert reply["status"] == "failed"
+        assert "stopped while" in reply["error"]["message"]
 
 
 async def test_nobody_else_gets_the_session_and_a_try_does_not_end_it(tmp_path: Path) -> None:

@@ -9,55 +9,36 @@ from typing import Any
 
 import pytest
 
+from configuration import backend, configuration, key
 from kernel.world import BOUND, Client, World, kept_in, prepared, settled, world_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 
 pytestmark = pytest.mark.anyio
-HEAD = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-
-[[keys]]
-name = "operator"
-role = "operator"
-tenants = ["alpha"]
-key = "operator-operator"
-
-[[keys]]
-name = "chief"
-role = "admin"
-tenants = ["alpha"]
-key = "chief-chief-chief"
-
-[[keys]]
-name = "guest"
-role = "guest"
-tenants = ["alpha"]
-key = "guest-guest-guest"
-
+HEAD = (
+    configuration(
+        key("admin", "admin-admin-admin"),
+        key("operator", "operator-operator", tenants=["alpha"]),
+        key("chief", "chief-chief-chief", role="admin", tenants=["alpha"]),
+        key("guest", "guest-guest-guest", tenants=["alpha"]),
+    )
+    + """
 [roles.guest]
 allow = [
     { operations = ["read"], paths = ["/sensor/r1/**"] },
     { operations = ["execute"], paths = ["/system/estop"] },
 ]
 """
+)
 ADMIN, CHIEF, GUEST = "admin-admin-admin", "chief-chief-chief", "guest-guest-guest"
 
 
-def robot(name: str, tenant: str) -> str:
-    return f'[[backends]]\nuse = "robot"\nname = "{name}"\ntenant = "{tenant}"\nrobot = "{name}"\n'
-
-
-FLEET = HEAD + robot("r1", "alpha") + robot("r2", "alpha") + robot("r3", "beta")
+FLEET = (
+    HEAD
+    + backend("r1", "alpha", robot="r1")
+    + backend("r2", "alpha", robot="r2")
+    + backend("r3", "beta", robot="r3")
+)
 
 
 @pytest.fixture
@@ -141,7 +122,9 @@ async def test_a_robot_that_appears_in_a_stopped_tenant_is_stopped_too(world: Wo
     admin = world.client(ADMIN)
     await estop(admin, scope="/tenant/alpha")
     before = parse(FLEET, "test")
-    after = parse(FLEET + robot("r4", "alpha") + robot("r5", "beta"), "test")
+    after = parse(
+        FLEET + backend("r4", "alpha", robot="r4") + backend("r5", "beta", robot="r5"), "test"
+    )
     await apply(world.server, prepared(after, world.robots))
     assert len(after.backends) == len(before.backends) + 2
     async with asyncio.timeout(BOUND):

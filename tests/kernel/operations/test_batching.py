@@ -25,10 +25,10 @@ async def test_reads_beyond_the_room_of_a_batch_are_referred_to_requests_of_thei
         world.robot.host.publish("sensor/text", LONG)
         reads = [{"type": "read", "path": "/sensor/text", "id": f"r{n}"} for n in range(20)]
         reply = await client.ask(type="batch", body=reads)
-        told = [part for part in reply["body"] if "body" in part]
+        received = [part for part in reply["body"] if "body" in part]
         left = [part for part in reply["body"] if "error" in part]
-        assert (len(told), len(told) + len(left)) == (7, 20)  # with their quotes, seven fit
-        assert {part["body"] for part in told} == {LONG}
+        assert (len(received), len(received) + len(left)) == (7, 20)  # with their quotes, seven fit
+        assert {part["body"] for part in received} == {LONG}
         assert [part["id"] for part in reply["body"]] == [f"r{n}" for n in range(20)]
         assert {part["error"]["code"] for part in left} == {"payload_too_large"}
         assert left[0]["error"]["remedy"] == "Send this request on its own, not in a batch."

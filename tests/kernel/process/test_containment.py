@@ -134,14 +134,14 @@ async def test_a_ros_middleware_that_is_not_installed_fails_its_backend_alone(
         env={**os.environ, "RMW_IMPLEMENTATION": "rmw_nowhere_cpp"},
     )
     assert process.stdout is not None
-    said = ""
+    message = ""
     try:
         async with asyncio.timeout(_ENDS * 2):
-            while "serving on" not in said or "cannot be loaded" not in said:
+            while "serving on" not in message or "cannot be loaded" not in message:
                 line = await process.stdout.readline()
-                assert line, said
-                said += line.decode()
-            assert "RMW_IMPLEMENTATION=rmw_nowhere_cpp" in said
+                assert line, message
+                message += line.decode()
+            assert "RMW_IMPLEMENTATION=rmw_nowhere_cpp" in message
             process.send_signal(signal.SIGTERM)
             await process.stdout.read()
             assert await process.wait() == 0

@@ -88,12 +88,16 @@ async def test_a_store_that_others_may_read_is_told_of(
     warned: bool,  # noqa: FBT001 - a case
 ) -> None:
     allow(store, mode)
-    told = f"other users can read '{store}', which contains the audit log: run `chmod 600 {store}`"
+    message = (
+        f"other users can read '{store}', which contains the audit log: run `chmod 600 {store}`"
+    )
     configure("warning", "json")
     with capture_logs() as said:
         DiskStore(store, asyncio.get_running_loop()).close()
-    assert [one["message"] for one in said if one["event"] == "store_readable"] == [told] * warned
+    assert [one["message"] for one in said if one["event"] == "store_readable"] == [
+        message
+    ] * warned
     made = CliRunner().invoke(token, ["create", "a", "--role", "viewer", "--store", str(store)])
     assert made.exit_code == 0
-    assert (f"rcpd: {told}\n" in made.stderr) is warned
+    assert (f"rcpd: {message}\n" in made.stderr) is warned
     assert made.stdout.startswith("rcp_")  # what is piped elsewhere is the key alone

@@ -48,15 +48,15 @@ async def test_what_is_settled_survives_a_crash(store: DiskStore) -> None:
 
 
 async def test_settled_calls_back_in_order_and_at_once_when_nothing_waits(store: DiskStore) -> None:
-    said: list[int] = []
-    store.settled(lambda: said.append(0))
-    assert said == [0]
+    received: list[int] = []
+    store.settled(lambda: received.append(0))
+    assert received == [0]
     for number in range(1, 4):
         store.put("things", str(number), number)
-        store.settled(lambda number=number: said.append(number))
-    assert said == [0]
+        store.settled(lambda number=number: received.append(number))
+    assert received == [0]
     await settled(store)
-    assert said == [0, 1, 2, 3]
+    assert received == [0, 1, 2, 3]
 
 
 async def test_a_locked_store_is_retried_and_loses_nothing(store: DiskStore) -> None:

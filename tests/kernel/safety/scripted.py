@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+from configuration import backend
 from kernel.motion.test_latches import HEAD
 from kernel.world import BOUND, Client, Robot, World, kept_in, world_of
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
@@ -16,7 +17,7 @@ from rcp_kernel.spi import Host, MotionState, Progress, Watchdog, check_fence
 from rcp_kernel.types import quantity
 
 ESTOP = "/system/estop"
-ONE = HEAD + '[[backends]]\nuse = "robot"\nname = "r1"\ntenant = "alpha"\nrobot = "r1"\n'
+ONE = HEAD + backend("r1", robot="r1")
 ADMIN = "admin-admin-admin"
 DRIVE, GO = "/tenant/alpha/actuator/r1/drive", "/tenant/alpha/action/r1/go"
 HOLD = "/tenant/alpha/service/r1/hold"

@@ -33,8 +33,8 @@ async def lose(world: World, admin: Client) -> None:
     final = await admin.final(go)
     assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
     assert final["error"]["details"]["on_loss"] == "land"
-    told = "commands it to land when the link is restored (on_loss = land)"
-    assert told in final["error"]["message"]
+    message = "commands it to land when the link is restored (on_loss = land)"
+    assert message in final["error"]["message"]
     robot.sent.clear()
 
 

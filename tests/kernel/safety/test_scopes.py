@@ -6,7 +6,8 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from kernel.motion.test_latches import HEAD, moves, robot
+from configuration import backend
+from kernel.motion.test_latches import HEAD, moves
 from kernel.safety.scripted import ADMIN, ESTOP, estop
 from kernel.world import World, world_of
 from rcp_kernel.config.file import parse
@@ -26,7 +27,14 @@ allow = [
 pair = ["/tenant/alpha/r1", "/tenant/beta/r3"]
 """
 KEYS = KEY.format("cell", '["alpha", "beta"]')
-FLEET = HEAD + KEYS + ROLES + robot("r1", "alpha") + robot("r2", "alpha") + robot("r3", "beta")
+FLEET = (
+    HEAD
+    + KEYS
+    + ROLES
+    + backend("r1", "alpha", robot="r1")
+    + backend("r2", "alpha", robot="r2")
+    + backend("r3", "beta", robot="r3")
+)
 
 
 @pytest.fixture
@@ -68,4 +76,4 @@ async def test_without_the_right_to_stop_all_a_stop_is_of_the_own_tenant(world: 
 def test_a_group_names_scopes_and_no_backend() -> None:
     for wrong in ('cell = ["alpha"]', 'r1 = ["/tenant/alpha"]', 'cell = ["/tenant/nowhere"]'):
         with pytest.raises(ConfigError, match=r"\[safety.groups\]"):
-            parse(HEAD + robot("r1", "alpha") + f"[safety.groups]\n{wrong}\n", "test")
+            parse(HEAD + backend("r1", "alpha", robot="r1") + f"[safety.groups]\n{wrong}\n", "test")

@@ -101,8 +101,8 @@ async def test_a_confirmed_robot_whose_link_is_lost_is_confirmed_no_longer(world
     robot, admin = scripted(world), world.client(ADMIN)
     assert (await estop(admin))["status"] == "completed"
     robot.lost = "the link is cut"
-    told = await shows(admin, lambda r: r["state"] != "confirmed")
-    assert (told["detail"], told["alarm"]) == ("the link is cut", False)
+    state = await shows(admin, lambda r: r["state"] != "confirmed")
+    assert (state["detail"], state["alarm"]) == ("the link is cut", False)
     robot.lost = ""
     await shows(admin, lambda r: r["state"] == "confirmed")
 
@@ -115,12 +115,12 @@ async def test_a_robot_that_moves_again_under_a_latch_is_stopped_again_with_an_a
     assert (await estop(admin))["status"] == "completed"
     halts = robot.halts
     robot.state = MOVING
-    told = await shows(world.client(ADMIN), lambda r: r["alarm"])
-    assert told["state"] == "commanded"
+    state = await shows(world.client(ADMIN), lambda r: r["alarm"])
+    assert state["state"] == "commanded"
     await until_sent(robot, "halt", halts + 1)
     robot.state = MotionState(at_rest=True)
-    told = await shows(world.client(ADMIN), lambda r: r["state"] == "confirmed")
-    assert told["alarm"], "the alarm is over before anybody reset it"
+    state = await shows(world.client(ADMIN), lambda r: r["state"] == "confirmed")
+    assert state["alarm"], "the alarm is over before anybody reset it"
     found: list[str] = []
     while found[-2:] != ["moves_again", "confirmed"]:
         record = (await admin.update(audit))["body"]

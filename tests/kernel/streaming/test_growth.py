@@ -84,8 +84,8 @@ async def test_replies_for_a_client_that_is_away_in_number_and_bytes(world: Worl
     lost = session.overflowed
     back = world.client()
     await back.ask(type="hello", body={"session": known["session"]})
-    told = await back.until(lambda m: m.get("error", {}).get("code") == "gap")
-    assert str(lost) in told["message"]
+    reply = await back.until(lambda m: m.get("error", {}).get("code") == "gap")
+    assert str(lost) in reply["message"]
     assert (await back.final("big39"))["status"] == "completed"
     assert session.missed_bytes == 0
 

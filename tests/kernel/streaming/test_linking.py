@@ -136,8 +136,8 @@ def longest_turn() -> Generator[list[float]]:
 async def test_no_turn_of_the_loop_is_long_whatever_becomes_of_20_000_paths() -> None:
     async with many(Most) as world:
         client = Counting(world.server.client_api, "operator-operator")
-        said = (await client.ask(type="hello"))["body"]
-        back = {key: said[key] for key in ("session", "resume_token")}
+        reply = (await client.ask(type="hello"))["body"]
+        back = {key: reply[key] for key in ("session", "resume_token")}
         with longest_turn() as worst:
             id_ = client.send(type="subscribe", path="/sensor/**", body=EVERY)
             await until(lambda: client.count == Most.paths)
@@ -215,8 +215,8 @@ async def test_a_client_that_goes_while_it_subscribes_leaves_nothing_behind() ->
 async def test_a_client_that_comes_back_while_it_subscribes_has_every_path_once() -> None:
     async with many() as world:
         client = listening(world)
-        said = (await client.ask(type="hello"))["body"]
-        back = {"type": "hello", "body": {k: said[k] for k in ("session", "resume_token")}}
+        reply = (await client.ask(type="hello"))["body"]
+        back = {"type": "hello", "body": {k: reply[k] for k in ("session", "resume_token")}}
         await client.final(client.send(type="subscribe", path="/sensor/**", body=EVERY))
         found: list[dict[str, Any]] = []
         for _ in range(3):  # at once, and while its paths are still brought back
@@ -239,8 +239,8 @@ async def test_a_subscription_ends_once_and_says_so_last() -> None:
         client = listening(world)
         body = {**EVERY, "duration": 0.001}
         await client.final(client.send(type="subscribe", id="short", path="/sensor/**", body=body))
-        told = await client.notice("subscription_ended")
-        assert told["reason"] == "duration"
+        notice = await client.notice("subscription_ended")
+        assert notice["reason"] == "duration"
         client.updates()
         robot_of(world).publish(2)
         await client.ask(type="ping")
@@ -254,10 +254,10 @@ async def test_what_goes_from_the_tree_meanwhile_is_told_of() -> None:
         await client.final(client.send(type="subscribe", id="some", path="/sensor/**"))
         last = f"sensor/level-{PATHS - 1:05}"
         robot_of(world).remove(last)
-        told = await client.notice("resource_removed")
-        assert told["path"].endswith(last)
+        notice = await client.notice("resource_removed")
+        assert notice["path"].endswith(last)
         host = robot_of(world).host
         host.declare(Resource(name=last, description="A level.", value=int, live=True))
-        assert (await client.notice("resource_added"))["path"] == told["path"]
+        assert (await client.notice("resource_added"))["path"] == notice["path"]
         host.publish(last, 7)
-        await client.until(lambda m: m.get("path") == told["path"] and m.get("body") == 7)
+        await client.until(lambda m: m.get("path") == notice["path"] and m.get("body") == 7)

@@ -103,14 +103,14 @@ async def test_a_subscription_to_thousands_of_paths_survives_a_restart_in_steps(
     config = kept_in(tmp_path / "store.db", rules("/sensor/**"))
     async with world_of(config, Many) as world:
         client = world.client("driver-driver-driver")
-        said = (await client.ask(type="hello"))["body"]
+        reply = (await client.ask(type="hello"))["body"]
         id_ = await subscribed(world, client)
     async with world_of(config, Many) as world:
-        back = {key: said[key] for key in ("session", "resume_token")}
+        back = {key: reply[key] for key in ("session", "resume_token")}
         with judged(monkeypatch) as turns:
             client = world.client("driver-driver-driver")
             again = await client.ask(type="hello", body=back)
-            assert again["body"]["session"] == said["session"]
+            assert again["body"]["session"] == reply["session"]
             await until(lambda: len(linked(world)) == PATHS)
         assert sum(turns) >= PATHS
         assert max(turns) <= AT_ONCE

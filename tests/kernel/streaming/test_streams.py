@@ -73,9 +73,9 @@ async def test_reliable_ends_with_overrun_rather_than_skip(world: World) -> None
     client = world.client()
     await subscribed(client, qos={"reliability": "reliable", "depth": 5})
     publish(world, *map(float, range(6)))
-    told = await client.notice("overrun")
-    assert told["error"]["code"] == "overrun"
-    reply = await client.ask(type="unsubscribe", body={"subscription": told["id"]})
+    notice = await client.notice("overrun")
+    assert notice["error"]["code"] == "overrun"
+    reply = await client.ask(type="unsubscribe", body={"subscription": notice["id"]})
     assert reply["error"]["code"] == "unknown_path"
 
 
@@ -148,8 +148,8 @@ async def test_a_count_ends_the_subscription_by_itself(world: World) -> None:
     id_ = await subscribed(client, count=2, qos={"depth": 10})
     publish(world, 1.0, 2.0, 3.0)
     assert await bodies(client, id_, 2) == [1.0, 2.0]
-    told = await client.notice("subscription_ended")
-    assert (told["id"], told["reason"]) == (id_, "count")
+    notice = await client.notice("subscription_ended")
+    assert (notice["id"], notice["reason"]) == (id_, "count")
 
 
 async def test_a_duration_ends_the_subscription_by_itself(world: World) -> None:

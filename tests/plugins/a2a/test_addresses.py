@@ -77,16 +77,16 @@ async def test_a_network_inside_is_called_if_it_is_listed() -> None:
 
 def leads_to(monkeypatch: pytest.MonkeyPatch, *answers: list[str]) -> list[str]:
     """Have each look-up of a name answered with the next addresses; returns what was asked."""
-    asked: list[str] = []
+    requests: list[str] = []
     waiting = list(answers)
 
     async def getaddrinfo(name: str, port: int, **_: Any) -> list[Any]:
-        asked.append(name)
+        requests.append(name)
         found = waiting.pop(0)
         return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (a, port)) for a in found]
 
     monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", getaddrinfo)
-    return asked
+    return requests
 
 
 async def test_a_name_is_looked_up_once_and_called_by_what_was_found(

@@ -82,23 +82,23 @@ async def test_an_answer_over_rest_has_the_media_type_of_the_protocol(
 
 
 async def test_an_unknown_task_is_not_found(client: httpx.AsyncClient) -> None:
-    told = await refused(client, "GET", "/a2a/tasks/none", "GetTask", id="none")
-    assert told == (404, -32001, "TASK_NOT_FOUND")
-    told = await refused(client, "POST", "/a2a/tasks/none:cancel", "CancelTask", id="none")
-    assert told == (404, -32001, "TASK_NOT_FOUND")
+    reply = await refused(client, "GET", "/a2a/tasks/none", "GetTask", id="none")
+    assert reply == (404, -32001, "TASK_NOT_FOUND")
+    reply = await refused(client, "POST", "/a2a/tasks/none:cancel", "CancelTask", id="none")
+    assert reply == (404, -32001, "TASK_NOT_FOUND")
 
 
 async def test_a_task_that_has_ended_cannot_be_cancelled_followed_or_answered(
     client: httpx.AsyncClient,
 ) -> None:
     id_ = (await sent(client, text(NOWHERE)))["id"]
-    told = await refused(client, "POST", f"/a2a/tasks/{id_}:cancel", "CancelTask", id=id_)
-    assert told == (400, -32002, "TASK_NOT_CANCELABLE")
-    told = await refused(client, "GET", f"/a2a/tasks/{id_}:subscribe", "SubscribeToTask", id=id_)
-    assert told == (400, -32004, "UNSUPPORTED_OPERATION")
+    reply = await refused(client, "POST", f"/a2a/tasks/{id_}:cancel", "CancelTask", id=id_)
+    assert reply == (400, -32002, "TASK_NOT_CANCELABLE")
+    reply = await refused(client, "GET", f"/a2a/tasks/{id_}:subscribe", "SubscribeToTask", id=id_)
+    assert reply == (400, -32004, "UNSUPPORTED_OPERATION")
     more = text(NOWHERE, taskId=id_)
-    told = await refused(client, "POST", "/a2a/message:send", "SendMessage", **more)
-    assert told == (400, -32004, "UNSUPPORTED_OPERATION")
+    reply = await refused(client, "POST", "/a2a/message:send", "SendMessage", **more)
+    assert reply == (400, -32004, "UNSUPPORTED_OPERATION")
 
 
 @pytest.mark.parametrize(
@@ -113,8 +113,8 @@ async def test_a_task_that_has_ended_cannot_be_cancelled_followed_or_answered(
 async def test_a_part_that_is_no_plan_is_refused(
     client: httpx.AsyncClient, part: dict[str, Any]
 ) -> None:
-    told = await refused(client, "POST", "/a2a/message:send", "SendMessage", **wrapped(part))
-    assert told == (400, -32005, "CONTENT_TYPE_NOT_SUPPORTED")
+    reply = await refused(client, "POST", "/a2a/message:send", "SendMessage", **wrapped(part))
+    assert reply == (400, -32005, "CONTENT_TYPE_NOT_SUPPORTED")
 
 
 @pytest.mark.parametrize(
@@ -131,8 +131,8 @@ async def test_a_part_that_is_no_plan_is_refused(
 async def test_a_message_that_lacks_something_is_refused(
     client: httpx.AsyncClient, params: dict[str, Any]
 ) -> None:
-    told = await refused(client, "POST", "/a2a/message:send", "SendMessage", **params)
-    assert told[:2] == (400, -32602)
+    reply = await refused(client, "POST", "/a2a/message:send", "SendMessage", **params)
+    assert reply[:2] == (400, -32602)
 
 
 @pytest.mark.parametrize("version", [None, "0.3", "2.0", "x"])
@@ -141,8 +141,8 @@ async def test_another_version_is_not_taken_for_this_one(
 ) -> None:
     headers = {"authorization": f"Bearer {KEY}"} | ({"A2A-Version": version} if version else {})
     async with httpx.AsyncClient(base_url=gateway.url, headers=headers) as client:
-        told = await refused(client, "GET", "/a2a/tasks", "ListTasks")
-        assert told == (400, -32009, "VERSION_NOT_SUPPORTED")
+        reply = await refused(client, "GET", "/a2a/tasks", "ListTasks")
+        assert reply == (400, -32009, "VERSION_NOT_SUPPORTED")
         assert (await client.get("/a2a/tasks?A2A-Version=1.0")).status_code == (
             400 if version else 200
         )
@@ -321,8 +321,8 @@ async def test_whatever_is_sent_is_answered_in_the_words_of_the_protocol(
     answer = await client.post("/a2a", json=asked)
     assert answer.status_code in (200, 403), answer.text
     if answer.headers["content-type"].startswith("application/json"):
-        told = answer.json()
-        assert ("result" in told) != ("error" in told)
-        assert told.get("error", {}).get("code") not in (-32603, -32006), told
+        reply = answer.json()
+        assert ("result" in reply) != ("error" in reply)
+        assert reply.get("error", {}).get("code") not in (-32603, -32006), reply
     else:
         assert "-32603" not in answer.text

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Generator
+from time import thread_time
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import jwt
 import pytest
 from a2a.client import A2ACardResolver
+from a2a.server.request_handlers.response_helpers import agent_card_to_dict
+from a2a.types.a2a_pb2 import AgentCard, AgentSkill
 from a2a.utils.signing import create_signature_verifier
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from google.protobuf.json_format import ParseDict
 
 from plugins.a2a.agent import agent, caller, rpc
 from rcp_a2a.signing import CardKey
+from rcp_a2a.skills import skills_of
+from rcp_kernel.api import Query
 from rcp_kernel.errors import ConfigError
 from transports.robot import Site
 
 pytestmark = pytest.mark.anyio
 CARD = "/.well-known/agent-card.json"
+MANY = 2_000  # services
 MOVERS = '[anonymous]\nrole = "operator"'
 
 
@@ -53,8 +63,8 @@ async def test_the_card_of_a_hidden_tenant_is_as_that_of_none() -> None:
 async def test_the_card_names_each_binding_and_version(gateway: Site) -> None:
     async with caller(gateway, None) as client:
         card = (await client.get(f"/a2a/alpha{CARD}")).json()
-    told = [(i["protocolBinding"], i["protocolVersion"]) for i in card["supportedInterfaces"]]
-    assert told == [
+    received = [(i["protocolBinding"], i["protocolVersion"]) for i in card["supportedInterfaces"]]
+    assert received == [
         ("JSONRPC", "1.0"), ("HTTP+JSON", "1.0"), ("JSONRPC", "0.3"), ("HTTP+JSON", "0.3"),
     ]  # fmt: skip
     assert card["supportedInterfaces"][0]["url"] == f"{gateway.url}/a2a"
@@ -147,3 +157,62 @@ def test_a_key_that_cannot_be_read_is_told_with_its_place(given: str) -> None:
 def test_a_key_of_another_kind_is_refused() -> None:
     with pytest.raises(ConfigError, match="unsupported type"):
         CardKey(pem(ec.generate_private_key(ec.SECP384R1())))
+
+
+class Many:
+    """Finds very many services, as `ClientApi.discover` does."""
+
+    def discover(self, _session: Any, pattern: str, query: Query) -> Generator[None, None, Any]:
+        yield from ()
+        if not pattern.endswith("**"):
+            return {"resources": [{}]}
+        first = int(query.cursor or 0)
+        last = first + (query.limit or 0)
+        described = {"description": "Adds.", "examples": [], "schemas": {}}
+        named = [{"path": f"/tenant/alpha/service/s{n}", **described} for n in range(first, last)]
+        return {"resources": named, "cursor": str(last) if last < MANY else None}
+
+
+def test_very_many_skills_are_described_in_steps() -> None:
+    session: Any = SimpleNamespace(tenant="alpha")
+    client_api: Any = Many()
+    work, steps = skills_of(client_api, session), 0
+    try:
+        while True:
+            next(work)
+            steps += 1
+    except StopIteration as end:
+        found = end.value
+    assert len(found) == MANY + 2  # a plan, and a stop
+    assert steps >= MANY // 32
+
+
+async def test_a_card_of_very_many_skills_is_written_in_turns_and_as_in_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    many: Any = Many()
+    turns = [0]
+
+    def counted(card: AgentCard) -> dict[str, Any]:
+        turns[-1] += 1
+        end = thread_time() + 500e-6  # so that no machine is fast enough for many in a turn
+        while thread_time() < end:
+            pass
+        return agent_card_to_dict(card)
+
+    def turn() -> None:
+        turns.append(0)
+        asyncio.get_running_loop().call_soon(turn)
+
+    def skills(_client_api: Any, session: Any) -> Generator[None, None, list[AgentSkill]]:
+        return skills_of(many, session)
+
+    async with agent(more=MOVERS) as site, caller(site, None) as client:
+        monkeypatch.setattr("rcp_a2a.cards.skills_of", skills)
+        monkeypatch.setattr("rcp_a2a.cards.agent_card_to_dict", counted)
+        turn()
+        card = (await client.get(CARD)).json()
+        assert len(card["skills"]) == MANY + 2
+        assert card == agent_card_to_dict(ParseDict(card, AgentCard(), ignore_unknown_fields=True))
+        assert sum(turns) >= MANY // 32
+        assert max(turns) <= 10

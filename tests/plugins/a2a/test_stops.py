@@ -76,8 +76,8 @@ async def test_a_robot_is_held_without_a_latch() -> None:
     async with agent() as site, caller(site) as client:
         task = await sent(client, text("execute /service/hold"))
         assert state(task) == "COMPLETED"
-        told = await client.get("/rcp/v1/context/system/estop")
-        assert told.json()["body"]["active"] is False
+        reply = await client.get("/rcp/v1/context/system/estop")
+        assert reply.json()["body"]["active"] is False
 
 
 async def test_a_stop_that_nobody_confirms_fails_and_names_the_robot() -> None:

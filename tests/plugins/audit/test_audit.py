@@ -12,6 +12,7 @@ from typing import Any, NoReturn, cast
 import pytest
 from click.testing import CliRunner
 
+from configuration import backend, configuration, key
 from kernel.world import Client, World, kept_in, settled, until_trouble, world_of
 from rcp_audit.log import AuditLog
 from rcp_audit.throttle import DenialThrottle
@@ -21,38 +22,13 @@ from rcpd.examination import examined
 pytestmark = pytest.mark.anyio
 LIMIT = "/tenant/alpha/param/limit"
 GO = "/tenant/alpha/action/go"
-TENANTS = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "robot"
-tenant = "alpha"
-
-[[backends]]
-use = "robot"
-name = "other"
-tenant = "beta"
-
-[[keys]]
-name = "ada"
-role = "admin"
-tenants = ["alpha"]
-key = "admin-of-alpha-alone"
-
-[[keys]]
-name = "bea"
-roles = { alpha = "viewer", beta = "admin" }
-key = "admin-of-beta-viewer-of-alpha"
-
-[[keys]]
-name = "root"
-role = "admin"
-key = "admin-of-everything"
-"""
+TENANTS = configuration(
+    backend(),
+    backend("other", "beta"),
+    key("ada", "admin-of-alpha-alone", role="admin", tenants=["alpha"]),
+    key("bea", "admin-of-beta-viewer-of-alpha", roles={"alpha": "viewer", "beta": "admin"}),
+    key("root", "admin-of-everything", role="admin"),
+)
 
 
 async def records(world: World, **wanted: Any) -> list[dict[str, Any]]:
@@ -157,6 +133,15 @@ async def test_a_long_value_is_told_by_its_length_and_hash(world: World) -> None
     [start] = await records(world, what="execute")
     assert start["value"]["length"] == 10_002
     assert len(start["value"]["sha256"]) == 64
+
+
+async def test_a_long_text_is_cut_but_a_value_is_told_whole(world: World) -> None:
+    long = "x" * 600
+    facts = {"message": long, "value": long, "name": "short"}
+    world.server.kernel.event_bus.note("write", principal=None, path="/" + long, **facts)
+    [found] = await records(world, what="write")
+    assert (len(found["message"]), len(found["path"])) == (500, 500)
+    assert (found["value"], found["name"]) == (long, "short")
 
 
 def log_of(world: World) -> AuditLog:

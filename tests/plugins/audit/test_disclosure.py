@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend, configuration, key
 from kernel.world import BOUND, Client, Robot, World, kept_in, settled, world_of
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.model import Resource
@@ -19,28 +20,20 @@ from rcpd.examination import examined
 pytestmark = pytest.mark.anyio
 SECRET = 271.828
 WORDS = "the password is swordfish"
-CONFIG = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "robot"
-tenant = "alpha"
-
-[[backends]]
-use = "robot"
-name = "other"
-tenant = "beta"
-
-[[backends]]
-use = "robot"
-name = "dark"
-robot = "dark"
-tenant = "alpha"
-
+CONFIG = (
+    configuration(
+        backend(),
+        backend("other", "beta"),
+        backend("dark", robot="dark"),
+        key("both", "admin-of-alpha-and-beta", roles={"alpha": "admin", "beta": "admin"}),
+        key("asks", "asks-in-alpha-and-beta", roles={"alpha": "asks", "beta": "asks"}),
+        key("ada", "admin-of-alpha-alone", roles={"alpha": "admin"}),
+        key("bea", "admin-of-beta-alone", roles={"beta": "admin"}),
+        key("partial", "partial-partial-partial", roles={"alpha": "partial"}),
+        key("unread", "sees-and-may-not-read", roles={"alpha": "unread"}),
+        key("root", "admin-of-everything", role="admin"),
+    )
+    + """
 [roles.partial]
 allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
 deny = [{ operations = ["*"], paths = ["/service/secret", "/sensor/hush", "/*/dark/**"] }]
@@ -53,42 +46,8 @@ deny = [{ operations = ["read", "subscribe"], paths = ["/sensor/hush"] }]
 [roles.asks]
 allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
 approve = ["/param/limit"]
-
-[[keys]]
-name = "both"
-roles = { alpha = "admin", beta = "admin" }
-key = "admin-of-alpha-and-beta"
-
-[[keys]]
-name = "asks"
-roles = { alpha = "asks", beta = "asks" }
-key = "asks-in-alpha-and-beta"
-
-[[keys]]
-name = "ada"
-roles = { alpha = "admin" }
-key = "admin-of-alpha-alone"
-
-[[keys]]
-name = "bea"
-roles = { beta = "admin" }
-key = "admin-of-beta-alone"
-
-[[keys]]
-name = "partial"
-roles = { alpha = "partial" }
-key = "partial-partial-partial"
-
-[[keys]]
-name = "unread"
-roles = { alpha = "unread" }
-key = "sees-and-may-not-read"
-
-[[keys]]
-name = "root"
-role = "admin"
-key = "admin-of-everything"
 """
+)
 BOTH, ASKS = "admin-of-alpha-and-beta", "asks-in-alpha-and-beta"
 ADA, BEA, ROOT = "admin-of-alpha-alone", "admin-of-beta-alone", "admin-of-everything"
 PARTIAL, UNREAD = "partial-partial-partial", "sees-and-may-not-read"

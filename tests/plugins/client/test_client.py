@@ -110,16 +110,18 @@ async def test_structs_are_sent_as_they_are(gateway: Gateway, connect: Connect) 
 async def test_a_command_tells_of_its_course(
     gateway: Gateway, connect: Connect, encoding: str
 ) -> None:
-    heard: list[Feedback] = []
+    received: list[Feedback] = []
     async with asyncio.timeout(BOUND), connect(gateway, encoding=encoding) as client:
-        handle = await client.start("/action/go", {"x": 4.0}, on_feedback=heard.append, type=Point)
+        handle = await client.start(
+            "/action/go", {"x": 4.0}, on_feedback=received.append, type=Point
+        )
         assert handle.id is not None
         await gateway.robot.started.get()
         gateway.robot.release.set()
         steps = [(item.status, item.body, item.progress) async for item in handle]
         assert steps == [("accepted", None, None), ("in_progress", 2.0, 0.5)]
         assert await handle.result() == Point(4.0)
-        assert [item.status for item in heard] == ["accepted", "in_progress"]
+        assert [item.status for item in received] == ["accepted", "in_progress"]
         assert (handle.status, handle.progress, handle.done) == ("completed", 0.5, True)
         assert (await handle.reply()).message is not None
         assert [command["command"] for command in await client.commands()] == [handle.id]

@@ -86,7 +86,7 @@ def states(steps: list[dict[str, Any]]) -> list[str]:
 
 async def test_a_rover_drives_a_plan_and_every_step_is_told() -> None:
     async with asyncio.timeout(BOUND), rover() as server, client_of(server) as client:
-        told: list[Feedback] = []
+        received: list[Feedback] = []
         steps = await client.plan(
             [
                 {"do": "read", "path": "/sensor/pose", "id": "start"},
@@ -99,13 +99,13 @@ async def test_a_rover_drives_a_plan_and_every_step_is_told() -> None:
                     "value": {"position": {"$result": "start/position"}},
                 },
             ],
-            on_feedback=told.append,
+            on_feedback=received.append,
         )
         assert states(steps) == ["completed"] * 5
         pose = await client.read("/sensor/pose")
         assert abs(pose["position"]["x"] - steps[0]["result"]["position"]["x"]) < 0.2
-        assert {f.body["step"] for f in told if f.body} >= {"out", "5"}
-        assert any(f.body["step"] == "out" and f.body.get("feedback") for f in told if f.body)
+        assert {f.body["step"] for f in received if f.body} >= {"out", "5"}
+        assert any(f.body["step"] == "out" and f.body.get("feedback") for f in received if f.body)
 
 
 async def test_a_fault_is_tried_again_and_then_falls_back() -> None:
@@ -197,8 +197,8 @@ async def test_rcpctl_runs_and_checks_plans(tmp_path: Path) -> None:
         done = await _rcpctl(server, "plan", str(good))
         assert done.returncode == 0, done.stderr
         assert states(json.loads(done.stdout)["body"]["steps"]) == ["completed", "completed"]
-        told = await _rcpctl(server, "plan", str(good), "--text")
-        assert "completed" in told.stdout
+        output = await _rcpctl(server, "plan", str(good), "--text")
+        assert "completed" in output.stdout
         refused = await _rcpctl(server, "plan", str(bad), "--text")
         assert refused.returncode == 3
         assert "Did you mean /tenant/alpha/action/move_to?" in refused.stderr

@@ -123,10 +123,10 @@ async def test_rcpctl_refuses_to_show_a_token_to_the_network() -> None:
 
 
 async def test_a_token_does_not_follow_a_redirect() -> None:
-    asked: list[bytes] = []
+    requests: list[bytes] = []
 
     async def redirect(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        asked.append(await reader.readuntil(b"\r\n\r\n"))
+        requests.append(await reader.readuntil(b"\r\n\r\n"))
         writer.write(b"HTTP/1.1 302 Found\r\nLocation: ws://127.0.0.1:%d/\r\n" % port)
         writer.write(b"Content-Length: 0\r\nConnection: close\r\n\r\n")
         writer.close()
@@ -137,4 +137,4 @@ async def test_a_token_does_not_follow_a_redirect() -> None:
         with pytest.raises(ConnectionLost, match="HTTP 302"):
             async with rcp_client.connect(f"http://127.0.0.1:{port}", token=KEY):
                 pass
-    assert len(asked) == 1
+    assert len(requests) == 1

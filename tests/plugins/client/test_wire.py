@@ -46,20 +46,20 @@ async def played(**options: Any) -> AsyncGenerator[tuple[Peer, Client]]:
 
 async def test_a_reply_in_parts_is_put_together_whatever_comes_in_between() -> None:
     async with played() as (gateway, client):
-        asked = [asyncio.create_task(client.read(path)) for path in ("/sensor/a", "/sensor/b")]
-        big, small = [await gateway.next("read") for _ in asked]
+        pending = [asyncio.create_task(client.read(path)) for path in ("/sensor/a", "/sensor/b")]
+        big, small = [await gateway.next("read") for _ in pending]
         first, *rest = segments(reply(big, "x" * 500))
         await gateway.send(first)
         await gateway.send(reply(small, 2))
-        assert await asked[1] == 2
+        assert await pending[1] == 2
         for part in rest:
             await gateway.send(part)
-        assert await asked[0] == "x" * 500
+        assert await pending[0] == "x" * 500
 
 
 async def test_a_damaged_transfer_is_asked_for_again() -> None:
     async with played() as (gateway, client):
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         parts = segments(reply(await gateway.next("read"), "x" * 500))
         damaged = [dict(part) for part in parts]
         damaged[2]["body"] = base64.b64encode(b"y" * 64).decode()
@@ -69,20 +69,20 @@ async def test_a_damaged_transfer_is_asked_for_again() -> None:
         assert wish == {"type": "segment", "id": "t-1", "resend": list(range(len(parts)))}
         for part in parts:
             await gateway.send(part)
-        assert await asked == "x" * 500
+        assert await pending == "x" * 500
 
 
 async def test_parts_that_stay_away_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rcp_client.link._SWEEP", 0.01)
     monkeypatch.setattr("rcp_client.link._PART_WAIT", 0.05)
     async with played() as (gateway, client):
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         parts = segments(reply(await gateway.next("read"), "x" * 500))
         for part in (*parts[:3], *parts[4:]):
             await gateway.send(part)
         assert (await gateway.next("segment"))["resend"] == [3]
         await gateway.send(parts[3])
-        assert await asked == "x" * 500
+        assert await pending == "x" * 500
 
 
 async def test_a_long_request_goes_in_parts_and_any_of_them_again() -> None:
@@ -225,11 +225,11 @@ async def test_leaving_a_bare_loop_ends_the_subscription() -> None:
 
 async def test_an_error_keeps_all_that_the_gateway_said_of_it() -> None:
     async with played() as (gateway, client):
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         facts = {"remedy": "Wait.", "retry_after": 2.5, "details": {"a": 1}, "trace_id": "t"}
         await gateway.send(refusal(await gateway.next("read"), "rate_limited", **facts))
         with pytest.raises(RateLimited, match="no: rate_limited") as caught:
-            await asked
+            await pending
         error = caught.value
         assert (error.remedy, error.retry_after, error.trace_id) == ("Wait.", 2.5, "t")
         assert error.details == {"a": 1}
@@ -237,21 +237,21 @@ async def test_an_error_keeps_all_that_the_gateway_said_of_it() -> None:
 
 async def test_a_code_of_a_later_version_is_still_an_error() -> None:
     async with played() as (gateway, client):
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         await gateway.send(refusal(await gateway.next("read"), "brand_new"))
         with pytest.raises(Refused) as caught:
-            await asked
+            await pending
         assert caught.value.details == {"code": "brand_new"}
 
 
 async def test_nonsense_is_passed_over() -> None:
     async with played() as (gateway, client):
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         request = await gateway.next("read")
         for nonsense in ("", "{", "[]", '{"type": 1}', '{"type": "read", "id": "other"}'):
             await gateway.send(nonsense)
         await gateway.send(reply(request, 1))
-        assert await asked == 1
+        assert await pending == 1
 
 
 async def test_a_callback_that_fails_does_no_harm(caplog: pytest.LogCaptureFixture) -> None:
@@ -261,9 +261,9 @@ async def test_a_callback_that_fails_does_no_harm(caplog: pytest.LogCaptureFixtu
     caplog.set_level("ERROR", "rcp.client")
     async with played(on_notice=fail) as (gateway, client):
         await gateway.send({"type": "notice", "code": "estop"})
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         await gateway.send(reply(await gateway.next("read"), 1))
-        assert await asked == 1
+        assert await pending == 1
     assert "a callback of the client's user failed" in caplog.text
 
 
@@ -285,12 +285,12 @@ async def test_a_gateway_that_does_not_answer_hello_is_not_waited_for() -> None:
 
 async def test_a_proof_that_runs_out_ends_everything() -> None:
     async with played() as (gateway, client):
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         await gateway.next("read")
         error = {"code": "token_expired", "message": "the proof is not good any more"}
         await gateway.send({"type": "hello", "status": "rejected", "error": error})
         with pytest.raises(TokenExpired):
-            await asked
+            await pending
         with pytest.raises(TokenExpired):
             await client.ping()
 
@@ -307,12 +307,12 @@ async def test_a_session_that_belongs_to_somebody_else_is_left_for_a_new_one() -
 
         gateway.greet = greet
         await gateway.hang_up()
-        asked = asyncio.create_task(client.read("/sensor/a"))
+        pending = asyncio.create_task(client.read("/sensor/a"))
         status = await gateway.next("read")
         assert status["path"] == "/system/status"
         await gateway.send(refusal(status, "unknown_path"))
         await gateway.send(reply(await gateway.next("read"), 1))
-        assert await asked == 1
+        assert await pending == 1
         assert [body.get("resume_token") for body in hellos] == ["secret", None]
 
 

@@ -37,15 +37,15 @@ def test_no_remedy_speaks_of_messages_and_each_error_has_one() -> None:
     errors += sorted({each for file in sources() for each in remedies(file)})
     assert len(errors) > 2 * len(BY_CODE)
     command = [found, "--no-warnings", "--input-type=module", "--eval", ADVISED]
-    told = subprocess.run(
+    output = subprocess.run(
         [*command, REMEDIES.as_uri(), json.dumps(errors)],
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
     )
-    assert told.returncode == 0, told.stderr
-    advised = dict(zip(errors, json.loads(told.stdout), strict=True))
+    assert output.returncode == 0, output.stderr
+    advised = dict(zip(errors, json.loads(output.stdout), strict=True))
     assert not {error: text for error, text in advised.items() if not text}
     assert not {error: text for error, text in advised.items() if OF_MESSAGES.search(text)}
 

@@ -79,8 +79,10 @@ def test_issuers_without_the_feature_are_a_clear_error(
     lacking: str, reason: str, request: pytest.FixtureRequest
 ) -> None:
     request.getfixturevalue(lacking)
-    said = f"uses the feature 'jwt', which cannot be loaded: {reason}; try: pip install rcp-gateway"
-    with pytest.raises(PluginError, match=said):
+    message = (
+        f"uses the feature 'jwt', which cannot be loaded: {reason}; try: pip install rcp-gateway"
+    )
+    with pytest.raises(PluginError, match=message):
         prepare(parse(QUIET + TABLE, "test"), "test")
 
 

@@ -58,14 +58,14 @@ def code(result: dict[str, Any]) -> str:
 async def test_the_person_at_the_client_is_asked_and_lets_it_pass(
     made: Site, agent: Caller
 ) -> None:
-    asked = await agent.ask("tools/call", **GO)
-    assert asked["resultType"] == "input_required"
-    question = asked["inputRequests"]["approval"]
+    reply = await agent.ask("tools/call", **GO)
+    assert reply["resultType"] == "input_required"
+    question = reply["inputRequests"]["approval"]
     assert question["method"] == "elicitation/create"
     assert '/tenant/alpha/action/go with {"x":1}' in question["params"]["message"]
     assert made.robot.started.empty()
     done = await agent.ask(
-        "tools/call", **GO, inputResponses={"approval": YES}, requestState=asked["requestState"]
+        "tools/call", **GO, inputResponses={"approval": YES}, requestState=reply["requestState"]
     )
     assert done["structuredContent"]["status"] == "completed"
     again = await agent.ask("tools/call", **GO)
@@ -80,10 +80,10 @@ async def test_a_tool_says_whether_it_may_want_approval(agent: Caller) -> None:
 
 async def test_a_write_is_asked_about_too(made: Site, agent: Caller) -> None:
     write = {"name": "write", "arguments": {"path": "/param/limit", "value": 2}}
-    asked = await agent.ask("tools/call", **write)
+    reply = await agent.ask("tools/call", **write)
     assert made.robot.writes == []
     await agent.ask(
-        "tools/call", **write, inputResponses={"approval": YES}, requestState=asked["requestState"]
+        "tools/call", **write, inputResponses={"approval": YES}, requestState=reply["requestState"]
     )
     assert made.robot.writes == [("param/limit", 2.0)]
 
@@ -100,9 +100,9 @@ async def test_a_write_is_asked_about_too(made: Site, agent: Caller) -> None:
 async def test_anything_but_a_yes_is_a_no(
     made: Site, agent: Caller, answer: dict[str, Any]
 ) -> None:
-    asked = await agent.ask("tools/call", **GO)
+    reply = await agent.ask("tools/call", **GO)
     done = await agent.ask(
-        "tools/call", **GO, inputResponses={"approval": answer}, requestState=asked["requestState"]
+        "tools/call", **GO, inputResponses={"approval": answer}, requestState=reply["requestState"]
     )
     assert code(done) == "forbidden"
     assert made.robot.started.empty()
@@ -110,8 +110,8 @@ async def test_anything_but_a_yes_is_a_no(
 
 
 async def test_an_answer_counts_for_what_was_asked_only(made: Site, agent: Caller) -> None:
-    asked = await agent.ask("tools/call", **GO)
-    state, answers = asked["requestState"], {"approval": YES}
+    reply = await agent.ask("tools/call", **GO)
+    state, answers = reply["requestState"], {"approval": YES}
     other = {"name": "action-go", "arguments": {"x": 2}}
     refused = await agent.send("tools/call", **other, inputResponses=answers, requestState=state)
     assert refused["error"]["code"] == -32602

@@ -53,8 +53,8 @@ async def test_the_official_client_drives_the_simulated_rover(era: str, tmp_path
     (tmp_path / "node_modules").symlink_to(npm_packages("mcp") / "node_modules")
     script = shutil.copy(SCRIPT, tmp_path)
     async with site(robots=ROVER, more=RULES, mcp="feedback = 20.0") as made:
-        said = await run(node(), str(script), era, made.url, AGENT, cwd=tmp_path)
-    met: dict[str, Any] = json.loads(said)
+        output = await run(node(), str(script), era, made.url, AGENT, cwd=tmp_path)
+    met: dict[str, Any] = json.loads(output)
     assert {"discover", "action-move_to", "service-reset_system"} <= set(met["tools"])
     assert "/tenant/alpha/sensor/pose" in met["discovered"]
     assert met["pose"].keys() == {"x", "y", "z"}
@@ -77,7 +77,7 @@ async def test_the_official_client_drives_the_simulated_rover(era: str, tmp_path
 @pytest.mark.parametrize("era", ["modern", "legacy"])
 async def test_the_inspector_finds_nothing_to_complain_of(era: str, tmp_path: Path) -> None:
     async with site(robots=ROVER) as made:
-        said = await run(
+        output = await run(
             *bin_of("mcp", "mcp-inspector"),
             *("--cli", "-q", made.url, "--protocol-era", era, "--transport", "http"),
             *("--header", f"Authorization: Bearer {OPERATOR}"),
@@ -86,5 +86,5 @@ async def test_the_inspector_finds_nothing_to_complain_of(era: str, tmp_path: Pa
             MCP_INSPECTOR_SECRET_STORE="memory",
             HOME=str(tmp_path),
         )
-    names = [tool["name"] for tool in json.loads(said)["tools"]]
+    names = [tool["name"] for tool in json.loads(output)["tools"]]
     assert "action-move_to" in names

@@ -41,9 +41,9 @@ async def test_a_token_that_is_not_good_is_refused_with_where_to_get_one(gateway
         where = f"{gateway.base}/.well-known/oauth-protected-resource/mcp"
         assert f'resource_metadata="{where}"' in response.headers["www-authenticate"]
         assert response.json()["error"]["data"]["code"] == "unauthenticated"
-        told = (await stranger.http.get(where)).json()
-        assert told["resource"] == gateway.url
-        assert told["bearer_methods_supported"] == ["header"]
+        reply = (await stranger.http.get(where)).json()
+        assert reply["resource"] == gateway.url
+        assert reply["bearer_methods_supported"] == ["header"]
 
 
 async def test_without_anonymous_nobody_looks_and_the_issuer_is_told() -> None:
@@ -63,8 +63,8 @@ jwks_url = "https://login.example/keys"
             made.url, json=body, headers={"mcp-method": "tools/list"}
         )
         assert response.status_code == 401
-        told = await stranger.http.get(f"{made.base}/.well-known/oauth-protected-resource/mcp")
-        assert told.json()["authorization_servers"] == ["https://login.example"]
+        reply = await stranger.http.get(f"{made.base}/.well-known/oauth-protected-resource/mcp")
+        assert reply.json()["authorization_servers"] == ["https://login.example"]
 
 
 @pytest.mark.parametrize("chunked", [False, True])
@@ -176,9 +176,9 @@ async def test_who_listens_to_a_resource_hears_of_new_values(
             await asyncio.sleep(0.01)
             if not heard.empty():
                 break
-        told = await heard.get()
-        assert told["method"] == "notifications/resources/updated"
-        assert told["params"]["uri"] == "rcp://alpha/sensor/level"
+        reply = await heard.get()
+        assert reply["method"] == "notifications/resources/updated"
+        assert reply["params"]["uri"] == "rcp://alpha/sensor/level"
 
 
 class Older:
@@ -263,14 +263,14 @@ async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
     first = next(line[4:] for line in answer.text.splitlines() if line.startswith("id: "))
 
     async def again(client: Older, within: float) -> str:
-        said = ""
+        message = ""
         with suppress(TimeoutError):
             async with asyncio.timeout(within), client.stream(**{"last-event-id": first}) as lines:
                 async for line in lines:
-                    said += line
-                    if "1.25" in said:
+                    message += line
+                    if "1.25" in message:
                         break
-        return said
+        return message
 
     assert "1.25" in await again(one, 20)
     assert "1.25" not in await again(other, 2)

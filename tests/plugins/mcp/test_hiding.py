@@ -188,8 +188,8 @@ async def test_the_past_of_what_is_hidden_is_told_by_no_tool_and_no_resource() -
         caller(made, "auditor-of-these-tests") as auditor,
     ):
         await auditor.call("status")  # its login comes first
-        told = await operator.call("execute", path="/system/plans", input={"steps": steps})
-        facts = told["structuredContent"]
+        reply = await operator.call("execute", path="/system/plans", input={"steps": steps})
+        facts = reply["structuredContent"]
         assert "the hidden word" in json.dumps(facts)
         hidden = await auditor.call("status", command=facts["command"])
         absent = await auditor.call("status", command="cmd-0123456789abcdef")

@@ -30,9 +30,9 @@ async def test_feedback_is_progress_that_rises_and_the_result_is_structured(
             await asyncio.sleep(0.01)
     gateway.robot.release.set()
     result = await asked
-    told = [one["params"] for one in operator.notifications]
-    assert all(one["progressToken"] == "p" for one in told)
-    parts = [one["progress"] for one in told]
+    received = [one["params"] for one in operator.notifications]
+    assert all(one["progressToken"] == "p" for one in received)
+    parts = [one["progress"] for one in received]
     assert parts == sorted(set(parts))
     assert result["structuredContent"]["status"] == "completed"
     assert result["structuredContent"]["result"] == {"x": 4, "y": 0}
@@ -44,8 +44,8 @@ async def test_after_the_patience_there_is_a_command_to_ask_about_and_to_cancel(
     result = await operator.call("action-go", x=4, wait=0.1)
     facts = result["structuredContent"]
     assert facts["status"] == "in_progress"
-    told = await operator.call("status", command=facts["command"])
-    assert told["structuredContent"]["command"]["status"] == "in_progress"
+    reply = await operator.call("status", command=facts["command"])
+    assert reply["structuredContent"]["command"]["status"] == "in_progress"
     running = (await operator.call("status"))["structuredContent"]["running"]
     assert [one["command"] for one in running] == [facts["command"]]
     ended = await operator.call("cancel", command=facts["command"])

@@ -143,7 +143,7 @@ async def test_the_inspector_lists_the_tools_by_stdio(
     }
     config = tmp_path / "servers.json"
     config.write_text(json.dumps({"mcpServers": {"robots": server}}))
-    said = await run(
+    output = await run(
         *bin_of("mcp", "mcp-inspector"),
         *("--cli", "-q", "--config", str(config), "--server", "robots"),
         *("--method", "tools/list", "--strict"),
@@ -151,4 +151,4 @@ async def test_the_inspector_lists_the_tools_by_stdio(
         MCP_INSPECTOR_SECRET_STORE="memory",
         HOME=str(tmp_path),
     )
-    assert "action-go" in {tool["name"] for tool in json.loads(said)["tools"]}
+    assert "action-go" in {tool["name"] for tool in json.loads(output)["tools"]}

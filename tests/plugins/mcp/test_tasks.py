@@ -105,8 +105,8 @@ async def test_a_restart_leaves_a_task_failed_with_the_reason(tmp_path: Path) ->
         found = await second.state(id_)
         assert found["status"] == "failed"
         assert "the gateway stopped while the command was running" in found["error"]["message"]
-        told = await second.call("status", command=id_)
-        assert told["structuredContent"]["command"]["status"] == "failed"
+        reply = await second.call("status", command=id_)
+        assert reply["structuredContent"]["command"]["status"] == "failed"
         await second.http.aclose()
 
 

@@ -48,13 +48,13 @@ async def test_each_change_of_a_step_is_told_with_the_part_done() -> None:
     async with world_of() as world:
         client = world.client()
         id_ = send(client, echo(), go(2.0, id="drive"))
-        told = await client.until(
+        reply = await client.until(
             lambda m: m.get("id") == id_ and m.get("body", {}).get("feedback") == 1.0
         )
-        assert (told["body"]["step"], told["body"]["state"]) == ("drive", "running")
-        assert (told["status"], told["progress"]) == ("in_progress", 0.75)
+        assert (reply["body"]["step"], reply["body"]["state"]) == ("drive", "running")
+        assert (reply["status"], reply["progress"]) == ("in_progress", 0.75)
         listed = (await client.ask(type="read", path="/system/plans"))["body"][0]
-        assert listed["command"] == told["command"]
+        assert listed["command"] == reply["command"]
         assert [one["state"] for one in listed["steps"]] == ["completed", "running"]
         world.robot.release.set()
         assert (await client.final(id_))["body"]["steps"][1]["result"] == 2.0

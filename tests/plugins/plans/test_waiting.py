@@ -70,8 +70,10 @@ async def test_few_others_are_remembered_that_cancel_a_plan_while_it_waits() -> 
     async with busy_world(PEOPLE + keys) as (world, client):
         plan = send(client, go(2.0))
         others = [world.client(f"also-also-also-{n}") for n in range(17)]
-        asked = [other.send(type="cancel", path="/system/plans") for other in others * 2]
-        codes = [code(await other.final(id_)) for other, id_ in zip(others * 2, asked, strict=True)]
+        requests = [other.send(type="cancel", path="/system/plans") for other in others * 2]
+        codes = [
+            code(await other.final(id_)) for other, id_ in zip(others * 2, requests, strict=True)
+        ]
         assert codes == (["completed"] * 16 + ["queue_full"]) * 2
         assert (await client.final(plan))["status"] == "cancelled"
 

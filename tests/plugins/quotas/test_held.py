@@ -156,8 +156,8 @@ async def test_reliable_ends_with_overrun_when_too_much_waits() -> None:
         await until(lambda: not client.connection.session.subscriptions)
         client.connection.outbox.on_flush = flush
         client.connection.outbox.flush()
-        told = await client.notice("overrun")
-        assert "2048 unread bytes" in told["message"]
+        notice = await client.notice("overrun")
+        assert "2048 unread bytes" in notice["message"]
 
 
 async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -> None:
