@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -13,10 +14,10 @@ from playwright.async_api import Browser
 from browser.watched import Watched, signed_in
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
-from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
+from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, check_fence
-from rcp_kernel.testing import serve
+from rcp_kernel.spi import BackendKind, Host, MotionState, Progress
+from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import Twist
 
 __all__ = ["Mover", "Movers", "key_of", "movers", "person"]
@@ -55,19 +56,13 @@ class Parts(msgspec.Struct):
     parts: tuple[str, ...] = ()
 
 
-class Mover(BaseBackend):
+class Mover(ScriptedRobot):
     """Moves as fast as it is told to, and rests when it is halted, if it obeys."""
 
     def __init__(self, host: Host, parts: tuple[str, ...]) -> None:
-        self.host = host
+        super().__init__(host)
         self.names: tuple[str | None, ...] = parts or (None,)
         self.speeds: dict[str | None, float] = dict.fromkeys(self.names, 0.0)
-        self.obeys = True
-        """Whether a stop brings it to rest."""
-        self.reached = True
-        """Whether anything gets through to it."""
-        self.cut = asyncio.Event()
-        """Set when the link is cut."""
         self.driven = asyncio.Event()
         """Set by a write that moves it."""
         self.holds = 0
@@ -82,7 +77,9 @@ class Mover(BaseBackend):
                 robot=part,
             )
             going = Resource(name=f"action/{at}go", description="Goes on and on.", robot=part)
-            host.declare(twist, going)
+            self.add(twist, going)
+            self.takes[twist.name] = partial(self._drive, part)
+            self.behaviours[going.name] = partial(self._go, part)
             self.tell(part)
 
     def tell(self, part: str | None, speed: float | None = None) -> None:
@@ -93,62 +90,41 @@ class Mover(BaseBackend):
         speeds = msgspec.structs.replace(Twist().linear, x=self.speeds[part])
         self.host.publish(f"actuator/{at}cmd_vel", Twist(linear=speeds))
 
-    def lose(self) -> None:
-        """Cut the link."""
-        self.reached = False
-        self.cut.set()
-
-    def find(self) -> None:
-        """Mend it."""
-        self.reached = True
-        for part in self.names:
-            self.host.link_restored(part)
-
-    def _send(self) -> None:
-        if not self.reached:
-            raise AdapterUnavailable("no message received for 4.2 s")
-
-    async def write(self, name: str, value: Any) -> Any:
-        check_fence()
-        self._send()
-        self.tell(name.split("/")[1] if len(self.names) > 1 else None, value.linear.x)
+    async def _drive(self, part: str | None, value: Twist) -> None:
+        self.tell(part, value.linear.x)
         if value.linear.x:
             self.driven.set()
 
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        check_fence()
-        self._send()
-        part = name.split("/")[1] if len(self.names) > 1 else None
+    async def _go(self, part: str | None, value: Any, progress: Progress) -> Any:
         self.tell(part, 0.4)
-        await self.cut.wait()
-        self._send()
-
-    def _brake(self, part: str | None) -> None:
-        self._send()
-        if self.obeys:
-            self.speeds[part] = 0.0
+        return await self.wait(value, progress)
 
     async def halt(self) -> None:
         for part in self.names:
             await self.halt_robot(part)
 
     async def halt_robot(self, robot: str | None) -> None:
+        await self.reach()
         self._brake(robot)
         if self.speeds[robot]:
             raise DeviceTimeout(f"moves at {self.speeds[robot]:g} m/s")
+
+    def _brake(self, part: str | None) -> None:
+        if self.obeys:
+            self.speeds[part] = 0.0
 
     async def hold(self, robot: str | None) -> None:
         self.holds += 1
         await self.halt_robot(robot)
 
     def hold_stop(self, robot: str | None) -> None:
-        if self.reached:
+        if not self.lost:
             for part in self.names if robot is None else (robot,):
                 self._brake(part)
 
     def motion(self, robot: str | None) -> MotionState:
-        if not self.reached:
-            return MotionState(None, "no message received for 4.2 s")
+        if self.lost:
+            return MotionState(None, self.lost)
         speed = max(self.speeds.values()) if robot is None else self.speeds[robot]
         return MotionState(not speed, f"moves at {speed:g} m/s" if speed else "")
 
