@@ -208,6 +208,8 @@ async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
             with anyio.CancelScope(shield=True):
                 await asyncio.wait((task,), timeout=_POLL_PERIOD)
     if reasons:
+        if not task.cancelled():
+            task.exception()  # it failed as it was cancelled: the reason outweighs that
         raise reasons[0]
     task.result()
 
