@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import msgspec
@@ -69,7 +70,7 @@ def _bounded(type_: Any, bounds: Bounds, name: str) -> Any:
     if origin is dict:
         return _keyed(args[1], bounds, name)
     if isinstance(type_, type) and issubclass(type_, Struct):
-        return _struct(type_, bounds)
+        return _struct(type_, tuple(sorted(bounds.items())))
     raise PluginError(f"{', '.join(bounds)}: {type_!r} has no such part")
 
 
@@ -103,8 +104,10 @@ def _parts(bounds: Bounds) -> dict[str, dict[str, Bound]]:
     return found
 
 
-def _struct(type_: type[Struct], bounds: Bounds) -> type[Struct]:
-    parts = _parts(bounds)
+@lru_cache(maxsize=1024)
+def _struct(type_: type[Struct], bounds: tuple[tuple[str, Bound], ...]) -> type[Struct]:
+    """Make a Struct with bounds, once: a resource that is declared again must have the same types."""
+    parts = _parts(dict(bounds))
     fields: list[tuple[str, Any, Any]] = []
     for field in msgspec.structs.fields(type_):
         name = type_.__name__ + field.encode_name.title().replace("_", "")

@@ -100,12 +100,13 @@ def claim(
         what = ", ".join(profile.id for profile in claimed)
         raise PluginError(f"the claim of {what} does not hold: {'; '.join(problems)}")
     segment = place or robot
+    names = {profile.id: profile.definitions.keys() for profile in claimed}
     return [
         structs.replace(
             resource,
             name=_placed(resource.name, segment),
             robot=robot or resource.robot,
-            profiles=tuple(p.id for p in claimed if name in p.definitions),
+            profiles=tuple(id_ for id_, own in names.items() if name in own),
         )
         for name, resource in found.items()
     ]

@@ -47,6 +47,7 @@ _FIRST_RETRY = 0.25  # s
 _LAST_RETRY = 10.0  # s
 _FAULTS = 1.0  # s between log records of one backend's bad values
 _OPENS = ("declared", "opening")
+_WORKING = ("ready", "degraded", "closing")
 WIRE_STATE = {
     "declared": "starting",
     "opening": "starting",
@@ -107,6 +108,8 @@ class BackendSupervisor:
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
         self._backend: ContainedBackend | None = None
+        self.backend: Backend | None = None
+        """The open backend, or None while there is none that works. Every read looks at it."""
         self._on_loss = BaseBackend.on_loss
         self._closing = asyncio.Event()
         self._discovering = False
@@ -114,11 +117,6 @@ class BackendSupervisor:
         self._note_growth()
 
     # -- Owner ---------------------------------------------------------------------------------
-
-    @property
-    def backend(self) -> Backend | None:
-        """The open backend, or None while there is none that works."""
-        return self._backend if self.state in ("ready", "degraded", "closing") else None
 
     def unit(self, robot: str | None) -> StopGroup:
         """Return a stop group: one of the backend's robots, or all of them."""
@@ -306,7 +304,7 @@ class BackendSupervisor:
                 with contained():
                     await self._live(kind, config)
             except (ConfigError, PluginError) as error:
-                self._backend = None
+                self._hold(None)
                 self._enter("failed", str(error))
                 self._interrupt(str(error))
                 return
@@ -325,7 +323,8 @@ class BackendSupervisor:
 
     async def _live(self, kind: BackendKind, config: Any) -> None:
         async with kind.open(config, self) as opened:
-            backend = self._backend = ContainedBackend(opened)
+            backend = ContainedBackend(opened)
+            self._hold(backend)
             self._on_loss = backend.on_loss
             self._enter("ready", None)
             self._tell_cut_off()
@@ -339,7 +338,7 @@ class BackendSupervisor:
                     recovery.cancel()
                 if not self._closing.is_set():
                     self._enter("down", self.detail or "the backend stopped")
-        self._backend = None
+        self._hold(None)
 
     def _regain(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; otherwise settle its lost commands."""
@@ -377,7 +376,7 @@ class BackendSupervisor:
                 self._events.recovered(unit, lost, done)
 
     def _down(self, error: Exception) -> None:
-        self._backend = None
+        self._hold(None)
         text = _sentence(error)
         self.last_error = text
         known = isinstance(error, (NotReady, RcpError, ConnectionError, TimeoutError))
@@ -402,9 +401,15 @@ class BackendSupervisor:
         growing = not self._closing.is_set() and (opens or looks)
         self._registry.grow(self, growing=growing)
 
+    def _hold(self, backend: ContainedBackend | None) -> None:
+        """Have an open backend, which works as far as the present state says so."""
+        self._backend = backend
+        self.backend = backend if self.state in _WORKING else None
+
     def _enter(self, state: State, detail: str | None) -> None:
         changed = state != self.state
         self.state, self.detail = state, detail
+        self._hold(self._backend)
         self._note_growth()
         if detail is not None:
             self.last_error = detail

@@ -7,6 +7,7 @@ from time import perf_counter
 import msgspec
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Session
@@ -35,7 +36,7 @@ class PingHandler:
         started = perf_counter()
         if request.custom is not None:
             return None
-        if (account := session.account) is not None and not account.take(session.monotonic()):
+        if (account := session.account) is not None and not passes(account, session.monotonic()):
             return None
         head = _HEAD if request.id is None else b'{"type":"ping","id":%b,' % _to_json(request.id)
         reply = b"".join((head, _MIDDLE, iso(now()).encode(), b'"}'))

@@ -29,6 +29,7 @@ from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.requests.parts import Parts, expected, is_listing, listed
 from rcp_kernel.requests.pattern_read import PatternRead
+from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.resolver import Resolver
@@ -171,7 +172,7 @@ class ReadHandler:
             piece = sample.tails.get(READ_PIECE) or sample.read_piece()
         except RcpError:
             return None
-        if (account := session.account) is not None and not account.take(session.monotonic()):
+        if (account := session.account) is not None and not passes(account, session.monotonic()):
             return None
         head = _HEAD if request.id is None else b'{"type":"read","id":%b,' % _to_json(request.id)
         stale = entry.deadline is not None and entry.stale

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from rcp_kernel.errors import RcpError
 
-__all__ = ["JointAccount", "SessionAccount", "joint"]
+__all__ = ["JointAccount", "SessionAccount", "joint", "passes"]
 
 
 class SessionAccount(Protocol):
@@ -102,3 +102,14 @@ def joint(accounts: Iterable[SessionAccount | None]) -> SessionAccount | None:
     if len(found) > 1:
         return JointAccount(found)
     return found[0] if found else None
+
+
+def passes(account: SessionAccount, moment: float) -> bool:
+    """Count a request that can be answered at once; False: leave it to its handler.
+
+    The handler asks the account again, and reports one that fails.
+    """
+    try:
+        return account.take(moment)
+    except Exception:
+        return False

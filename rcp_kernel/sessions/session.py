@@ -6,6 +6,7 @@ import asyncio
 import secrets
 from collections import deque
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.access.acl import Rights
@@ -94,6 +95,12 @@ class Link(Protocol):
         ...
 
 
+@lru_cache(maxsize=64)
+def _read_key(transport: str) -> tuple[str, str, str]:
+    """Return the same object for all sessions: a dictionary finds it without comparing its parts."""
+    return transport, "read", "ok"
+
+
 class Session:
     """One principal's subscriptions, commands and replies not yet delivered."""
 
@@ -146,7 +153,7 @@ class Session:
         self.rights = rights
         self.tenant = tenant
         self.transport = transport
-        self.read_key = (transport, "read", "ok")
+        self.read_key = _read_key(transport)
         """Statistics of successful reads."""
         self.encoding = Encoding.JSON
         self.connection: Link | None = None

@@ -131,6 +131,23 @@ def test_joints_with_limits_are_the_only_ones() -> None:
         )
 
 
+def test_the_same_claim_again_has_the_same_types() -> None:
+    limits = {"positions.base": (-1.0, 1.0)}
+    points = {"points.positions.base": (-1.0, 1.0)}
+
+    def claimed() -> list[Resource]:
+        return claim(
+            ["arm", "drive"],
+            "sensor/joint_states",
+            offer("action/move_joints", limits),
+            offer("action/follow_trajectory", points),
+            "sensor/velocity",
+            offer("actuator/cmd_vel", twist_limits(x=1.0)),
+        )
+
+    assert claimed() == claimed()
+
+
 def test_examples_beyond_the_limits_are_left_out() -> None:
     slow = offer("actuator/cmd_vel", {"angular.z": (-0.01, 0.01)})
     (_, drive) = claim(["drive"], "sensor/velocity", slow)

@@ -295,10 +295,11 @@ class Socket(WSListener):
 
     def pass_on(self, parts: list[bytes]) -> bool:
         """Send framed data if there is room for it; return whether there was."""
-        if not self.writable or self._gone():
+        raw = self._raw
+        if not (self.writable and self.open) or raw.is_closing():
             return False
         if len(parts) == 1:
-            self._raw.write(parts[0])
+            raw.write(parts[0])
         else:
             self.write_frames(parts)
         return True

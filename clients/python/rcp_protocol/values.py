@@ -228,7 +228,8 @@ class ValueType:
         if encoding is _JSON:
             blobs = self._shape.blobs
             data = _json.encode(value if blobs is None else lifted(value, blobs))
-            if (self.probes_null and b"null" in data and data.count(b"null") != _nones(value)) or (
+            nulls = data.count(b"null") if self.probes_null else 0
+            if (nulls and nulls != _nones(value)) or (
                 self._shape.has_wide_int
                 and len(data) >= len(_WIDE_DIGITS) - 1
                 and _has_digits(b"," + data, _WIDE_DIGITS)
