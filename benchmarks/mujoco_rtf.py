@@ -15,7 +15,7 @@ import psutil
 import structlog
 
 import rcp_mujoco
-from rcp_kernel.testing import Served, serve_backend
+from rcp_kernel.testing import Served, eventually, serve_backend
 from rcp_kernel.testing._serve import OPERATOR
 
 KIND = next(iter(rcp_mujoco.rcp_backends()))
@@ -45,6 +45,11 @@ async def running(model: str, factor: float, *, acting: bool, watched: tuple[str
         if acting:
             name, goal = ACTIONS[model]
             await client.send(type="execute", path=f"/tenant/t/{name}", body=goal)
+
+        async def declared() -> bool:  # OpenGL is loaded after the start
+            return all(f"sensor/{name}" in served.life.host.resources for name in watched)
+
+        await eventually(declared, "what is watched is declared", 60.0)
         for name in watched:
             await client.send(type="subscribe", path=f"/tenant/t/sensor/{name}", body={})
         await asyncio.sleep(SETTLE)

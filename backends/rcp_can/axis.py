@@ -123,7 +123,7 @@ class Axis(AxisState):
         if self._lost_once or self._host.is_latched():
             self._host.link_restored()  # before anything else is sent to the drive
         self._lost_once = False
-        self.faults.take_back("feedback_lost", "heartbeat_lost")
+        self.faults.clear("feedback_lost", "heartbeat_lost")
         self._health.report(self.name, None)
         self._configure()
 
@@ -143,8 +143,8 @@ class Axis(AxisState):
                 self._health.report(self.name, f"motor '{self.name}': {text}")
                 await asyncio.sleep(_RETRY)
             else:
-                if self.faults.own("configuration") is not None:
-                    self.faults.take_back("configuration")
+                if self.faults.get("configuration") is not None:
+                    self.faults.clear("configuration")
                     self._health.report(self.name, None)
                 self.configured, self.configured_at = True, time.monotonic()
                 if self.status.position is not None:
@@ -376,7 +376,7 @@ class Axis(AxisState):
                 self.stop()
             self.show()
         elif was is not None and why is None:
-            self.faults.take_back("feedback_lost")
+            self.faults.clear("feedback_lost")
             self._health.report(self.name, None)
             self.wanted_on = False
             self.show()
@@ -436,7 +436,7 @@ class Axis(AxisState):
         if self.status.faults:
             with unfenced():
                 await self.drive.clear_faults()
-        self.faults.absolve()
+        self.faults.acknowledge()
         self.show()
 
     def show_health(self) -> None:

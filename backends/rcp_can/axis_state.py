@@ -82,7 +82,7 @@ class AxisState:
             return "offline"
         if self.blind is not None:
             return "no_feedback"
-        broken = self.faults.own("configuration") is not None
+        broken = self.faults.get("configuration") is not None
         if broken or (self.status.faults and not self.status.enabled):
             return "fault"
         if self.stopping and self.status.energised is not False:

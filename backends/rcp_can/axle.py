@@ -21,8 +21,7 @@ class Axle:
     """The wheels of a differential drive; m/s forward, rad/s to the left (REP-103).
 
     The commanding owner owns both motors: if one of them loses its set-point, the other is stopped
-    in the
-    same call, and the owner is notified which and why.
+    in the same call, and the owner is notified which and why.
     """
 
     def __init__(self, config: DiffDriveConfig, left: Axis, right: Axis) -> None:

@@ -74,6 +74,8 @@ class Drive(ABC):
     """Whether it adds `torque_offset` to what its position and velocity loops command."""
     torque_offset: float | None = None
     """Torque that is fed forward with a set-point, N·m at the shaft; None: none is wanted."""
+    rate: float = 50.0
+    """Set-points per second."""
     watchdog: float | None = 0.5
     """Time-out in s of the drive's own watchdog; None keeps its setting."""
 

@@ -18,7 +18,7 @@ class FaultBook:
     """The active faults; published as `event/<motor>/fault`."""
 
     def __init__(self, motor: str, host: Host) -> None:
-        self.standing: dict[str, Fault] = {}
+        self.active: dict[str, Fault] = {}
         self._own: dict[str, Fault] = {}
         self._event, self._host = f"event/{motor}/fault", host
 
@@ -26,31 +26,31 @@ class FaultBook:
         """Activate a fault detected by the gateway until it is cleared."""
         self._own[fault.name] = fault
 
-    def own(self, name: str) -> Fault | None:
+    def get(self, name: str) -> Fault | None:
         """Return a fault detected by the gateway, if it is active."""
         return self._own.get(name)
 
-    def take_back(self, *names: str) -> None:
+    def clear(self, *names: str) -> None:
         """Clear the named faults detected by the gateway."""
         for name in names:
             self._own.pop(name, None)
 
-    def absolve(self) -> None:
+    def acknowledge(self) -> None:
         """Clear faults detected by the gateway, except those whose cause persists."""
         self._own = {name: fault for name, fault in self._own.items() if name in _STAYING}
 
     def update(self, of_the_drive: Iterable[Fault]) -> None:
         """Publish the faults that have appeared or cleared since the last call."""
         faults = {fault.name: fault for fault in of_the_drive} | self._own
-        old = self.standing
-        if faults == old:
+        before = self.active
+        if faults == before:
             return
-        self.standing = faults
+        self.active = faults
         for name, fault in faults.items():
-            if old.get(name) != fault:
+            if before.get(name) != fault:
                 self.publish(fault, active=True)
-        for name in old.keys() - faults.keys():
-            self.publish(old[name], active=False)
+        for name in before.keys() - faults.keys():
+            self.publish(before[name], active=False)
 
     def publish(self, fault: Fault, *, active: bool) -> None:
         """Publish that a fault has appeared or cleared."""

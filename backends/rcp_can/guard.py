@@ -111,7 +111,7 @@ def check_bus(axis: AxisState) -> None:
             f"CAN bus '{axis.bus.name}' accepts no frames: one has been waiting for {axis.bus.lag:.1f} s",
             remedy=f"See sensor/can/{axis.bus.name}/state and …/statistics.",
         )
-    if axis.faults.own("duplicate_node") is not None:
+    if axis.faults.get("duplicate_node") is not None:
         raise ModeForbids(
             f"motor '{axis.name}': two drives respond to node {axis.drive.node}",
             remedy=f"Change the id of one of them, then execute service/{axis.name}/clear_faults.",
@@ -127,7 +127,7 @@ async def ready(axis: AxisState) -> None:
     if not axis.configured and axis.configuring is not None:
         await asyncio.wait((axis.configuring,), timeout=_CONFIGURING)
     if not axis.configured:
-        fault = axis.faults.own("configuration")
+        fault = axis.faults.get("configuration")
         raise AdapterUnavailable(
             f"motor '{axis.name}': " + (fault.text if fault else "it is being configured")
         )

@@ -56,7 +56,7 @@ def make_axes(
             drive = kind.drive(motor.node, options, buses[motor.bus])
         except (msgspec.ValidationError, ValueError) as error:
             raise ConfigError(f"motors.{name}.options: {error}") from error
-        drive.watchdog = motor.watchdog or None
+        drive.watchdog, drive.rate = motor.watchdog or None, motor.rate
         if motor.gravity:
             if not drive.offsets:
                 raise ConfigError(

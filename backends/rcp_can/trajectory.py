@@ -67,8 +67,7 @@ class Trajectory:
         """Return the possible change of the time scale, 1/s: all joints stay on their curves.
 
         The acceleration of a joint is that of its curve times the scale squared, plus the velocity
-        of its
-        curve times the returned value; without the latter it is within its limit.
+        of its curve times the returned value; without the latter it is within its limit.
         """
         lowest = -1.0 / self._late  # at most in one period
         for curve, limit in zip(self._curves, self._accelerations, strict=True):

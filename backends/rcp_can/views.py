@@ -34,7 +34,7 @@ def state(axis: AxisState) -> m.MotorState:
     return m.MotorState(
         state=axis.state,
         mode=axis.mode,
-        faults=sorted(axis.faults.standing),
+        faults=sorted(axis.faults.active),
         reached=axis.status.reached,
         homed=axis.status.homed,
         energised=axis.status.energised,

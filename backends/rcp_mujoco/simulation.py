@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.errors import DeviceRejected, PreconditionFailed
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.joints import Drive, drives, joints, robot_dofs
 
 __all__ = ["Controller", "Simulation"]
@@ -62,6 +62,8 @@ class Simulation:
     def __init__(self, model: Any, *, keyframe: str | None = None) -> None:
         self.model = model
         self.data = mujoco.MjData(model)
+        self.dt = float(model.opt.timestep)
+        """Length of a step, s."""
         self.joints = joints(model)
         self.drives = drives(model)
         self.controllers: list[Controller] = []
@@ -82,15 +84,12 @@ class Simulation:
         self._softness = model.dof_solimp.copy()
         self._brakes = _brakes(model, self.drives)
         self._key = model.key(keyframe).id if keyframe is not None else 0 if model.nkey else None
+        self._warnings = self.data.warning.number
+        """MuJoCo's own counters, not a copy of them."""
         self._held: set[int] = set()
         """Position actuators whose goal under the brakes is settled."""
         self._slow_since = 0.0
         self._place()
-
-    @property
-    def dt(self) -> float:
-        """Length of a step, s."""
-        return float(self.model.opt.timestep)
 
     @property
     def time(self) -> float:
@@ -249,19 +248,18 @@ class Simulation:
 
     def _judge(self) -> None:
         data = self.data
-        for warning, what in _SPOILED.items():
-            if data.warning[warning].number:
-                where = self._culprit(warning, int(data.warning[warning].lastinfo))
-                self.fault = (
-                    f"{what} of {where} is not a number, or too large, at {self.time:.3f} s"
-                )
-                return
-        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
-            self.fault = f"the state is not a number at {self.time:.3f} s"
-            return
-        if self.doubt is None:
+        if self._warnings.any():
+            for warning, what in _SPOILED.items():
+                if data.warning[warning].number:
+                    where = self._culprit(warning, int(data.warning[warning].lastinfo))
+                    self.fault = (
+                        f"{what} of {where} is not a number, or too large, at {self.time:.3f} s"
+                    )
+                    return
             found = [text for warning, text in _DOUBTFUL.items() if data.warning[warning].number]
             self.doubt = found[0] if found else None
+        if not np.isfinite(data.qvel).all():
+            self.fault = f"the state is not a number at {self.time:.3f} s"
 
     def _culprit(self, warning: Any, index: int) -> str:
         model = self.model

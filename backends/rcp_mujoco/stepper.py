@@ -178,7 +178,7 @@ class Stepper:
         if simulation.fault is not None:
             self._tick()
         elif behind < simulation.dt:
-            self._wake.wait(min(_SLICE, (simulation.dt - behind) / factor))
+            self._wake.wait(_SLICE)  # several steps at once: waking up costs more than a step
 
     def _tick(self) -> None:
         simulation, now = self._simulation, time.perf_counter()

@@ -18,7 +18,7 @@ from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
 from rcp_ros2.pulse import Pulse, node_of
-from rcp_ros2.ros import Ticket, hearing
+from rcp_ros2.ros import Ticket, one_argument
 from rcp_ros2.services import reader
 from rcp_ros2.types import example_of, inward
 
@@ -354,10 +354,10 @@ class Goal:
         self._run.shared.sent(id_)
         future = self._run.client.send_goal_async(
             self._message,
-            feedback_callback=hearing(self._on_feedback),
+            feedback_callback=one_argument(self._on_feedback),
             goal_uuid=UUID(uuid=list(id_)),
         )
-        future.add_done_callback(hearing(self._admitted))
+        future.add_done_callback(one_argument(self._admitted))
         self._accepted.follow(future)
         self._servers = self._run.servers()
 

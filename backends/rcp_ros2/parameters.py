@@ -16,7 +16,7 @@ from rcp_ros2.binding import Binding, Shared, common
 from rcp_ros2.caller import Caller
 from rcp_ros2.config import Mapping
 from rcp_ros2.names import is_internal_parameter
-from rcp_ros2.ros import hearing
+from rcp_ros2.ros import one_argument
 
 __all__ = ["Described", "Events", "NodeParameters", "Setting"]
 
@@ -219,7 +219,7 @@ class Events:
         self._subscription = self._shared.ros.node.create_subscription(
             ParameterEvent,
             "/parameter_events",
-            hearing(self._on_event),
+            one_argument(self._on_event),
             qos_profile_parameter_events,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )

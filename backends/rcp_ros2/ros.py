@@ -21,7 +21,7 @@ from rcp_kernel.spi import Host
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.middleware import check_middleware
 
-__all__ = ["Ros", "Ticket", "guarded", "hearing", "open_ros"]
+__all__ = ["Ros", "Ticket", "guarded", "one_argument", "open_ros"]
 
 log = structlog.get_logger("rcp.ros2")
 _START = 15.0  # s to import rclpy and create a node, on a slow machine
@@ -263,7 +263,7 @@ def guarded(function: Callable[..., Any], *args: Any) -> Callable[[], None]:
     return run
 
 
-def hearing(function: Callable[[Any], Any]) -> Callable[[Any], None]:
+def one_argument(function: Callable[[Any], Any]) -> Callable[[Any], None]:
     """Wrap a one-argument callback; rclpy inspects the signature and passes more to others."""
 
     def run(message: Any) -> None:

@@ -15,7 +15,7 @@ from rcp_ros2.config import Qos
 from rcp_ros2.graph import GOALS
 from rcp_ros2.idl import load
 from rcp_ros2.link import RosLink
-from rcp_ros2.ros import hearing
+from rcp_ros2.ros import one_argument
 from rcp_ros2.topics import Tap
 
 __all__ = ["ActionServer"]
@@ -91,7 +91,7 @@ class ActionServer:
         request = self._srv.Request()
         request.goal_info.goal_id.uuid = list(goal)
         self._pending[goal] = future = self._client.call_async(request)
-        future.add_done_callback(hearing(partial(self._answered, goal)))
+        future.add_done_callback(one_argument(partial(self._answered, goal)))
 
     def press(self, now: float, since: float) -> None:
         """Cancel continuing goals again; query servers silent since the stop."""

@@ -127,7 +127,7 @@ class TopicSubscriptions:
                     self._ros.node,
                     subscription.cls,
                     subscription.topic,
-                    self._hearer(subscription),
+                    self._callback_for(subscription),
                     profile,
                 )
             except Exception as error:  # a subscription of another type may still exist
@@ -145,7 +145,7 @@ class TopicSubscriptions:
             self._ros.node.destroy_subscription(subscription.handle)
             subscription.handle = None
 
-    def _hearer(self, subscription: TopicSubscription) -> Callable[[bytes], None]:
+    def _callback_for(self, subscription: TopicSubscription) -> Callable[[bytes], None]:
         taps = subscription.taps
         monotonic = time.monotonic
 

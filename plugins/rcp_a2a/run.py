@@ -183,7 +183,7 @@ class Run:
             while self._replies:
                 await self._client_api.turns.wait(self._session.principal.identity)
                 reply = self._replies.popleft()
-                await self._tell(reply)
+                await self._report_step(reply)
                 final = final or reply.final
                 passing = _passing(reply)
             if passing and not final:
@@ -192,7 +192,7 @@ class Run:
                     async with asyncio.timeout(_PACE):
                         await self._urgent.wait()
 
-    async def _tell(self, reply: Reply) -> None:
+    async def _report_step(self, reply: Reply) -> None:
         facts = plain_reply(reply)
         if reply.final:
             await self._conclude(facts)

@@ -78,26 +78,26 @@ class Transmitter:
     def _run(self) -> None:
         pause = _FIRST_RETRY
         while not self._closed:
-            self._tell("opening", "")
+            self._set_state("opening", "")
             try:
                 sender = open_sender(str(self.plan.get("sender")), self.plan.get("data") or {})
             except MissingLibraryError as error:
-                self._tell("missing", str(error))
+                self._set_state("missing", str(error))
                 self._wait(_MISSING)
                 continue
             except Exception as error:
-                self._tell("failed", f"{type(error).__name__}: {error}")
+                self._set_state("failed", f"{type(error).__name__}: {error}")
                 # A failed stop is retried at once.
                 self._wait(_FIRST_RETRY if self._due else pause)
                 pause = min(pause * 2, _LAST_RETRY)
                 continue
             pause = _FIRST_RETRY
             if sender.unusable:
-                self._tell("missing", sender.unusable)
+                self._set_state("missing", sender.unusable)
             try:
                 self._serve(sender)
             except Exception as error:
-                self._tell("failed", f"{type(error).__name__}: {error}")
+                self._set_state("failed", f"{type(error).__name__}: {error}")
             finally:
                 with contextlib.suppress(Exception):
                     sender.close()
@@ -113,11 +113,11 @@ class Transmitter:
                 sender.send()
             except Exception as error:
                 failed += 1
-                self._tell("failed", f"{type(error).__name__}: {error}")
+                self._set_state("failed", f"{type(error).__name__}: {error}")
             else:
                 failed = 0
                 self._note_sent()
-                self._tell("ready", "")
+                self._set_state("ready", "")
             with self._changed:
                 self._changed.wait_for(lambda: not self._on, self._period)
 
@@ -130,7 +130,7 @@ class Transmitter:
         """Wait until a stop is due; meanwhile check for receivers."""
         while not (self._due or self._closed):
             lacking = sender.lacks()
-            self._tell("waiting" if lacking else "ready", lacking)
+            self._set_state("waiting" if lacking else "ready", lacking)
             with self._changed:
                 self._changed.wait_for(lambda: self._due or self._closed, _LOOK)
 
@@ -138,7 +138,7 @@ class Transmitter:
         with self._changed:
             self._changed.wait_for(lambda: self._closed, seconds)
 
-    def _tell(self, state: str, detail: str) -> None:
+    def _set_state(self, state: str, detail: str) -> None:
         if state == "opening" and self._reported[0] == "failed":
             return  # the reason is more useful than the state of a retry
         if (state, detail) != self._reported:

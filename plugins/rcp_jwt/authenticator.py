@@ -66,7 +66,7 @@ class JwtAuthenticator(Authenticator):
     def verify(self, token: str, digest: str, *, fetched: bool = False) -> Principal | None:
         """Return the token's principal; None if the keys of its issuer must be fetched first."""
         if fetched:
-            return self._issuers.insist(token, digest)
+            return self._issuers.verify_after_fetch(token, digest)
         found = self._issuers.find(token, digest)
         return found if isinstance(found, Principal) else None
 

@@ -267,10 +267,10 @@ class Issuers:
             del self.verified[digest]
             return None
         if found.tables is not self._tables:
-            return self._weighed(digest, issuer.config)
+            return self._reevaluate(digest, issuer.config)
         return found.principal
 
-    def _weighed(self, digest: str, config: JwtConfig) -> Principal | None:
+    def _reevaluate(self, digest: str, config: JwtConfig) -> Principal | None:
         """Evaluate a verified token under changed tables: its signature remains valid."""
         found = self.verified.pop(digest)
         taken = (config.audience,) if isinstance(config.audience, str) else config.audience
@@ -309,7 +309,7 @@ class Issuers:
         claims, key = verify(token, keys, issuer.config)
         return self._keep(issuer.config, digest, claims, key.thumbprint, read)
 
-    def insist(self, token: str, digest: str) -> Principal:
+    def verify_after_fetch(self, token: str, digest: str) -> Principal:
         """Verify a token as `find` after its issuer's keys were fetched.
 
         :raises AdapterUnavailable: they could not be fetched.

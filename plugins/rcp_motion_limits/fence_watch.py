@@ -61,7 +61,7 @@ class FenceWatch:
         if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
             self._limits.drivers.pop(entry.path)
             self._host.control.stop(entry)
-            self._tell(driver, bound, *why)
+            self._notify(driver, bound, *why)
         elif entry.kind is Kind.ACTION:
             self._look_at_commands(bound, sample)
 
@@ -72,9 +72,9 @@ class FenceWatch:
             why = _trouble(bound, command.asker, sample)
             if why is not None:
                 self._host.control.cancel(command, why[-1])
-                self._tell(command.asker, bound, *why)
+                self._notify(command.asker, bound, *why)
 
-    def _tell(self, session: Session, bound: BoundPath, sensor: str, name: str, why: str) -> None:
+    def _notify(self, session: Session, bound: BoundPath, sensor: str, name: str, why: str) -> None:
         entry = bound.entry
         log.warning("fence_left", path=entry.path, envelope=name, sensor=sensor, reason=why)
         text = f"{entry.path} was stopped: {why}"

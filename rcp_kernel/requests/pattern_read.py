@@ -74,7 +74,7 @@ class PatternRead:
                 continue
             await turns.wait(owner)
             with turns.spending():
-                if not self._tell():
+                if not self._add_items():
                     return
             if self._asked and isinstance(self._asked[0][1], asyncio.Task):
                 await asyncio.wait((self._asked[0][1],))
@@ -84,7 +84,7 @@ class PatternRead:
             found = self._at_hand(entry) or asyncio.create_task(self._fetch(entry))
             self._asked.append((entry, found))
 
-    def _tell(self) -> bool:
+    def _add_items(self) -> bool:
         """Encode some of the received values; return whether there is more, and room for it."""
         for _ in range(_CHUNK):
             if not self._asked:

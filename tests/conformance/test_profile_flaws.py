@@ -173,7 +173,7 @@ def suite_of(flaw: type[Flawed]) -> ProfileSuite:
 
     class Suite(SimProfiles):
         kind = BackendKind("sim", SimConfig, opened)
-        complete_within = 4.0
+        complete_within = 4.0 if flaw is Degrees else SimProfiles.complete_within
         cancel_within = 1.5
 
     return Suite()

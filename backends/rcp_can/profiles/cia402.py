@@ -230,7 +230,7 @@ class Cia402Drive(Drive):
         self._configured = False
         self._nmt_command(0x80)
         self.protection = Protection("not read yet")
-        found = await set_up(self.sdo, self.options, self.watchdog)
+        found = await set_up(self.sdo, self.options, self.watchdog, self.rate)
         self.protection, self._watched = found.protection, True
         if self.options.map_pdos:
             fed = self.torque_offset is not None

@@ -88,6 +88,8 @@ OBJECTS = {
     "profile_deceleration": (0x6084, 0, "I"),
     "homing_method": (0x6098, 0, "b"),
     "torque_offset": (0x60B2, 0, "h"),
+    "interpolation_period": (0x60C2, 1, "B"),
+    "interpolation_exponent": (0x60C2, 2, "b"),
     "target_velocity": (0x60FF, 0, "i"),
 }
 """Index, sub-index and struct code of the objects that the profile uses."""

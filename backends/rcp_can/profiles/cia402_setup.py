@@ -18,6 +18,8 @@ __all__ = ["SetUp", "has_object", "map_pdos", "set_up"]
 _ABSENT = 0x06020000, 0x06090011  # no such object, no such sub-index
 _READ_ONLY = 0x06010002
 _WRITE_ONLY = 0x06010001
+_INTERPOLATION = "interpolation_period", "interpolation_exponent"
+_WHOLE, _BYTE = 1e-6, 255
 _HOLDING = range(5, 9)  # quick stop options that end in quick stop active
 
 
@@ -29,8 +31,8 @@ class SetUp(NamedTuple):
     """Whether it holds torque after a quick stop; None: not reported."""
 
 
-async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> SetUp:
-    """Set heartbeats, quick stop and loss reaction; return the settings in force.
+async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None, rate: float) -> SetUp:
+    """Set heartbeats, quick stop, loss reaction and interpolation; return the settings in force.
 
     :raises SdoAborted: the drive refuses a required setting.
     """
@@ -39,6 +41,9 @@ async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> Se
     if options.quick_stop is not None:
         await _optional(sdo, "quick_stop_option", options.quick_stop)
     after = await _read(sdo, "quick_stop_option")
+    for name, value in zip(_INTERPOLATION, _interpolation(rate), strict=True):
+        with suppress(SdoAborted):  # optional, and fixed in some drives
+            await _write(sdo, name, value)
     if watchdog is not None:
         reaction = next(n for n, word in ABORT_CONNECTION.items() if word == options.on_silence)
         with suppress(SdoAborted):  # the setting in force is read below
@@ -48,6 +53,18 @@ async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> Se
     return SetUp(
         await _protection(sdo, options.master), None if after is None else after in _HOLDING
     )
+
+
+def _interpolation(rate: float) -> tuple[int, int]:
+    """Return period and exponent of cyclic set-points (CiA 402-2, 0x60C2): milliseconds if they fit.
+
+    A drive that takes them for more frequent than they are hurries to each, and waits there.
+    """
+    period = 1 / rate
+    whole = abs(period * 1000 - round(period * 1000)) < _WHOLE
+    exponents = (-3, -4, -2) if whole else (-4, -3, -2)
+    steps = [(round(period / 10**exponent), exponent) for exponent in exponents]
+    return next(step for step in steps if step[0] <= _BYTE)
 
 
 async def _protection(sdo: Sdo, master: int) -> Protection:

@@ -48,6 +48,12 @@ def make_dictionary(node: int) -> od.ObjectDictionary:
             access = "ro" if name in _READ_ONLY else "rw"
             text = name.replace("_", " ").capitalize()
             _variable(made, text, index, code, DEFAULTS.get(name, 0), access=access)
+    interpolation = od.ODRecord("Interpolation time", 0x60C2)
+    for sub, (name, code, value) in enumerate(
+        (("Entries", "B", 2), ("Period", "B", 1), ("Exponent", "b", -3))
+    ):
+        interpolation.add_member(_entry(name, 0x60C2, sub, code, value))
+    made.add_object(interpolation)
     behaviour = od.ODArray("Error behaviour", 0x1029)
     behaviour.add_member(_entry("Entries", 0x1029, 0, "B", 1, access="ro"))
     behaviour.add_member(_entry("Communication error", 0x1029, 1, "B", 0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -107,3 +108,16 @@ def test_the_map_of_our_own_needs_two_frames() -> None:
     found = own_map(5)
     assert len(found.carrying("target_position", "mode", "controlword")) == 1
     assert len(found.carrying("target_velocity", "target_torque")) == 1
+
+
+@pytest.mark.parametrize(
+    ("rate", "period"),
+    [(50, (20, -3)), (100, (10, -3)), (1000, (1, -3)), (60, (167, -4)), (3, (33, -2))],
+)
+async def test_a_drive_is_told_how_often_its_cyclic_set_points_come(
+    rate: float, period: tuple[int, int]
+) -> None:
+    async with motor("cia402", rate=rate, watchdog=False) as rig:
+        twin: Any = rig.twin
+        await rig.until(lambda: rig.axis.configured)
+        assert (twin.get("interpolation_period"), twin.get("interpolation_exponent")) == period
