@@ -9,9 +9,8 @@ import zlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import mujoco
-
 from rcp_kernel.clock import iso
+from rcp_mujoco.bindings import mujoco
 from rcp_profiles.messages import Image
 
 __all__ = ["CameraThread", "Frame"]

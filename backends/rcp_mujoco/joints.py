@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from typing import Any, Literal, NamedTuple
 
-import mujoco
 import numpy as np
+
+from rcp_mujoco.bindings import mujoco
 
 __all__ = ["Drive", "Joint", "drives", "joints", "plain", "robot_dofs"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.errors import DeviceRejected
 from rcp_mujoco.arm import Arm
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.simulation import Simulation
 
 __all__ = ["Kinematics", "ToolPose"]

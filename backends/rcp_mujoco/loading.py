@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
-
 from rcp_kernel.errors import ConfigError
+from rcp_mujoco.bindings import mujoco
 
 __all__ = ["load_model"]
 

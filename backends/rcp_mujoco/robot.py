@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import mujoco
-
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import ConfigError, DeviceRejected
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, Pose, PoseStamped, Twist
 from rcp_mujoco.arm import Arm
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.config import MujocoConfig
 from rcp_mujoco.gripper import Gripper
 from rcp_mujoco.kinematics import Kinematics

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.clock import iso
@@ -20,6 +19,7 @@ from rcp_kernel.types import (
     Quaternion,
     quantity,
 )
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.joints import plain
 from rcp_mujoco.messages import Force, Imu, Torque, Wrench
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.errors import DeviceRejected, PreconditionFailed
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.joints import Drive, drives, joints, robot_dofs
 
 __all__ = ["Controller", "Simulation"]
