@@ -207,9 +207,9 @@ async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
             task.cancel()
             with anyio.CancelScope(shield=True):
                 await asyncio.wait((task,), timeout=_POLL_PERIOD)
-    if reasons:
         if not task.cancelled():
-            task.exception()  # it failed as it was cancelled: the reason outweighs that
+            task.exception()  # retrieved: what ends it here may outweigh that it failed as well
+    if reasons:
         raise reasons[0]
     task.result()
 
