@@ -44,47 +44,47 @@ class Answers:
         self._threshold = config.compress_above
 
     async def reply(
-        self, send: Send, asked: HttpRequest, reply: Reply, headers: Headers | None = None
+        self, send: Send, http: HttpRequest, reply: Reply, headers: Headers | None = None
     ) -> None:
         """Answer with an envelope."""
         etag = None
         if reply.seq is not None and reply.type == "read" and reply.error is None:
             etag = _etag(reply.seq, stale=reply.state == "stale")
-        if etag is not None and matches(asked, etag):
+        if etag is not None and matches(http, etag):
             await self.unchanged(send, etag)
             return
         # Values are validated when they are encoded, so the outcome is known only now.
         began = perf_counter()
-        told, data = _encode(reply, asked.encoding)
+        told, data = _encode(reply, http.encoding)
         if len(data) > BACKLOG_SHARE:
             self._turns.add(perf_counter() - began)
         if not self._outbound.has_room(len(data)):
-            told, data = _encode(left_out(reply, len(data)), asked.encoding)
+            told, data = _encode(left_out(reply, len(data)), http.encoding)
         status = status_of(told)
         found = [] if headers is None else headers
         if told.error is not None:
             etag = None
-            found += _error_headers(status, told.error, asked)
-        if told.command is not None and asked.method == "POST":
-            place = f"{asked.root_path}/rcp/v1/commands/{told.command}"
+            found += _error_headers(status, told.error, http)
+        if told.command is not None and http.method == "POST":
+            place = f"{http.root_path}/rcp/v1/commands/{told.command}"
             found.append((b"location", place.encode("latin-1")))
-        await self.body(send, asked, status, data, found, etag)
+        await self.body(send, http, status, data, found, etag)
 
     async def prompt(
-        self, send: Send, asked: HttpRequest, path: str, prompt: PromptReply, began: float
+        self, send: Send, http: HttpRequest, path: str, prompt: PromptReply, began: float
     ) -> None:
         """Answer with the value of a read of `path`, which `began` a moment ago."""
         etag = _etag(prompt.seq, stale=prompt.stale)
-        if matches(asked, etag):
+        if matches(http, etag):
             await self.unchanged(send, etag)
             return
         size = len(prompt.data)
         if size > BACKLOG_SHARE:
             self._turns.add(perf_counter() - began)
             if not self._outbound.has_room(size):
-                await self.reply(send, asked, left_out(Reply(type="read", path=path), size))
+                await self.reply(send, http, left_out(Reply(type="read", path=path), size))
                 return
-        await self.body(send, asked, 200, prompt.data, [], etag)
+        await self.body(send, http, 200, prompt.data, [], etag)
 
     async def unchanged(self, send: Send, etag: bytes) -> None:
         """Respond that the client's copy is current."""
@@ -94,17 +94,17 @@ class Answers:
     async def body(
         self,
         send: Send,
-        asked: HttpRequest,
+        http: HttpRequest,
         status: int,
         data: bytes,
         headers: Headers,
         etag: bytes | None = None,
     ) -> None:
         """Send an encoded response, compressed if worthwhile."""
-        headers += _MEDIA[asked.encoding], _NO_CACHE, _VARY
+        headers += _MEDIA[http.encoding], _NO_CACHE, _VARY
         if etag is not None:
             headers.append((b"etag", etag))
-        if len(data) > self._threshold and (how := asked.found.get("accept_encoding")) is not None:
+        if len(data) > self._threshold and (how := http.headers.get("accept_encoding")) is not None:
             chosen = coding(how)
             if chosen is not None:
                 data = await compress(data, chosen)
@@ -130,9 +130,9 @@ def _etag(seq: int, *, stale: bool) -> bytes:
     return b'W/"%b.%d.%b"' % (BOOT, seq, b"s" if stale else b"f")
 
 
-def matches(asked: HttpRequest, etag: bytes) -> bool:
+def matches(http: HttpRequest, etag: bytes) -> bool:
     """Return whether If-None-Match contains this validator."""
-    named = asked.found.get("if_none_match")
+    named = http.headers.get("if_none_match")
     if named is None:
         return False
     wanted = etag.removeprefix(b"W/")
@@ -156,14 +156,14 @@ def methods_of(operations: Iterable[str]) -> list[str]:
     return [*(m for name in operations for m in _METHODS.get(name, ())), "OPTIONS"]
 
 
-def _error_headers(status: int, error: dict[str, Any], asked: HttpRequest) -> Headers:
+def _error_headers(status: int, error: dict[str, Any], http: HttpRequest) -> Headers:
     headers: Headers = []
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     headers += retry_after(error.get("retry_after"))
     if status == 405:
         # A posted envelope names the resource itself; its URL only supports POST.
-        posted = asked.path == MESSAGES
+        posted = http.path == MESSAGES
         allowed = ("execute",) if posted else (error.get("details") or {}).get("allowed", ())
         headers.append((b"allow", ", ".join(methods_of(allowed)).encode()))
     return headers

@@ -53,17 +53,17 @@ class HttpApp:
         """Serve one request; errors are envelopes."""
         path: str = scope["path"]
         try:
-            scope[_REQUEST] = asked = HttpRequest(scope)
-            asked.negotiate()
+            scope[_REQUEST] = http = HttpRequest(scope)
+            http.negotiate()
             if path.startswith(_CONTEXT):
-                session = asked.session(self._client_api) or await asked.waited(self._client_api)
-                if asked.method == "GET":
-                    await self._context.read(asked, session, path[len(_CONTEXT) - 1 :], send)
+                session = http.session(self._client_api) or await http.waited(self._client_api)
+                if http.method == "GET":
+                    await self._context.read(http, session, path[len(_CONTEXT) - 1 :], send)
                 else:
                     rest = path[len(_CONTEXT) - 1 :]
-                    await self._on_context(asked, session, rest, receive, send)
+                    await self._on_context(http, session, rest, receive, send)
             elif path == MESSAGES:
-                await self._on_messages(asked, receive, send)
+                await self._on_messages(http, receive, send)
             else:
                 await self.calls(scope, receive, send)
         except Exception as error:
@@ -72,31 +72,31 @@ class HttpApp:
             await respond(send, told.http, body, media, [*headers, *headers_of(told)])
 
     async def _call(self, request: Asked) -> Call:
-        asked: HttpRequest = scope_of(request)[_REQUEST]
-        session = asked.session(self._client_api) or await asked.waited(self._client_api)
-        asked.allow(*parameters_of(request))
-        return Call(self._client_api, self._answers, asked, session)
+        http: HttpRequest = scope_of(request)[_REQUEST]
+        session = http.session(self._client_api) or await http.waited(self._client_api)
+        http.allow(*parameters_of(request))
+        return Call(self._client_api, self._answers, http, session)
 
-    async def _on_messages(self, asked: HttpRequest, receive: Receive, send: Send) -> None:
-        if asked.method == "OPTIONS":
+    async def _on_messages(self, http: HttpRequest, receive: Receive, send: Send) -> None:
+        if http.method == "OPTIONS":
             await respond(send, 204, b"", headers=[(b"allow", b"POST, OPTIONS")])
             return
-        if asked.method != "POST":
-            raise NotTaken(asked.path, asked.method, ["POST", "OPTIONS"])
-        session = asked.session(self._client_api) or await asked.waited(self._client_api)
-        await self._messages.post(asked, session, receive, send)
+        if http.method != "POST":
+            raise NotTaken(http.path, http.method, ["POST", "OPTIONS"])
+        session = http.session(self._client_api) or await http.waited(self._client_api)
+        await self._messages.post(http, session, receive, send)
 
     async def _on_context(
-        self, asked: HttpRequest, session: Session, path: str, receive: Receive, send: Send
+        self, http: HttpRequest, session: Session, path: str, receive: Receive, send: Send
     ) -> None:
-        if asked.method == "OPTIONS":
-            await self._context.options(asked, session, path, send)
-        elif asked.method == "PUT":
-            await self._context.write(asked, session, path, receive, send)
-        elif asked.method == "POST":
-            await self._context.execute(asked, session, path, receive, send)
+        if http.method == "OPTIONS":
+            await self._context.options(http, session, path, send)
+        elif http.method == "PUT":
+            await self._context.write(http, session, path, receive, send)
+        elif http.method == "POST":
+            await self._context.execute(http, session, path, receive, send)
         else:
-            raise NotTaken(path, asked.method, await self._taken(session, path))
+            raise NotTaken(path, http.method, await self._taken(session, path))
 
     async def _taken(self, session: Session, path: str) -> list[str]:
         """Return the methods of a resource, or of any if it does not exist: 405 in both cases."""
@@ -106,22 +106,22 @@ class HttpApp:
             return ["GET", "HEAD", "PUT", "POST", "OPTIONS"]
 
     def _refusal(self, scope: Scope, error: RcpError) -> Refusal:
-        asked: HttpRequest | None = scope.get(_REQUEST)
-        encoding = Encoding.JSON if asked is None else asked.encoding
+        http: HttpRequest | None = scope.get(_REQUEST)
+        encoding = Encoding.JSON if http is None else http.encoding
         type_ = "error"
         if scope["path"].startswith(_CONTEXT):
-            type_ = _TYPES.get("GET" if asked is None else asked.method, "error")
+            type_ = _TYPES.get("GET" if http is None else http.method, "error")
         self._client_api.refused(type_, error.code)
         headers = range_headers(error)
         if error.http in (408, 413):
             headers.append((b"connection", b"close"))  # the rest of the body is not read
-        body = encode_reply(failure(error, type_, None if asked is None else _id(asked)), encoding)
+        body = encode_reply(failure(error, type_, None if http is None else _id(http)), encoding)
         return Refusal(body, MEDIA[encoding], tuple(headers))
 
 
-def _id(asked: HttpRequest) -> str | None:
-    named = asked.envelope.get("id")
+def _id(http: HttpRequest) -> str | None:
+    named = http.envelope.get("id")
     if named is not None and len(named) <= 128:
         return named.decode("latin-1")
-    values = asked.query.get("id", ())
+    values = http.query.get("id", ())
     return values[0] if values and 0 < len(values[0]) <= 128 else None

@@ -21,10 +21,10 @@ class Call:
     """The request, in one record: Litestar starts a task per dependency."""
 
     def __init__(
-        self, client_api: ClientApi, answers: Answers, asked: HttpRequest, session: Session
+        self, client_api: ClientApi, answers: Answers, http: HttpRequest, session: Session
     ) -> None:
         self.client_api = client_api
-        self.asked = asked
+        self.http = http
         self.session = session
         self._answers = answers
 
@@ -38,13 +38,13 @@ class Call:
         """Answer with an envelope."""
 
         async def answer(_scope: Any, _receive: Any, send: Any) -> None:
-            await self._answers.reply(send, self.asked, reply)
+            await self._answers.reply(send, self.http, reply)
 
         return answer
 
     def plain(self, body: Any, path: str | None = None, cursor: str | None = None) -> ASGIApp:
         """Answer with an envelope around a body."""
-        request = self.asked.request("read")
+        request = self.http.request("read")
         return self.reply(
             Reply(
                 type="read",
@@ -62,7 +62,7 @@ class Call:
         """Answer with an encoded envelope and its validator."""
 
         async def answer(_scope: Any, _receive: Any, send: Any) -> None:
-            await self._answers.body(send, self.asked, 200, data, [], etag)
+            await self._answers.body(send, self.http, 200, data, [], etag)
 
         return answer
 

@@ -27,18 +27,18 @@ class Wanted(NamedTuple):
     limit: int
 
     @classmethod
-    def read(cls, asked: HttpRequest) -> Wanted:
+    def read(cls, http: HttpRequest) -> Wanted:
         """Parse the parameters.
 
         :raises BadRequest: one of them is invalid.
         """
-        status, cursor, limit = asked.one("status"), asked.one("cursor"), asked.one("limit")
+        status, cursor, limit = http.one("status"), http.one("cursor"), http.one("limit")
         if status is not None and status not in _STATUSES:
             known = ", ".join(_STATUSES)
             raise BadRequest(f"{status[:40]!r} is not a status", remedy=f"Use one of {known}.")
         after = None if cursor is None else _place(place_of(cursor[:LONGEST]))
         return cls(
-            status, asked.one("path"), after, _PAGE if limit is None else count("limit", limit)
+            status, http.one("path"), after, _PAGE if limit is None else count("limit", limit)
         )
 
     def takes(self, command: Command) -> bool:

@@ -88,19 +88,19 @@ class Context:
         self._answers = answers
         self._turns = client_api.turns
 
-    async def read(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
+    async def read(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
-        if asked.query:
-            asked.allow("fields", "fresh", "q", "limit", "cursor")
-        request = asked.request("read", path)
-        if asked.query:
-            self._options(asked, request)
-        elif asked.encoding is _JSON and not asked.octets and "range" not in asked.found:
+        if http.query:
+            http.allow("fields", "fresh", "q", "limit", "cursor")
+        request = http.request("read", path)
+        if http.query:
+            self._options(http, request)
+        elif http.encoding is _JSON and not http.octets and "range" not in http.headers:
             began = perf_counter()
             # Encoding a long value takes milliseconds.
             prompt = None if self._turns.over else self._client_api.read_at_once(session, request)
             if prompt is not None:
-                await self._answers.prompt(send, asked, path, prompt, began)
+                await self._answers.prompt(send, http, path, prompt, began)
                 return
         follower = Follower(session)
         self._client_api.submit(session, request, follower)
@@ -109,60 +109,60 @@ class Context:
             reply = await follower.final()
         if self._turns.over:  # as above
             await self._turns.wait(session.principal.identity)
-        if (asked.octets or "range" in asked.found) and reply.error is None:
-            data = bytes_of(reply, native=asked.octets)
+        if (http.octets or "range" in http.headers) and reply.error is None:
+            data = bytes_of(reply, native=http.octets)
             if data is not None:
-                await send_octets(send, asked, reply, data)
+                await send_octets(send, http, reply, data)
                 return
-            if asked.octets and b"json" not in asked.found["accept"]:
+            if http.octets and b"json" not in http.headers["accept"]:
                 raise BadRequest(
                     f"the value of {reply.path} is not bytes",
                     path=reply.path,
                     remedy="Accept application/json, or select a field of bytes with `fields`.",
                 )
-        await self._answers.reply(send, asked, reply)
+        await self._answers.reply(send, http, reply)
 
-    def _options(self, asked: HttpRequest, request: Request) -> None:
+    def _options(self, http: HttpRequest, request: Request) -> None:
         options: dict[str, object] = {}
-        if "fields" in asked.query:
-            names = ",".join(asked.query["fields"]).split(",")
+        if "fields" in http.query:
+            names = ",".join(http.query["fields"]).split(",")
             options["fields"] = [name for name in names if name]
-        if (fresh := asked.one("fresh")) is not None:
+        if (fresh := http.one("fresh")) is not None:
             options["fresh"] = flag("fresh", fresh)
-        if (limit := asked.one("limit")) is not None:
+        if (limit := http.one("limit")) is not None:
             options["limit"] = count("limit", limit)
         for name in ("q", "cursor"):
-            if (text := asked.one(name)) is not None:
+            if (text := http.one(name)) is not None:
                 options[name] = text
         if options:
             request.body = Raw(msgspec.json.encode(options))
 
     async def write(
-        self, asked: HttpRequest, session: Session, path: str, receive: Receive, send: Send
+        self, http: HttpRequest, session: Session, path: str, receive: Receive, send: Send
     ) -> None:
         """PUT: the body is the value."""
-        asked.allow()
-        request = asked.request("write", path)
-        await self._take_body(asked, session, request, receive)
+        http.allow()
+        request = http.request("write", path)
+        await self._take_body(http, session, request, receive)
         # The path is checked first, so that the error is the same with a body and without.
         if not request.body and "PUT" in await self.methods(session, path):
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
         follower = Follower(session)
         self._client_api.submit(session, request, follower)
-        await self._answers.reply(send, asked, await follower.final())
+        await self._answers.reply(send, http, await follower.final())
 
     async def execute(
-        self, asked: HttpRequest, session: Session, path: str, receive: Receive, send: Send
+        self, http: HttpRequest, session: Session, path: str, receive: Receive, send: Send
     ) -> None:
         """POST: the body is the input; responds at once unless the client asks to wait."""
-        asked.allow()
-        request = asked.request("execute", path)
-        await self._take_body(asked, session, request, receive)
-        wait = asked.wait
-        await self.run(asked, session, request, send, wait)
+        http.allow()
+        request = http.request("execute", path)
+        await self._take_body(http, session, request, receive)
+        wait = http.wait
+        await self.run(http, session, request, send, wait)
 
     async def run(
-        self, asked: HttpRequest, session: Session, request: Request, send: Send, wait: float | None
+        self, http: HttpRequest, session: Session, request: Request, send: Send, wait: float | None
     ) -> None:
         """Submit an execute and respond with its first reply, or its last within `wait` seconds."""
         follower = Follower(session)
@@ -173,20 +173,20 @@ class Context:
             limit = min(wait, self._config.max_wait)
             headers.append((b"preference-applied", b"wait=%d" % limit))
             reply = await follower.final(limit)
-        await self._answers.reply(send, asked, reply, headers)
+        await self._answers.reply(send, http, reply, headers)
 
     async def _take_body(
-        self, asked: HttpRequest, session: Session, request: Request, receive: Receive
+        self, http: HttpRequest, session: Session, request: Request, receive: Receive
     ) -> None:
-        asked.check_unconditional()
+        http.check_unconditional()
         client_api = self._client_api
         limit = client_api.longest(session.principal)
-        data = await asked.body(receive, limit, self._config.body_timeout)
+        data = await http.body(receive, limit, self._config.body_timeout)
         if len(data) > client_api.limits.unproved:
             client_api.check_pace(session)
-        asked.put_body(request, data)
+        http.put_body(request, data)
 
-    async def options(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
+    async def options(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
         """OPTIONS: the methods of the resource."""
         methods = await self.methods(session, path)
         await respond(send, 204, b"", headers=[(b"allow", ", ".join(methods).encode())])

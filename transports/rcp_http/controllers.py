@@ -71,23 +71,23 @@ class Catalogue(Controller):
     async def discovery(self, call: NamedDependency[Call]) -> ASGIApp:
         """Answer with the catalogue."""
         etag = _etag(call)
-        asked = call.asked
-        if matches(asked, etag):
+        http = call.http
+        if matches(http, etag):
             return call.unchanged(etag)
         wanted: dict[str, Any] = {}
         for name in ("kind", "op", "q", "profile", "cursor"):
-            if (text := asked.one(name)) is not None:
+            if (text := http.one(name)) is not None:
                 wanted[name] = text
-        if "limit" in asked.query:
-            wanted["limit"] = count("limit", asked.one("limit") or "")
-        if (text := asked.one("schemas")) is not None:
+        if "limit" in http.query:
+            wanted["limit"] = count("limit", http.one("limit") or "")
+        if (text := http.one("schemas")) is not None:
             wanted["schemas"] = flag("schemas", text)
-        request = asked.request("discover", asked.one("path"))
+        request = http.request("discover", http.one("path"))
         request.body = Raw(msgspec.json.encode(wanted))
         reply = await call.submit(request)
         if reply.error is not None:
             return call.reply(reply)
-        return call.encoded(encode_reply(reply, asked.encoding), etag)
+        return call.encoded(encode_reply(reply, http.encoding), etag)
 
     @get(
         "/schemas",
@@ -96,7 +96,7 @@ class Catalogue(Controller):
     async def schemas(self, call: NamedDependency[Call]) -> ASGIApp:
         """Answer with the schemas that the caller may see, by id."""
         client_api, session = call.client_api, call.session
-        work = written(client_api.schemas(session), call.asked.encoding)
+        work = written(client_api.schemas(session), call.http.encoding)
         return call.plain(await client_api.turns.finish(session.principal.identity, work))
 
     @get("/schemas/{id:str}", **declared("Return one schema.", ID, responses=replies()))
@@ -108,7 +108,7 @@ class Catalogue(Controller):
         found = schemas.get(id.removeprefix("rcp:schema:"))
         if found is None:
             raise UnknownPath(f"unknown schema '{id[:80]}'", remedy="List /rcp/v1/schemas.")
-        if b"application/schema+json" in call.asked.found.get("accept", b""):
+        if b"application/schema+json" in call.http.headers.get("accept", b""):
             return response(200, msgspec.json.encode(found), b"application/schema+json")
         return call.plain(found)
 
@@ -121,7 +121,7 @@ class Status(Controller):
     @get("/status", **declared("Report health of the gateway and its robots.", responses=replies()))
     async def status(self, call: NamedDependency[Call]) -> ASGIApp:
         """Answer with the health report."""
-        return call.reply(await call.submit(call.asked.request("status")))
+        return call.reply(await call.submit(call.http.request("status")))
 
 
 class Commands(Controller):
@@ -147,8 +147,8 @@ class Commands(Controller):
     async def commands(self, call: NamedDependency[Call]) -> ASGIApp:
         """Answer with the newest first, without their histories."""
         client_api, session = call.client_api, call.session
-        page, longest = Parts(call.asked.encoding), room(client_api.limits.message)
-        work = fill(page, Wanted.read(call.asked), client_api.commands(session), longest)
+        page, longest = Parts(call.http.encoding), room(client_api.limits.message)
+        work = fill(page, Wanted.read(call.http), client_api.commands(session), longest)
         cursor = await client_api.turns.finish(session.principal.identity, work)
         return call.plain(page, "/system/commands", cursor)
 
@@ -165,7 +165,7 @@ class Commands(Controller):
     )
     async def cancel(self, id: FromPath[str], call: NamedDependency[Call]) -> ASGIApp:  # noqa: A002
         """Cancel a command."""
-        request = call.asked.request("cancel")
+        request = call.http.request("cancel")
         request.command = id
         return call.reply(await call.submit(request))
 
@@ -176,7 +176,7 @@ def _etag(call: Call) -> bytes:
     seen = (
         session.principal.grants,
         session.tenant,
-        sorted(call.asked.query.items()),
+        sorted(call.http.query.items()),
         id(session.rights),
     )
     digest = hashlib.sha256(repr(seen).encode()).hexdigest()[:16].encode()

@@ -30,19 +30,17 @@ class Messages:
         self._answers = answers
         self._context = context
 
-    async def post(
-        self, asked: HttpRequest, session: Session, receive: Receive, send: Send
-    ) -> None:
+    async def post(self, http: HttpRequest, session: Session, receive: Receive, send: Send) -> None:
         """POST: the body is an envelope."""
-        asked.allow()
+        http.allow()
         client_api = self._client_api
         limit = client_api.longest(session.principal)
-        data = await asked.body(receive, limit, self._config.body_timeout)
+        data = await http.body(receive, limit, self._config.body_timeout)
         if len(data) > client_api.limits.unproved:
             client_api.check_pace(session)
-        encoding = body_encoding(asked.found.get("content_type", b"")) or Encoding.JSON
-        if "accept" not in asked.found or asked.found["accept"] == b"*/*":
-            asked.encoding = encoding
+        encoding = body_encoding(http.headers.get("content_type", b"")) or Encoding.JSON
+        if "accept" not in http.headers or http.headers["accept"] == b"*/*":
+            http.encoding = encoding
         try:
             request = decode_request(data, encoding)
             if request.type in _STREAMS:
@@ -53,21 +51,21 @@ class Messages:
         except RcpError as error:
             type_, id_ = peek_header(data, encoding)
             client_api.refused(type_, error.code)
-            await self._answers.reply(send, asked, failure(error, type_, id_))
+            await self._answers.reply(send, http, failure(error, type_, id_))
             return
         if request.type != "execute":
             follower = Follower(session)
             client_api.submit(session, request, follower)
-            await self._answers.reply(send, asked, await follower.final())
+            await self._answers.reply(send, http, await follower.final())
             return
-        await self._context.run(asked, session, request, send, self._patience(asked, request))
+        await self._context.run(http, session, request, send, self._patience(http, request))
 
-    def _patience(self, asked: HttpRequest, request: Request) -> float | None:
+    def _patience(self, http: HttpRequest, request: Request) -> float | None:
         """Return how long an execute waits for its result: a service is a short call, an action not."""
-        if asked.at_once:
+        if http.at_once:
             return None
-        if asked.wait is not None:
-            return asked.wait
+        if http.wait is not None:
+            return http.wait
         if request.deadline is not None:
             return request.deadline + 1.0  # the gateway ends the command in time
         service = request.path is not None and "/service/" in request.path

@@ -38,7 +38,7 @@ def bytes_of(reply: Reply, *, native: bool) -> bytes | None:
     return bytes(body) if isinstance(body, (bytes, bytearray, memoryview)) else None
 
 
-async def send_octets(send: Send, asked: HttpRequest, reply: Reply, data: bytes) -> None:
+async def send_octets(send: Send, http: HttpRequest, reply: Reply, data: bytes) -> None:
     """Answer with raw bytes.
 
     :raises NotSatisfiable: the requested range is outside the value.
@@ -47,11 +47,11 @@ async def send_octets(send: Send, asked: HttpRequest, reply: Reply, data: bytes)
     headers: Headers = [(b"accept-ranges", b"bytes"), (b"etag", etag), (b"vary", b"accept")]
     if reply.source_timestamp is not None:
         headers.append((b"x-rcp-timestamp", reply.source_timestamp.encode()))
-    if matches(asked, etag):
+    if matches(http, etag):
         await respond(send, 304, b"", headers=headers)
         return
-    wanted = asked.found.get("range")
-    if wanted is not None and asked.found.get("if_range", etag) == etag:
+    wanted = http.headers.get("range")
+    if wanted is not None and http.headers.get("if_range", etag) == etag:
         part = _part(wanted.decode("latin-1"), len(data))
         if part is not None:
             start, stop = part

@@ -69,7 +69,7 @@ class HttpRequest:
     __slots__ = (
         "encoding",
         "envelope",
-        "found",
+        "headers",
         "method",
         "octets",
         "path",
@@ -79,14 +79,14 @@ class HttpRequest:
     )
 
     def __init__(self, scope: Scope) -> None:
-        found: dict[str, bytes] = {}
+        headers: dict[str, bytes] = {}
         envelope: dict[str, bytes] = {}
         for name, value in scope["headers"]:
             if (used := _HEADERS.get(name)) is not None:
-                found[used] = value
+                headers[used] = value
             elif (field := _ENVELOPE.get(name)) is not None:
                 envelope[field] = value
-        self.found = found
+        self.headers = headers
         """The headers in use."""
         self.envelope = envelope
         """Envelope fields from headers."""
@@ -105,7 +105,7 @@ class HttpRequest:
 
         :raises BadRequest: the client accepts none of the supported ones.
         """
-        accept = self.found.get("accept")
+        accept = self.headers.get("accept")
         if accept is not None and accept != b"*/*":
             self.encoding, self.octets = accepted(accept)
 
@@ -115,7 +115,7 @@ class HttpRequest:
         :raises Unauthenticated: the token is invalid, or required and missing.
         :raises Forbidden: the caller has no rights in the requested tenant.
         """
-        principal = client_api.known(bearer(self.found.get("authorization")), self.peer)
+        principal = client_api.known(bearer(self.headers.get("authorization")), self.peer)
         return None if principal is None else self._session(client_api, principal)
 
     async def waited(self, client_api: ClientApi) -> Session:
@@ -123,12 +123,12 @@ class HttpRequest:
 
         :raises RcpError: see `session`.
         """
-        token = bearer(self.found.get("authorization"))
+        token = bearer(self.headers.get("authorization"))
         return self._session(client_api, await client_api.identify(token, self.peer))
 
     def _session(self, client_api: ClientApi, principal: Principal) -> Session:
         tenant = self.one("tenant") if self.query else None
-        if tenant is None and (named := self.found.get("tenant")) is not None:
+        if tenant is None and (named := self.headers.get("tenant")) is not None:
             tenant = named.decode("latin-1")
         return client_api.session(principal, tenant, self.peer)
 
@@ -193,7 +193,7 @@ class HttpRequest:
         """
         text = self.one("wait")
         if text is None:
-            for part in self.found.get("prefer", b"").decode("latin-1").split(","):
+            for part in self.headers.get("prefer", b"").decode("latin-1").split(","):
                 key, _, value = part.partition(";")[0].partition("=")
                 if key.strip().lower() == "wait":
                     text = value.strip().strip('"')
@@ -202,7 +202,7 @@ class HttpRequest:
     @property
     def at_once(self) -> bool:
         """Whether the client does not want to wait: `Prefer: respond-async` (RFC 7240)."""
-        return b"respond-async" in self.found.get("prefer", b"").lower()
+        return b"respond-async" in self.headers.get("prefer", b"").lower()
 
     def check_unconditional(self) -> None:
         """Refuse conditional changes, because conditions are not supported.
@@ -210,7 +210,7 @@ class HttpRequest:
         :raises NotImplementedByRobot: there is such a header.
         """
         for name, header in _CONDITIONS.items():
-            if name in self.found:
+            if name in self.headers:
                 raise NotImplementedByRobot(
                     f"`{header}` is not supported for requests that change something",
                     remedy="Omit the header; acquire a lease for exclusive control.",
@@ -223,16 +223,16 @@ class HttpRequest:
         :raises DeadlineExceeded: it did not arrive in time.
         :raises BadRequest: it has a content coding, or is partial.
         """
-        coding = self.found.get("content_encoding", b"identity").strip().lower()
+        coding = self.headers.get("content_encoding", b"identity").strip().lower()
         if coding != b"identity":
             text = coding.decode("latin-1")[:40]
             raise BadRequest(
                 f"the content coding {text!r} is not supported",
                 remedy="Send the body without a content coding.",
             )
-        if "content_range" in self.found:
+        if "content_range" in self.headers:
             raise BadRequest("partial writes are not supported", remedy="Send the whole value.")
-        length = self.found.get("content_length", b"")
+        length = self.headers.get("content_length", b"")
         if length.isdigit() and int(length) > limit:
             raise too_large(limit)
         return await read_body(receive, limit, patience)
@@ -242,7 +242,7 @@ class HttpRequest:
 
         :raises BadRequest: it is malformed, or its type is not supported.
         """
-        encoding = body_encoding(self.found.get("content_type", b""))
+        encoding = body_encoding(self.headers.get("content_type", b""))
         if encoding is None:
             request.body, request.encoding = Raw(msgspec.msgpack.encode(data)), Encoding.MSGPACK
         elif encoding is Encoding.CBOR and data:
