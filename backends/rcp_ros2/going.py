@@ -98,8 +98,8 @@ class Going(Run):
                     details={"pointer": f"/{field}"},
                     remedy="Leave it out; `param/speed_limit` applies to every goal.",
                 )
-        pose = await self._locate()
-        known = self._frames() | ({pose.frame_id} if pose is not None else set())
+        here = await self._locate()
+        known = self._frames() | ({here.frame_id} if here is not None else set())
         if value.frame not in known:
             raise InvalidValue(
                 f"the robot has no frame '{value.frame}'",
@@ -112,7 +112,7 @@ class Going(Run):
         goal.pose.header.frame_id = value.frame
         at, pose = value.position, goal.pose.pose
         pose.position.x, pose.position.y, pose.position.z = float(at.x), float(at.y), 0.0
-        yaw = _heading(pose, value) if value.yaw is None else value.yaw
+        yaw = _heading(here, value) if value.yaw is None else value.yaw
         pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
         return goal
 
