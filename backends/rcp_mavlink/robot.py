@@ -19,7 +19,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import Host, Progress, RobotFacts
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.cameras import Cameras
@@ -170,6 +170,10 @@ class Robot:
         """Declare its resources; request its messages and parameters."""
         found = resources(self._hub, self.vehicle, list(self._sensors.values()), self.name)
         self._declare(found)
+        family = self.vehicle.family
+        kind = "submarine" if family.kind == "sub" else family.kind
+        firmware = None if family.autopilot == "unknown" else family.autopilot
+        self._host.describe(RobotFacts(kind=kind, firmware=firmware), self.scope)
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telemetry_events.text)
         self.telemetry_events.begin()
