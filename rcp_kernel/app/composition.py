@@ -1,7 +1,7 @@
-"""Builds every part of a gateway once, from the bottom up, and gives each what it uses.
+"""Builds every part of a gateway once, from the bottom up, with the parts that it uses.
 
-Nothing is set afterwards: a part that has to hear of another further up keeps a list of listeners,
-and whoever wants to hear adds itself when it is made.
+Nothing is set afterwards: a part that must notify one further up keeps a list of listeners, to
+which the other adds itself when it is created.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
+from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
@@ -85,7 +86,7 @@ __all__ = ["compose"]
 
 @dataclass(frozen=True, slots=True)
 class _Base:
-    """What is there for every other part."""
+    """Parts used by all others."""
 
     settings: Settings
     shutdown: Shutdown
@@ -109,7 +110,7 @@ class _Base:
 
 @dataclass(frozen=True, slots=True)
 class _Records:
-    """What survives the process, and who is told what happens."""
+    """The store, and the listeners to events."""
 
     store: Store
     events: EventBus
@@ -120,7 +121,7 @@ class _Records:
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """What moves robots, and what brings them to rest."""
+    """Motion and stops of robots."""
 
     arming: GuardArming
     partners: Partners
@@ -132,7 +133,7 @@ class _Motion:
 
 @dataclass(frozen=True, slots=True)
 class _Clients:
-    """Who is there, as whom, and what they hold."""
+    """Sessions, their principals, and their subscriptions and commands."""
 
     identities: Identities
     outbound: Outbound
@@ -144,7 +145,7 @@ class _Clients:
 
 @dataclass(frozen=True, slots=True)
 class _Requests:
-    """What a request passes before it is handled."""
+    """Checks of a request before its handler."""
 
     router: RequestRouter
     long_bodies: LongBodies
@@ -156,7 +157,7 @@ class _Requests:
 
 @dataclass(frozen=True, slots=True)
 class _System:
-    """The gateway's own branch, and what it is made of."""
+    """The gateway's own branch, and its sources."""
 
     estop: Estop
     guard: GuardLink
@@ -166,7 +167,7 @@ class _System:
 
 @dataclass(frozen=True, slots=True)
 class _Handlers:
-    """Those of the handlers that are called for more than their own requests."""
+    """Handlers that other parts call too."""
 
     read: ReadHandler
     subscribe: SubscribeHandler
@@ -181,7 +182,7 @@ def compose(
     clock: Clock,
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
-    """Build a gateway that serves nobody yet and has no backends."""
+    """Build a gateway without backends that does not serve yet."""
     base = _base(config, loop, clock)
     records = _records(base, store)
     motion = _motion(base, records)
@@ -263,7 +264,8 @@ def _features(
     clients: _Clients,
     active: Sequence[ActiveFeature],
 ) -> Features:
-    """Make the features, and have the parts that they extend know them."""
+    """Create the features, and connect them to the parts that they extend."""
+    services = FeatureServices()
     host = partial(
         GatewayFeatureHost,
         robots=partial(
@@ -282,10 +284,12 @@ def _features(
         scopes=base.scopes,
         shutdown=base.shutdown,
         turns=base.turns,
+        services=services,
         loop=base.loop,
         clock=base.clock,
     )
     made = make(active, host)
+    services.ask(made)
     records.events.on_event += made.event_listeners
     records.journal.on_step += made.command_listeners
     records.replies.demands += made.recorders
@@ -310,12 +314,14 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         note=records.safety_events.dead_man,
     )
     commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
+    latches = Latches(records.store)
+    latches.on_change.append(base.registry.state_changed)
     return _Motion(
         arming,
         partners,
         deadman,
         commands,
-        Latches(records.store),
+        latches,
         StopController(base.loop, records.safety_events.stop_step),
     )
 
@@ -342,7 +348,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         loop=loop,
         clock=base.clock,
     )
-    # What they see is found out in steps from now on, so that a stop need not wait for it.
+    # What they may see is computed in steps from now on, so that a stop need not wait for it.
     for heard in (sessions.on_begin, sessions.on_renewal):
         heard.append(lambda session: base.sights.look(session.rights))
     access = CommandAccess(records.journal, base.visibility, identities)
@@ -462,7 +468,7 @@ def _handlers(
     system: _System,
     features: Features,
 ) -> _Handlers:
-    """Make the handlers, and have the router send them their requests."""
+    """Create the handlers, and add them to the router."""
     router, inflight = requests.router, base.inflight
     read = ReadHandler(
         base.registry,
@@ -472,6 +478,7 @@ def _handlers(
         base.turns,
         base.sights,
         views=system.branch.views,
+        pages=system.branch.pages,
         filters=system.branch.filters,
         settings=base.settings,
     )
@@ -539,7 +546,7 @@ def _actions(
     system: _System,
     features: Features,
 ) -> dict[str, ActionHandler]:
-    """Make the gateway's own long-running actions, by path."""
+    """Create the gateway's own long-running actions, by path."""
     host = GatewayActionHost(
         handle=requests.router.handle,
         resolver=requests.resolver,
