@@ -22,8 +22,8 @@ from rcp_kernel.store.file import (
     anchor_of,
     create,
     lock,
-    looked_at,
-    opened,
+    open_for_inspection,
+    open_writable,
     store_errors,
 )
 from rcp_kernel.store.interim import SUFFIXES, stamp
@@ -83,7 +83,7 @@ def _check_backup(path: Path, backup: Path) -> None:
     if damage is not None or not backup.exists():
         raise ConfigError(f"the backup '{backup}' is damaged: {damage or 'it does not exist'}")
     head = known_head(backup)
-    with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as base:
+    with suppress(*FAULTS), closing(open_for_inspection(path, tolerant=True)) as base:
         row = base.execute("SELECT hash FROM audit WHERE seq = ?", (head[0],)).fetchone()
         if row is not None and row[0] != head[1]:
             raise ConfigError(
@@ -109,7 +109,7 @@ class _Repair:
         for suffix in SUFFIXES:
             self._fresh.with_name(self._fresh.name + suffix).unlink(missing_ok=True)
         create(self._fresh)
-        with closing(opened(self._fresh)) as base:
+        with closing(open_writable(self._fresh)) as base:
             make_table(base)
             for path in records:
                 self._take_records(base, path, head[0])
@@ -124,7 +124,7 @@ class _Repair:
         return made
 
     def _take_records(self, base: sqlite3.Connection, path: Path, last: int) -> None:
-        with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as source, base:
+        with suppress(*FAULTS), closing(open_for_inspection(path, tolerant=True)) as source, base:
             rows = readable_records(source, last)
             base.executemany("INSERT OR IGNORE INTO audit VALUES (?, ?, ?)", rows)
 
@@ -133,20 +133,23 @@ class _Repair:
         if not self._interim.exists():
             return
         before = base.execute("SELECT coalesce(max(seq), 0) FROM audit").fetchone()[0]
-        with suppress(*FAULTS), closing(looked_at(self._interim, in_spite=True)) as source:
+        with (
+            suppress(*FAULTS),
+            closing(open_for_inspection(self._interim, tolerant=True)) as source,
+        ):
             first = source.execute("SELECT min(seq) FROM audit").fetchone()[0]
             self._apart = first is None or first <= before
         if not self._apart:
             self._take_records(base, self._interim, last)
 
     def _take_kept(self, base: sqlite3.Connection, path: Path) -> None:
-        with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as source, base:
+        with suppress(*FAULTS), closing(open_for_inspection(path, tolerant=True)) as source, base:
             for row in readable_kept(source):
                 if path != self._interim or row[:2] != _ANCHOR:
                     base.execute("INSERT OR REPLACE INTO kept VALUES (?, ?, ?)", row)
 
     def _take_tokens(self, base: sqlite3.Connection, path: Path) -> None:
-        with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as source, base:
+        with suppress(*FAULTS), closing(open_for_inspection(path, tolerant=True)) as source, base:
             for row in readable_tokens(source):
                 with suppress(sqlite3.Error):  # a corrupt row authenticates nobody
                     base.execute(_ADD_KEY, row)

@@ -10,6 +10,7 @@ from typing import Any
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config_joints import JointGroupConfig
+from rcp_can.cubic import Cubic
 from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.joint_limits import joint_limits
 from rcp_can.joint_resources import JointNames, joint_resources
@@ -188,40 +189,45 @@ class JointGroupPart(Part):
         return Leg(self._start(axis), goal, limits.velocity * speed, limits.acceleration)
 
     async def _follow(self, wanted: Any, progress: Progress) -> None:
-        points = [
-            Point(
-                each.time,
-                each.positions.given(),
-                each.velocities.given() if each.velocities else {},
-            )
-            for each in wanted.points
-        ]
-        axes = [self._joints[name] for name in points[0].positions]
+        axes = [self._joints[name] for name in wanted.points[0].positions.given()]
         for axis in axes:
             self._check(axis)
             if not axis.resting:
                 raise ModeForbids(
                     f"joint '{axis.name}' is moving", remedy="Bring it to rest first."
                 )
-        joints = {axis.name: Joint(self._start(axis), self._limits[axis.name]) for axis in axes}
         tolerance = self._config.tracking_tolerance
-        for axis in axes:
-            axis.owner = self._names.follow
-        try:
-            # Beside the loop: thousands of points take longer than it may stand still.
-            curves = await asyncio.to_thread(plan, points, joints, tolerance)
-            for axis in axes:
-                check(axis)
-        finally:
-            for axis in axes:
-                axis.owner = None
-        duration = points[-1].time
-        accelerations = [joints[name].limits.acceleration for name in curves]
-        line = Trajectory([*curves.values()], accelerations, duration, self._late)
-        goals = {self._joints[name]: points[-1].positions[name] for name in curves}
+        curves = await self._plan(wanted.points, axes)
+        last = wanted.points[-1]
+        accelerations = [self._limits[name].acceleration for name in curves]
+        line = Trajectory([*curves.values()], accelerations, last.time, self._late)
+        positions = last.positions.given()
+        goals = {self._joints[name]: positions[name] for name in curves}
         follows = {axis: line.follow(number) for number, axis in enumerate(goals)}
         watch = TrajectoryWatch(axes, line, tolerance, self._positions, progress)
         await self._go(JointRun(self._names.follow, line, goals, follows), watch)
+
+    async def _plan(self, waypoints: Sequence[Any], axes: Sequence[Axis]) -> dict[str, Cubic]:
+        """Plan the curves in a thread, because thousands of points would hold up the event loop.
+
+        :raises RcpError: the joints cannot follow, or were stopped in the meantime.
+        """
+        joints = {axis.name: Joint(self._start(axis), self._limits[axis.name]) for axis in axes}
+        ended: list[RcpError] = []
+        for axis in axes:
+            axis.owner, axis.ended = self._names.follow, ended.append
+        try:
+            curves = await asyncio.to_thread(
+                lambda: plan(_points(waypoints), joints, self._config.tracking_tolerance)
+            )
+        finally:
+            for axis in axes:
+                axis.owner = axis.ended = None
+        if ended:
+            raise ended[0]
+        for axis in axes:
+            check(axis)
+        return curves
 
     def _start(self, axis: Axis) -> float:
         """Return where a move begins: where the joint was told to stay, if it is near that."""
@@ -237,6 +243,13 @@ class JointGroupPart(Part):
         finally:
             if self._run is run:
                 self._run = None
+
+
+def _points(waypoints: Sequence[Any]) -> list[Point]:
+    return [
+        Point(each.time, each.positions.given(), each.velocities.given() if each.velocities else {})
+        for each in waypoints
+    ]
 
 
 def _rest(axis: Axis, reason: RcpError) -> None:

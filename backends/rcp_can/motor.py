@@ -207,6 +207,8 @@ async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
             task.cancel()
             with anyio.CancelScope(shield=True):
                 await asyncio.wait((task,), timeout=_POLL_PERIOD)
+        if not task.cancelled():
+            task.exception()  # retrieved: what ends it here may outweigh that it failed as well
     if reasons:
         raise reasons[0]
     task.result()

@@ -1,4 +1,4 @@
-"""The actions of a simulated robot's parts, as coroutines that end when the robot has."""
+"""The actions of a simulated robot's parts, as coroutines that end with the motion."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from rcp_profiles import messages as p
 
 __all__ = ["Actions"]
 
-_FEEDBACK = 0.1  # s of simulation time between two reports
-_REST = 3.0  # s for what is cancelled to come to rest
+_FEEDBACK = 0.1  # s of simulation time between feedback messages
+_REST = 3.0  # s for a cancelled motion to come to rest
 
 
 class _Task(Protocol):
-    """What a controller carries out."""
+    """A motion carried out by a controller."""
 
     failure: str | None
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, well or not."""
+        """Whether it has ended, successfully or not."""
         ...
 
 
@@ -42,7 +42,7 @@ _Some = TypeVar("_Some", bound=_Task)
 
 
 class Actions:
-    """Trips, motions and grips."""
+    """Drives, arm motions and grips."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -50,7 +50,7 @@ class Actions:
     # Wheels
 
     async def move_to(self, goal: p.MoveTo, progress: Progress) -> p.MoveResult:
-        """Drive to a place in `map` or, from where the robot stands, in `base_link`."""
+        """Drive to a pose in `map` or, relative to the robot, in `base_link`."""
         wheels = self._device.robot.wheels
         assert wheels is not None
         x, y, yaw = goal.position.x, goal.position.y, goal.yaw
@@ -70,8 +70,8 @@ class Actions:
         def feedback(trip: Trip) -> None:
             pace = wheels.pace(trip)
             left = trip.left if math.isfinite(trip.left) else length
-            told = p.MoveFeedback(left, left / pace if pace else None)
-            progress(told, fraction=max(0.0, min(1.0, 1 - left / length)) if length else 1.0)
+            feedback = p.MoveFeedback(left, left / pace if pace else None)
+            progress(feedback, fraction=max(0.0, min(1.0, 1 - left / length)) if length else 1.0)
 
         await self._carry_out(begin, progress, feedback, wheels.abandon)
         return await self._device.do(lambda robot: self._arrived(robot, trip))
@@ -125,13 +125,13 @@ class Actions:
             return self._follow(Spline(here, points, speed=arm.config.speed, names=arm.names))
 
         def feedback(motion: Motion) -> None:
-            told = p.TrajectoryFeedback(motion.seconds, self._positions(), motion.error)
-            progress(told, fraction=_part(motion))
+            feedback = p.TrajectoryFeedback(motion.seconds, self._positions(), motion.error)
+            progress(feedback, fraction=_part(motion))
 
         return await self._move(plan, progress, feedback)
 
     async def move_tool(self, goal: p.MoveTool, progress: Progress) -> p.MoveResult:
-        """Move the tool along the straight line in joint space that ends at a pose."""
+        """Move the tool to a pose, along a straight line in joint space."""
         device = self._device
         arm, kinematics = device.robot.arm, device.robot.kinematics
         assert arm is not None
@@ -151,13 +151,13 @@ class Actions:
 
         def plan(_: Robot) -> Motion:
             here = arm.positions.copy()
-            way = float(np.linalg.norm(target - kinematics.tool().position))
+            distance = float(np.linalg.norm(target - kinematics.tool().position))
             path = Quintic(
                 here,
                 joints,
                 speed=arm.config.speed,
                 acceleration=arm.config.acceleration,
-                least=0.0 if goal.speed is None else 1.875 * way / goal.speed,
+                least=0.0 if goal.speed is None else 1.875 * distance / goal.speed,
             )
             return self._follow(path)
 
@@ -209,8 +209,8 @@ class Actions:
             return grip
 
         def feedback(_: Grip) -> None:
-            way = abs(goal.width - start) or 1.0
-            part = 1 - abs(goal.width - gripper.width) / way
+            travel = abs(goal.width - start) or 1.0
+            part = 1 - abs(goal.width - gripper.width) / travel
             state = device.robot.grip_state(device.publisher.stamp)
             progress(state, fraction=max(0.0, min(1.0, part)))
 
@@ -226,7 +226,7 @@ class Actions:
         feedback: Callable[[_Some], None],
         abandon: Callable[[_Some], None],
     ) -> _Some:
-        """Begin a task and wait until it is over; a cancellation brings the robot to rest first.
+        """Start a task and wait for its end; a cancellation brings the robot to rest first.
 
         :raises DeviceRejected: it failed.
         """
@@ -234,7 +234,7 @@ class Actions:
         begun: list[_Some] = []
         try:
             await device.do(lambda robot: begun.append(begin(robot)), moves=True)
-            progress(fraction=0.0)  # it has begun, whatever becomes of it
+            progress(fraction=0.0)  # it has begun, whatever its outcome
             task = begun[0]
             while not task.over and simulation.fault is None:
                 feedback(task)
@@ -246,7 +246,7 @@ class Actions:
                 )
         except anyio.get_cancelled_exc_class():
             with anyio.move_on_after(_REST, shield=True):
-                # It may have begun though nobody has been told yet: jobs are done in their order.
+                # It may have begun before its result arrives here: jobs run in order.
                 await device.do(lambda _: [abandon(task) for task in begun])
                 await device.waiting.until(
                     lambda: (
@@ -280,11 +280,11 @@ def _filled(names: list[str], here: Any, targets: dict[str, float]) -> Any:
 
 
 def _wxyz(turn: Quaternion) -> Any:
-    found = np.array([turn.w, turn.x, turn.y, turn.z])
-    length = float(np.linalg.norm(found))
+    rotation = np.array([turn.w, turn.x, turn.y, turn.z])
+    length = float(np.linalg.norm(rotation))
     if not math.isfinite(length) or length < 0.1:
         raise InvalidValue("the orientation is not a rotation", details={"pointer": "/orientation"})
-    return found / length
+    return rotation / length
 
 
 def _from_base(

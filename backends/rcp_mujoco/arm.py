@@ -1,4 +1,4 @@
-"""An arm: its joints follow a path, and have arrived when they are measured to be there."""
+"""An arm: its joints follow a path, which completes when they are measured at the goal."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from rcp_mujoco.simulation import Simulation
 __all__ = ["Arm", "Motion"]
 
 _SLOW = 0.02  # rad/s
-_SETTLING = 2.0  # s after the end of the path in which the joints have to arrive
-_BEHIND = 0.35  # rad that a joint may be behind its path
-_BRAKING = 0.3  # s in which a path that is cancelled comes to its end
+_SETTLING = 2.0  # s for the joints to arrive after the end of the path
+_BEHIND = 0.35  # rad, maximum tracking error
+_BRAKING = 0.3  # s in which a cancelled path slows down to its end
 
 
 class Motion:
-    """A path that is followed."""
+    """A path being followed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.seconds = 0.0
-        """Along the path."""
+        """Seconds along the path."""
         self.error = 0.0
-        """Of the joint that is farthest from the path, rad."""
+        """Maximum tracking error of all joints, rad."""
         self.left = float("inf")
-        """Of the joint that is farthest from its goal, rad."""
+        """Maximum distance of all joints from their goals, rad."""
         self.failure: str | None = None
         self.arrived = False
         self.rate = 1.0
-        """Of time along the path; falls to zero when it is cancelled."""
+        """Rate of time along the path; ramps down to zero after a cancellation."""
         self.abandoned = False
         self.settling = 0.0
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, well or not."""
+        """Whether it has ended, successfully or not."""
         return self.arrived or self.failure is not None
 
     @property
@@ -79,11 +79,11 @@ class Arm:
 
     @property
     def positions(self) -> Any:
-        """Where the joints are."""
+        """The positions of the joints, rad."""
         return self._simulation.data.qpos[self._qpos]
 
     def follow(self, motion: Motion) -> None:
-        """Begin to follow a path from where the joints are."""
+        """Start to follow a path from the current positions."""
         self._simulation.need_whole()
         self.stop("another motion was commanded")
         self._simulation.release()
@@ -95,28 +95,28 @@ class Arm:
             motion.abandoned = True
 
     def stop(self, reason: str) -> None:
-        """End the motion; whoever calls brakes or holds."""
+        """End the motion; the caller brakes or holds."""
         if self.motion is not None:
             self.motion.failure = reason
             self.motion = None
 
     def kept(self) -> Sequence[int]:
-        """Nothing: the joints hold where they come to rest."""
+        """No actuators: the joints hold where they come to rest."""
         return ()
 
     def reset(self) -> None:
-        """Nothing is kept over a reset."""
+        """Do nothing: no state is kept across a reset."""
 
     def control(self, dt: float) -> None:
-        """Set where the joints are to be after the next step."""
+        """Set the joints' set-points for the next step."""
         motion = self.motion
         if motion is None:
             return
         self._advance(motion, dt)
-        wanted = motion.path.at(motion.seconds)
-        self._simulation.data.ctrl[self._controls] = wanted
+        target = motion.path.at(motion.seconds)
+        self._simulation.data.ctrl[self._controls] = target
         here = self.positions
-        off = np.abs(wanted - here)
+        off = np.abs(target - here)
         motion.error = float(off.max())
         motion.left = float(np.abs(motion.path.goal - here).max())
         if motion.error > _BEHIND:
@@ -145,7 +145,7 @@ class Arm:
             self._give_up(f"{self.names[worst]} stopped {off[worst]:.3f} rad before its goal", here)
 
     def _give_up(self, reason: str, here: Any) -> None:
-        """Hold where it is: pressing on would not help."""
+        """Hold the current position: pushing on would not help."""
         self._simulation.data.ctrl[self._controls] = here
         self.stop(reason)
 

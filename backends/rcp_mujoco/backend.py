@@ -26,7 +26,7 @@ from rcp_mujoco.robot import Robot
 
 __all__ = ["MujocoBackend", "open_robot"]
 
-_HALT = 5.0  # s in which the brakes bring a robot to rest
+_HALT = 5.0  # s for the brakes to bring a robot to rest
 
 
 @asynccontextmanager
@@ -109,13 +109,13 @@ class MujocoBackend(BaseBackend):
         return kind.convert({"linear": {"x": v}, "angular": {"z": w}})
 
     def settings(self) -> dict[str, Any]:
-        """Return what is set, by name."""
+        """Return the settings by name."""
         names = [r.name for r in self._offered.resources if r.live]
         kept = [name for name in names if name.startswith(("param/", "actuator/"))]
         return {name: self._value(self.device.robot, name) for name in kept}
 
     async def write(self, name: str, value: Any) -> Any:
-        """Set a control, a velocity, or how time passes."""
+        """Set a control, a velocity, or the pace."""
         if name in self._drives:
             moves = value != self._drives[name].safe
             await self.device.do(lambda robot: self._control(robot, name, value), moves=moves)
@@ -161,7 +161,7 @@ class MujocoBackend(BaseBackend):
             )
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Publish scans and pictures while they are watched; all else is always published."""
+        """Publish scans and images while they are watched; everything else is always published."""
         return self._watch(name, rate)
 
     @asynccontextmanager
@@ -263,7 +263,7 @@ class MujocoBackend(BaseBackend):
     async def _rest(self) -> None:
         """Wait until the robot is measured to be at rest.
 
-        :raises DeviceTimeout: it does not come to rest, or its time stands still.
+        :raises DeviceTimeout: it does not come to rest, or the simulation is paused.
         """
         device = self.device
         number = device.snapshot.number
@@ -290,7 +290,7 @@ class MujocoBackend(BaseBackend):
         return None
 
     def motion(self, robot: str | None) -> MotionState:
-        """Report the motion as the velocities of the robot's joints say."""
+        """Report the motion, by the velocities of the robot's joints."""
         device = self.device
         if device.stalled is not None:
             return MotionState(None, device.stalled)

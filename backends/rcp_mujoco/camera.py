@@ -1,4 +1,4 @@
-"""Off-screen cameras: a thread of their own, with a copy of what is to be seen."""
+"""Off-screen cameras: a separate thread that renders copies of the state."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ import zlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import mujoco
-
 from rcp_kernel.clock import iso
+from rcp_mujoco.bindings import mujoco
 from rcp_profiles.messages import Image
 
 __all__ = ["CameraThread", "Frame"]
 
-_AFTER = 1.5  # s after the start, which loading OpenGL would slow down
+_AFTER = 1.5  # s: loading OpenGL at once would slow down the start
 _JOIN = 5.0  # s
 
 
 class Frame(NamedTuple):
-    """A picture that somebody wants."""
+    """A requested image."""
 
     camera: str
     qpos: Any
@@ -31,9 +30,9 @@ class Frame(NamedTuple):
 
 
 class CameraThread:
-    """Draws with OpenGL, which belongs to one thread.
+    """Renders with OpenGL, whose context belongs to one thread.
 
-    `ready()` is called in it when drawing works, `absent(reason)` when it does not.
+    In this thread, `ready()` is called if rendering works, otherwise `absent(reason)`.
     """
 
     def __init__(
@@ -52,11 +51,11 @@ class CameraThread:
         self._thread = threading.Thread(target=self._run, name="mujoco-camera", daemon=True)
 
     def start(self) -> None:
-        """Find out whether there is OpenGL, then draw."""
+        """Start the thread, which checks for OpenGL and then renders."""
         self._thread.start()
 
     def draw(self, frame: Frame) -> bool:
-        """Ask for a picture; False: it is busy with others."""
+        """Queue an image; return False if the queue is full."""
         try:
             self._frames.put_nowait(frame)
         except queue.Full:
@@ -64,7 +63,7 @@ class CameraThread:
         return True
 
     def close(self) -> None:
-        """End the thread. Blocks."""
+        """End the thread. Blocks for up to 5 s."""
         self._closing.set()
         while True:
             try:

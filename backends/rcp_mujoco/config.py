@@ -1,4 +1,4 @@
-"""The configuration of a simulated robot: its model, its time, and what its parts are for."""
+"""The configuration of a simulated robot: its model, its pace, and its parts."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _Names = Annotated[tuple[str, ...], Meta(min_length=1, max_length=64)]
 
 
 class WheelsConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """A differential drive: velocity actuators on the wheels of either side."""
+    """A differential drive: velocity actuators on the wheels of each side."""
 
     left: _Names
     right: _Names
     radius: _Length
     track: Annotated[_Length, Meta(description="Distance between the wheels' centres.")]
     base: str = "base_link"
-    """The body whose pose is the robot's."""
+    """The body whose pose is the robot's pose."""
     speed: _Speed = 1.0
     turn: _Turn = 2.0
     acceleration: _Acceleration = 1.5
@@ -44,26 +44,26 @@ class ArmConfig(Struct, frozen=True, forbid_unknown_fields=True):
     joints: _Names
     """The actuators, from the base to the tool."""
     tool: str | None = None
-    """The site whose pose is the tool's; without it there is no `move_tool`."""
+    """The site whose pose is the tool pose; without it there is no `move_tool`."""
     base: str = "base_link"
-    """The body in whose frame the tool's pose is told."""
+    """The body in whose frame the tool pose is reported."""
     speed: _Turn = 1.5
     acceleration: _TurnAcceleration = 4.0
     tolerance: _Tolerance = 0.02
-    """How near each joint has to come to its goal."""
+    """Position tolerance of each joint at its goal."""
 
 
 class GripperConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """Fingers that one position actuator opens and closes."""
+    """Fingers driven by one position actuator."""
 
     actuator: str
     open: _Control
-    """The actuator's value with the fingers apart."""
+    """The actuator's value with the fingers open."""
     closed: _Control
     contacts: tuple[str, ...] = ()
-    """Touch sensors of the pads; without them nobody can tell whether something is held."""
+    """Touch sensors of the pads; without them it is unknown whether an object is held."""
     width: _Ratio = 2.0
-    """Metres between the fingers for each metre of the actuator."""
+    """Opening in metres per metre of actuator travel."""
 
 
 class MujocoConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -73,19 +73,19 @@ class MujocoConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """`rover` or `arm`, or the path of an MJCF or URDF file."""
     real_time_factor: Factor = 1.0
     paused: bool = False
-    """Whether it opens paused."""
+    """Whether it starts paused."""
     seed: _Seed = 0
-    """Of the sensors' noise."""
+    """Seed of the sensor noise."""
     keyframe: str | None = None
-    """The model's state that it opens in and is reset to; by default its first one."""
+    """Keyframe of the initial state, also used by resets; by default the model's first."""
     rate: Rate = 50.0
-    """How often sensors are published, by the wall clock."""
+    """How often sensors are published, in wall-clock time."""
     valid_for: _Seconds = 0.5
-    """Seconds of simulation time for which a velocity or force is in force."""
+    """Validity of a velocity or force, in seconds of simulation time."""
     stalled_after: _Seconds = 1.0
-    """Seconds without a sign of life of the stepping thread, after which it is reported."""
+    """Seconds without progress of the stepping thread, after which it is reported."""
     actuate: Literal["position", "velocity", "torque"] | None = None
-    """Gives each joint that has no actuator one; a URDF has none."""
+    """Adds an actuator of this kind to each joint that has none; a URDF has none."""
     cameras: bool = True
     camera_rate: Rate = 5.0
     camera_width: _Pixels = 320

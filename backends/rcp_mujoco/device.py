@@ -1,4 +1,4 @@
-"""The simulated robot as the event loop sees it: jobs for its thread, and what came of them."""
+"""The simulated robot on the event loop's side: jobs for its thread, and their results."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from rcp_profiles.messages import Image
 __all__ = ["Device"]
 
 _Result = TypeVar("_Result")
-_ANSWER = 2.0  # s in which the stepping thread answers
-_LOOK = 0.1  # s between two looks at the stepping thread
+_ANSWER = 2.0  # s for the stepping thread to respond
+_LOOK = 0.1  # s between checks of the stepping thread
 
 
 class Device:
-    """One robot in a simulation that runs."""
+    """One robot in a running simulation."""
 
     def __init__(self, robot: Robot, host: Host, safe: Mapping[str, Any]) -> None:
-        """Run a robot; `safe` has the value that an actuator has when its command has lapsed."""
+        """Run a robot; `safe` has the values of actuators whose commands have expired."""
         config = robot.config
         self._safe = safe
         self.robot = robot
         self.waiting = Waiting()
         self.stops = 0
-        """Rises with every stop: what was submitted before it, and moves something, is not run."""
+        """Incremented by every stop: motion jobs submitted before it are not run."""
         self.snapshot = robot.snapshot()
         self.stalled: str | None = None
         self._host = host
@@ -54,12 +54,12 @@ class Device:
         self._cameras: CameraThread | None = None
 
     def start(self) -> None:
-        """Begin to step."""
+        """Start to step."""
         self.publisher.tick()
         self.stepper.start()
 
     def start_cameras(self, resources: list[Resource]) -> None:
-        """Declare the cameras as soon as it is known that they work."""
+        """Start the camera thread; the cameras are declared once rendering works."""
         config = self.robot.config
 
         def ready() -> None:
@@ -91,9 +91,9 @@ class Device:
         self.waiting.close("the simulation has ended")
 
     async def watch_thread(self) -> None:
-        """Report a stepping thread that gives no sign of life, until cancelled.
+        """Report a stalled stepping thread, until cancelled.
 
-        Its own looks are counted, not seconds: a process that was suspended as a whole has not
+        Counts its own checks, not seconds: a process that was suspended as a whole has not
         stalled.
         """
         beats, silent = self.stepper.beats, 0
@@ -140,10 +140,10 @@ class Device:
         if self.stalled is not None:
             return "the stepping thread stands still", True
         snapshot = self.snapshot
-        found = [snapshot.fault, snapshot.doubt, self._blind]
+        problems = [snapshot.fault, snapshot.doubt, self._blind]
         if snapshot.fault is not None:
-            found[0] = f"the simulation has stopped: {snapshot.fault}; execute service/reset"
-        return "; ".join(text for text in found if text is not None) or None, False
+            problems[0] = f"the simulation has stopped: {snapshot.fault}; execute service/reset"
+        return "; ".join(text for text in problems if text is not None) or None, False
 
     def _report(self) -> None:
         trouble = self._troubles()
@@ -159,10 +159,10 @@ class Device:
         return self._host.is_latched()
 
     async def do(self, run: Callable[[Robot], _Result], *, moves: bool = False) -> _Result:
-        """Have something done between two steps, and return its result.
+        """Run a function between two steps, and return its result.
 
-        :raises EstopActive: it moves something, and the robot was stopped before it was done.
-        :raises DeviceTimeout: the stepping thread does not answer.
+        :raises EstopActive: it moves the robot, which was stopped before the function ran.
+        :raises DeviceTimeout: the stepping thread does not respond.
         """
         if moves:
             check_fence()
@@ -194,7 +194,7 @@ class Device:
             raise DeviceTimeout(self.stalled or text) from None
 
     def post(self, run: Callable[[Robot], object]) -> None:
-        """Have something done between two steps, without waiting."""
+        """Run a function between two steps, without waiting for it."""
         robot = self.robot
         self.stepper.submit(Job(lambda _: run(robot), lambda _, __: None, lambda: True))
 
@@ -204,7 +204,7 @@ class Device:
             self._host.publish(name, value, self.publisher.stamp)
 
     async def step(self, steps: int, prepare: Callable[[Robot], None], progress: Progress) -> None:
-        """Do steps as fast as they can be done; a cancellation ends them."""
+        """Do steps as fast as possible; a cancellation ends them."""
         over = asyncio.Event()
         budget = Budget(steps, lambda: self._host.call_soon(over.set))
 
@@ -222,9 +222,9 @@ class Device:
     # Cameras
 
     async def picture(self, camera: str) -> Image:
-        """Draw what a camera sees.
+        """Render the image of a camera.
 
-        :raises DeviceTimeout: nothing was drawn in time.
+        :raises DeviceTimeout: no image was rendered in time.
         """
         future: asyncio.Future[Image] = self._loop.create_future()
 
@@ -250,7 +250,7 @@ class Device:
         self._cameras.draw(frame)
 
     async def film(self, name: str, camera: str, rate: float) -> None:
-        """Publish pictures until cancelled."""
+        """Publish images until cancelled."""
         while True:
             began = self._loop.time()
             try:

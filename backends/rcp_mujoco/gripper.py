@@ -11,9 +11,9 @@ __all__ = ["Grip", "Gripper"]
 
 _SPEED = 0.05  # m/s of the actuator
 _SLOW = 0.002  # m/s
-_STOPPED = 0.15  # s without motion, after which the fingers have come as far as they can
+_STOPPED = 0.15  # s without motion after which the fingers have reached their limit
 _NEAR = 0.002  # m of the width
-_TOUCH = 0.5  # N that tell that something is held
+_TOUCH = 0.5  # N above which an object counts as held
 
 
 class Grip:
@@ -27,7 +27,7 @@ class Grip:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, well or not."""
+        """Whether it has ended, successfully or not."""
         return self.done or self.failure is not None
 
 
@@ -47,7 +47,7 @@ class Gripper:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest width, m."""
+        """The minimum and maximum width, m."""
         return 0.0, abs(self.config.open - self.config.closed) * self.config.width
 
     @property
@@ -59,43 +59,43 @@ class Gripper:
 
     @property
     def force(self) -> float | None:
-        """The least force on any of the pads, N; None: nothing measures it."""
+        """The lowest force of all pads, N; None without touch sensors."""
         if not self._pads:
             return None
         return min(float(self._simulation.data.sensordata[pad]) for pad in self._pads)
 
     @property
     def holding(self) -> bool | None:
-        """Whether something is between the fingers; None: nothing tells."""
+        """Whether an object is held; None if unknown."""
         force = self.force
         return None if force is None else force > _TOUCH and self.width > _NEAR
 
     def move(self, grip: Grip) -> None:
-        """Begin to move the fingers."""
+        """Start to move the fingers."""
         self._simulation.need_whole()
         self.stop("another motion was commanded")
         self._simulation.release()
         self.grip = grip
 
     def abandon(self, grip: Grip) -> None:
-        """Stop the fingers where they are; what they hold is held."""
+        """Stop the fingers where they are; a held object stays held."""
         if self.grip is grip:
             if not self.holding:
                 self._hold()
             self.stop("cancelled")
 
     def stop(self, reason: str) -> None:
-        """End the motion."""
+        """Do nothing: no state is kept across a reset."""
         if self.grip is not None:
             self.grip.failure = reason
             self.grip = None
 
     def kept(self) -> Sequence[int]:
-        """The fingers, if they hold something."""
+        """The finger actuator, if an object is held."""
         return (self._drive.number,) if self.holding else ()
 
     def reset(self) -> None:
-        """Nothing is kept over a reset."""
+        """Do nothing: no state is kept across a reset."""
 
     def control(self, dt: float) -> None:
         """Move the actuator towards the goal."""

@@ -1,12 +1,13 @@
-"""What of a model moves, and what moves it: joints and actuators with their units and bounds."""
+"""Joints and actuators of a model, with their units and bounds."""
 
 from __future__ import annotations
 
 import re
 from typing import Any, Literal, NamedTuple
 
-import mujoco
 import numpy as np
+
+from rcp_mujoco.bindings import mujoco
 
 __all__ = ["Drive", "Joint", "drives", "joints", "plain", "robot_dofs"]
 
@@ -20,7 +21,7 @@ Mode = Literal["position", "velocity", "torque", "other"]
 
 
 class Joint(NamedTuple):
-    """A hinge or a slide."""
+    """A hinge or slide joint."""
 
     name: str
     unit: Literal["rad", "m"]
@@ -41,11 +42,11 @@ class Drive(NamedTuple):
     high: float
     joint: Joint | None
     dofs: tuple[int, ...]
-    """What it moves."""
+    """The degrees of freedom that it moves."""
 
     @property
     def safe(self) -> float | None:
-        """The value that moves nothing; None where only the place where it stands does."""
+        """The value without motion; None if that is the current position."""
         return None if self.mode in ("position", "other") else 0.0
 
 
@@ -127,9 +128,9 @@ def _moments(model: Any) -> Any:
 
 
 def robot_dofs(model: Any, driven: list[Drive]) -> Any:
-    """Return which degrees of freedom are the robot's: those of every tree that an actuator moves.
+    """Return the robot's degrees of freedom: those of every kinematic tree with an actuator.
 
-    What else is in the model, a box on a table, may roll on when the robot is at rest.
+    Other objects in the model may still move when the robot is at rest.
     """
     trees = {int(model.dof_treeid[dof]) for drive in driven for dof in drive.dofs}
     if not trees:

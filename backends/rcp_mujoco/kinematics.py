@@ -1,14 +1,14 @@
-"""Where the tool is, and which joint positions bring it somewhere: damped least squares."""
+"""Forward and inverse kinematics of the tool, by damped least squares."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.errors import DeviceRejected
 from rcp_mujoco.arm import Arm
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.simulation import Simulation
 
 __all__ = ["Kinematics", "ToolPose"]
@@ -16,7 +16,7 @@ __all__ = ["Kinematics", "ToolPose"]
 _DAMPING = 0.05
 _ROUNDS = 200
 _RESTARTS = 8
-_STEP = 0.3  # rad in one round
+_STEP = 0.3  # rad, maximum step of an iteration
 _NEAR = 1e-3  # m
 _ALIGNED = 5e-3  # rad
 
@@ -54,14 +54,14 @@ class Kinematics:
         return ToolPose(position, turn)
 
     def world(self, pose: ToolPose) -> ToolPose:
-        """Return a pose in the frame of the base as one in the world."""
+        """Transform a pose from the frame of the base to the world."""
         data, position, turn = self._data, np.zeros(3), np.zeros(4)
         base = (data.xpos[self._base], data.xquat[self._base])
         mujoco.mju_mulPose(position, turn, *base, pose.position, pose.quaternion)
         return ToolPose(position, turn)
 
     def local(self, pose: ToolPose) -> ToolPose:
-        """Return a pose in the world as one in the frame of the base."""
+        """Transform a pose from the world to the frame of the base."""
         data, back, offset = self._data, np.zeros(4), np.zeros(3)
         position, turn = np.zeros(3), np.zeros(4)
         mujoco.mju_negPose(offset, back, data.xpos[self._base], data.xquat[self._base])
@@ -69,12 +69,12 @@ class Kinematics:
         return ToolPose(position, turn)
 
     def solve(self, qpos: Any, position: Any, quaternion: Any | None) -> Any:
-        """Return joint positions that bring the tool to a pose in the frame of the base.
+        """Return joint positions for a tool pose in the frame of the base.
 
-        Reads nothing of the running simulation but its model, so that any thread may call it;
-        `qpos` is a copy of the present state.
+        Uses only the model of the running simulation, so that any thread may call it; `qpos` is a
+        copy of the current state.
 
-        :raises DeviceRejected: none were found within the joints' ranges.
+        :raises DeviceRejected: there are none within the joints' ranges.
         """
         data = mujoco.MjData(self._model)
         data.qpos[:] = qpos
@@ -122,7 +122,7 @@ class Kinematics:
         return False
 
     def _off(self, data: Any, quaternion: Any | None) -> Any:
-        """Return the rotation that is left, rad about the axes of the world."""
+        """Return the remaining rotation, rad about the axes of the world."""
         off = np.zeros(3)
         if quaternion is None:
             return off

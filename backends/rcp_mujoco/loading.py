@@ -1,19 +1,18 @@
-"""Reads a model file: MJCF or URDF, with actuators added where a URDF has none."""
+"""Loading of a model file: MJCF, or URDF with added actuators."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
-
 from rcp_kernel.errors import ConfigError
+from rcp_mujoco.bindings import mujoco
 
 __all__ = ["load_model"]
 
 _FREE = (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)
-_STIFFNESS = 200.0  # N.m/rad of a position actuator that is added
-_DAMPING = 20.0  # N.m.s/rad of a velocity actuator that is added
+_STIFFNESS = 200.0  # N.m/rad of an added position actuator
+_DAMPING = 20.0  # N.m.s/rad of an added velocity actuator
 _FASTEST = 10.0  # rad/s or m/s
 _STRONGEST = 100.0  # N.m or N
 
@@ -21,7 +20,7 @@ _STRONGEST = 100.0  # N.m or N
 def load_model(path: Path, actuate: Literal["position", "velocity", "torque"] | None) -> Any:
     """Compile a model; MuJoCo's own reset of an unstable simulation is switched off.
 
-    :raises ConfigError: there is no such file, or it is not a model.
+    :raises ConfigError: the file is missing, or not a valid model.
     """
     if not path.is_file():
         raise ConfigError(f"model: there is no file {path}")

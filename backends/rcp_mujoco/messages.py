@@ -27,7 +27,7 @@ _Seed = Annotated[int, Meta(ge=0, lt=2**32, extra_json_schema={"unit": "1"})]
 
 
 class Imu(Struct, frozen=True, forbid_unknown_fields=True):
-    """An inertial measurement in the frame of its site; at rest it reads gravity upwards."""
+    """An inertial measurement in the frame of its site; at rest, gravity is measured upwards."""
 
     angular_velocity: AngularVelocity
     linear_acceleration: LinearAcceleration
@@ -74,7 +74,7 @@ class Wrench(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SimulationState(Struct, frozen=True, forbid_unknown_fields=True):
-    """How the simulation runs."""
+    """The state of the simulation."""
 
     time: Annotated[_Seconds, Meta(description="Simulated since the last reset.")]
     paused: bool
@@ -87,6 +87,6 @@ class SimulationState(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Reset(Struct, frozen=True, forbid_unknown_fields=True):
-    """How to begin anew."""
+    """Options of a reset."""
 
     seed: Annotated[_Seed | None, Meta(description="Of the noise; null: as it goes on.")] = None

@@ -1,4 +1,4 @@
-"""The types that follow from a model: one field for each joint, actuator or sensor."""
+"""Types generated from a model: one field for each joint, actuator or sensor."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def step_types(drives: Sequence[Drive], readings: Sequence[Reading]) -> tuple[An
 def given(controls: Any) -> dict[str, float]:
     """Return the controls that were given, by the name of the actuator."""
     fields = msgspec.structs.fields(controls)
-    found = {field.encode_name: getattr(controls, field.name) for field in fields}
-    return {name: value for name, value in found.items() if value is not None}
+    values = {field.encode_name: getattr(controls, field.name) for field in fields}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _struct(name: str, fields: Sequence[Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Which OpenGL MuJoCo draws with; decided before MuJoCo is imported, which looks it up then."""
+"""Selection of MuJoCo's OpenGL implementation, which must precede the import of MuJoCo."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ __all__ = ["choose_opengl"]
 
 
 def choose_opengl() -> None:
-    """Have MuJoCo draw without a display, unless the environment says how."""
+    """Select off-screen rendering, unless the environment selects something else."""
     if not sys.platform.startswith("linux") or os.environ.get("MUJOCO_GL"):
         return
-    # Without either it is EGL too: MuJoCo then says what is missing.
+    # Without either, EGL too: MuJoCo then reports what is missing.
     osmesa = not ctypes.util.find_library("EGL") and ctypes.util.find_library("OSMesa")
     os.environ["MUJOCO_GL"] = "osmesa" if osmesa else "egl"

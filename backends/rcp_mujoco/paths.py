@@ -1,4 +1,4 @@
-"""Paths in joint space over time."""
+"""Timed paths in joint space."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from rcp_kernel.errors import InvalidValue
 
 __all__ = ["Path", "Quintic", "Spline", "Waypoint"]
 
-_PEAK_SPEED = 1.875  # of a quintic, in ways per duration
-_PEAK_ACCELERATION = 5.774  # of a quintic, in ways per duration squared
+_PEAK_SPEED = 1.875  # peak speed of a quintic, in distance per duration
+_PEAK_ACCELERATION = 5.774  # peak acceleration of a quintic, in distance per duration squared
 _LOOKS = 10  # at the speed, in each segment
 _ROUNDING = 1.02
 _SHORTEST = 0.02  # s
 
 
 class Path(Protocol):
-    """Where joints are to be, over time."""
+    """Positions of joints over time."""
 
     duration: float
     """s."""
@@ -27,7 +27,7 @@ class Path(Protocol):
     """Positions at the end."""
 
     def at(self, seconds: float) -> Any:
-        """Return the positions so many seconds after the start; they stay at the goal."""
+        """Return the positions at a time in seconds after the start; at the end, those of the goal."""
         ...
 
 
@@ -37,14 +37,14 @@ class Quintic:
     def __init__(
         self, start: Any, goal: Any, *, speed: float, acceleration: float, least: float = 0.0
     ) -> None:
-        """Plan with a highest speed and acceleration of any joint, and a least duration, s."""
+        """Plan with the maximum speed and acceleration of any joint, and a minimum duration, s."""
         self._start, self.goal = start, goal
-        way = float(np.abs(goal - start).max())
+        distance = float(np.abs(goal - start).max())
         self.duration = max(
             _SHORTEST,
             least,
-            _PEAK_SPEED * way / speed,
-            (_PEAK_ACCELERATION * way / acceleration) ** 0.5,
+            _PEAK_SPEED * distance / speed,
+            (_PEAK_ACCELERATION * distance / acceleration) ** 0.5,
         )
 
     def at(self, seconds: float) -> Any:
@@ -55,12 +55,12 @@ class Quintic:
 
 
 class Waypoint(NamedTuple):
-    """Where all joints are to be at a time."""
+    """Positions of all joints at a time."""
 
     time: float
     positions: Any
     velocities: Any | None
-    """None: as the neighbours suggest."""
+    """None: computed from the neighbours."""
 
 
 class Spline:
@@ -87,13 +87,13 @@ class Spline:
 
     def _slopes(self, points: Sequence[Waypoint]) -> Any:
         times, positions = self._times, self._positions
-        found = np.zeros_like(positions)
-        found[1:-1] = (positions[2:] - positions[:-2]) / (times[2:] - times[:-2])[:, None]
+        velocities = np.zeros_like(positions)
+        velocities[1:-1] = (positions[2:] - positions[:-2]) / (times[2:] - times[:-2])[:, None]
         for index, point in enumerate(points):
             if point.velocities is not None:
-                found[index] = point.velocities
-        found[-1] = 0.0
-        return found
+                velocities[index] = point.velocities
+        velocities[-1] = 0.0
+        return velocities
 
     def _check(self, speed: float, names: Sequence[str]) -> None:
         for segment in range(len(self._times) - 1):

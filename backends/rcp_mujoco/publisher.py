@@ -1,4 +1,4 @@
-"""What a simulated robot publishes, and when; runs in the stepping thread."""
+"""Publishing of a simulated robot's values; runs in the stepping thread."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rcp_mujoco.sensors import Reading
 __all__ = ["SCAN_RATE", "Publisher"]
 
 SCAN_RATE = 10.0  # Hz
-_SLOWEST = 1.0  # Hz, of what is watched, so that it does not look stale
-_STATE_PERIOD = 0.5  # s between two states of the simulation, and two values while it is paused
+_SLOWEST = 1.0  # Hz, minimum rate of watched values, so that they do not become stale
+_STATE_PERIOD = 0.5  # s between simulation states, and between values while it is paused
 
 
 class Publisher:
-    """Reads the robot and hands over batches."""
+    """Reads the robot and publishes batches of values."""
 
     def __init__(self, robot: Robot, host: Host, state: Callable[[], SimulationState]) -> None:
         self.readings = robot.readings()
@@ -38,14 +38,14 @@ class Publisher:
 
     @property
     def stamp(self) -> int:
-        """The simulation's time as one of the world: since the robot was opened, over all resets."""
+        """Simulation time as a timestamp, counted from the opening of the robot across resets."""
         return self._began + int(self._robot.simulation.elapsed * 1e9)
 
     def tick(self) -> None:
-        """Publish what is measured now."""
+        """Publish the current measurements."""
         stamp = self.stamp
         batch: list[Publication] = []
-        if self._robot.simulation.fault is None:  # else there are no numbers
+        if self._robot.simulation.fault is None:  # otherwise there are no finite values
             batch += (
                 Publication(reading.name, reading.read(stamp), stamp)
                 for reading in self.readings
@@ -55,7 +55,7 @@ class Publisher:
         self._host.publish_batch(batch)
 
     def idle(self) -> None:
-        """Repeat what is measured from time to time, though no time passes."""
+        """Repeat the measurements occasionally while the simulation is paused."""
         if time.monotonic() - self._state_at >= _STATE_PERIOD or self._has_changed():
             self._next.clear()
             self.tick()
@@ -83,9 +83,9 @@ class Publisher:
         return True
 
     def read(self, name: str) -> Any:
-        """Return a value of the present moment; None: there is no such reading.
+        """Return a current value; None if there is no such reading.
 
-        :raises AdapterUnavailable: the simulation has diverged, and nothing can be measured.
+        :raises AdapterUnavailable: the simulation has diverged, so that nothing can be measured.
         """
         if name == "sensor/simulation":
             return self._state()
@@ -98,7 +98,7 @@ class Publisher:
 
     @contextmanager
     def watched(self, name: str, rate: float | None) -> Generator[None]:
-        """Publish what is only published while watched, while entered; on the event loop."""
+        """Publish a value that is only published on demand, while entered; on the event loop."""
         wanted = self._wanted.setdefault(name, [])
         wanted.append(rate)
         self._next.pop(name, None)
@@ -109,6 +109,6 @@ class Publisher:
 
 
 def _facts(state: SimulationState) -> tuple[Any, ...]:
-    """Return what is told at once when it changes: in a pause the time, too."""
+    """Return the facts whose change is published at once; in a pause also the time."""
     time_of_steps = state.time if state.paused else None
     return state.paused, state.resets, state.brakes, state.fault, time_of_steps

@@ -30,7 +30,7 @@ _DEADLINE = 2.5  # s: values are repeated while the simulation is paused
 
 
 class Catalogue(NamedTuple):
-    """What a robot declares, and the types that were made for it."""
+    """The resources of a robot, and the types generated for it."""
 
     resources: list[Resource]
     observation: Any
@@ -41,7 +41,7 @@ class Catalogue(NamedTuple):
 
 
 def catalogue(robot: Robot, readings: list[Reading]) -> Catalogue:
-    """Make the resources of a robot, with the profiles that its parts have."""
+    """Make the resources of a robot, with the profiles of its parts."""
     config = robot.config
     step, observation = step_types(robot.simulation.drives, readings)
     profiles = ["power"]
@@ -163,7 +163,7 @@ def _wheels(wheels: Wheels, config: MujocoConfig) -> list[Offer | Resource]:
     most, turn = wheels.config.speed, wheels.config.turn
     none = dict.fromkeys(("linear.y", "linear.z", "angular.x", "angular.y"), (0.0, 0.0))
     bounds = {"linear.x": (-most, most), **none, "angular.z": (-turn, turn)}
-    # The gateway's own dead-man goes by the wall clock. It must not be faster than the simulation's.
+    # The gateway's own dead-man uses wall-clock time. It must not be faster than the simulation's.
     window = config.valid_for / min(1.0, config.real_time_factor)
     return [
         offer(

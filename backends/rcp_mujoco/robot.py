@@ -1,16 +1,15 @@
-"""A simulated robot: its physics, its sensors, and what its parts are for."""
+"""A simulated robot: its physics, sensors and parts."""
 
 from __future__ import annotations
 
 import math
 from typing import Any, NamedTuple
 
-import mujoco
-
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import ConfigError, DeviceRejected
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, Pose, PoseStamped, Twist
 from rcp_mujoco.arm import Arm
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.config import MujocoConfig
 from rcp_mujoco.gripper import Gripper
 from rcp_mujoco.kinematics import Kinematics
@@ -26,11 +25,11 @@ __all__ = ["Robot", "Snapshot"]
 
 
 class Snapshot(NamedTuple):
-    """What the event loop knows of the simulation: never changed, only replaced."""
+    """The simulation's state for the event loop: immutable, replaced as a whole."""
 
     number: int
     at_rest: bool
-    """Measured at rest, and nothing commanded or under way."""
+    """Measured at rest, without commands or motions in progress."""
     speed: float
     fault: str | None
     doubt: str | None
@@ -38,7 +37,7 @@ class Snapshot(NamedTuple):
 
 
 class Robot:
-    """Everything of one robot that belongs to the stepping thread.
+    """The part of one robot that the stepping thread owns.
 
     :raises ConfigError: the model does not load, or has no such parts.
     """
@@ -65,7 +64,7 @@ class Robot:
         self._snapshots = 0
 
     def snapshot(self) -> Snapshot:
-        """Look at what stops and status depend on."""
+        """Return the state on which stops and status depend."""
         simulation = self.simulation
         self._snapshots += 1
         idle = self.busy is None and not simulation.commanded
@@ -92,7 +91,7 @@ class Robot:
         return None
 
     def reset(self, seed: int | None) -> None:
-        """Begin anew at the start."""
+        """Restore the initial state."""
         self.simulation.reset()
         if seed is not None:
             self.sensors.seed(seed)
@@ -100,7 +99,7 @@ class Robot:
     # Values
 
     def readings(self) -> list[Reading]:
-        """List what is read of it, apart from cameras and the simulation's state."""
+        """List its readings, apart from cameras and the simulation's state."""
         found = list(self.sensors.readings)
         if self.simulation.joints:
             text = "Position, velocity and force of each joint."
@@ -171,7 +170,7 @@ class Robot:
         return PoseStamped(place, quaternion(pose.quaternion.tolist()), frame, iso(now))
 
     def grip_state(self, now: int) -> p.GripperState:
-        """Return how the gripper is."""
+        """Return the state of the gripper."""
         assert self.gripper is not None
         return p.GripperState(self.gripper.width, self.gripper.holding, iso(now))
 

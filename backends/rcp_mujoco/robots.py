@@ -35,7 +35,7 @@ def model_path(config: MujocoConfig) -> Path:
 
 
 def complete(config: MujocoConfig) -> MujocoConfig:
-    """Fill in what the parts of a robot of ours are for."""
+    """Fill in the parts of an included robot."""
     parts = _PARTS.get(config.model, {})
     given = {name: part for name, part in parts.items() if getattr(config, name) is None}
     return msgspec.structs.replace(config, **given)

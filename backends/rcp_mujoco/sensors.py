@@ -1,4 +1,4 @@
-"""The model's sensors as typed values: those that belong together are one resource."""
+"""The model's sensors as typed values; related sensors form one resource."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.clock import iso
@@ -20,15 +19,16 @@ from rcp_kernel.types import (
     Quaternion,
     quantity,
 )
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.joints import plain
 from rcp_mujoco.messages import Force, Imu, Torque, Wrench
 
 __all__ = ["Reading", "Sensors"]
 
 _Kind = mujoco.mjtSensor
-_FLAT = 1e-3  # of a beam's direction out of the plane
-_EVEN = 1e-3  # rad between one angle and the next
-_FEW = 3  # beams that make a scan
+_FLAT = 1e-3  # component of a beam's direction out of the plane
+_EVEN = 1e-3  # rad, tolerance of the angle between beams
+_FEW = 3  # minimum number of beams of a scan
 _UNITS: dict[Any, str] = {
     _Kind.mjSENS_TOUCH: "N",
     _Kind.mjSENS_RANGEFINDER: "m",
@@ -53,14 +53,14 @@ _BY_JOINT = {_Kind.mjSENS_JOINTPOS: ("rad", "m"), _Kind.mjSENS_JOINTVEL: ("rad/s
 
 
 class Reading(NamedTuple):
-    """One resource that is read from sensors of the model."""
+    """One resource read from sensors of the model."""
 
     name: str
     description: str
     value: Any
     """Its type."""
     read: Callable[[int], Any]
-    """Returns its value; takes the time of the value, ns."""
+    """Returns its value; the argument is the time of the value, ns."""
     is_scan: bool = False
 
 
@@ -70,7 +70,7 @@ class _Sensor(NamedTuple):
     name: str
     kind: Any
     on: tuple[int, int]
-    """Type and number of what it sits on."""
+    """Type and index of the object it is attached to."""
     at: slice
     cutoff: float
 
@@ -93,7 +93,7 @@ class Sensors:
         self.readings += map(self._plain, left.values())
 
     def seed(self, seed: int) -> None:
-        """Begin the noise anew."""
+        """Restart the noise."""
         self._random = np.random.default_rng(seed)
         self._heard_at = -1.0
         self._heard = self._data.sensordata
@@ -174,7 +174,7 @@ class Sensors:
         ]
 
     def _bearing(self, site: int) -> float | None:
-        """Return the direction of a beam in the plane of its body; None: it leaves the plane."""
+        """Return the direction of a beam in the plane of its body; None if it is not in the plane."""
         axis = np.zeros(3)
         mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), self._model.site_quat[site])
         return None if abs(axis[2]) > _FLAT else math.atan2(axis[1], axis[0])
@@ -261,7 +261,7 @@ class Sensors:
 
 
 def quaternion(wxyz: Sequence[float]) -> Quaternion:
-    """Return MuJoCo's quaternion, which begins with w, as ours."""
+    """Convert MuJoCo's quaternion, which starts with w."""
     w, x, y, z = wxyz
     return Quaternion(x, y, z, w)
 

@@ -1,6 +1,6 @@
-"""The physics of one robot: steps, brakes, lapsing commands, and what counts as a fault.
+"""The physics of one robot: steps, brakes, expiry of commands, and faults.
 
-Belongs to one thread; nothing in it waits. Time is the simulation's own.
+Used by one thread; never blocks. All times are simulation time.
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 
 from rcp_kernel.errors import DeviceRejected, PreconditionFailed
+from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.joints import Drive, drives, joints, robot_dofs
 
 __all__ = ["Controller", "Simulation"]
@@ -19,10 +19,10 @@ __all__ = ["Controller", "Simulation"]
 _SLOW = {"rad": 0.02, "m": 0.01}  # rad/s, m/s: below it a joint is at rest
 _FREE_SLOW = (0.01, 0.01, 0.01, 0.03, 0.03, 0.03)  # m/s and rad/s of a floating base
 _BALL_SLOW = (0.03, 0.03, 0.03)
-_SETTLED = 0.05  # s for which it has to be slow to be at rest
-_BRAKE = 2.0  # times the strongest force of the actuators
+_SETTLED = 0.05  # s below these speeds to count as at rest
+_BRAKE = 2.0  # times the maximum force of the actuators
 _HARD = 0.9999  # impedance of applied brakes: softer ones would creep under a load
-_STOPPING = 200.0  # rad/s2 or m/s2, of a brake where the actuator has no strongest force
+_STOPPING = 200.0  # rad/s2 or m/s2, of a brake if the actuator has no maximum force
 _SPOILED = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "a position",
     mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity",
@@ -37,22 +37,22 @@ _DOUBTFUL = {
 
 
 class Controller(Protocol):
-    """A part of the robot that decides on controls before each step."""
+    """A part of the robot that sets controls before each step."""
 
     def control(self, dt: float) -> None:
         """Set the controls for the next `dt` seconds."""
         ...
 
     def stop(self, reason: str) -> None:
-        """End what it does; the brakes or a held position do the rest."""
+        """End its motion; the brakes or a held position do the rest."""
         ...
 
     def kept(self) -> Sequence[int]:
-        """List the actuators whose force is to stay as it is under a stop: a grip is no motion."""
+        """List the actuators whose force is kept during a stop, such as a grip."""
         ...
 
     def reset(self) -> None:
-        """Begin anew where the robot stands."""
+        """Restart from the robot's current position."""
         ...
 
 
@@ -68,15 +68,15 @@ class Simulation:
         self.drives = drives(model)
         self.controllers: list[Controller] = []
         self.fault: str | None = None
-        """Why it has stopped for good: only `reset` goes on from here."""
+        """Why it has stopped; only `reset` restarts it."""
         self.doubt: str | None = None
-        """What MuJoCo warns of, though it goes on."""
+        """Non-fatal warnings of MuJoCo."""
         self.braking = False
         self.elapsed = 0.0
-        """Seconds simulated since it was made, over all resets."""
+        """Seconds simulated since its creation, across resets."""
         self.resets = 0
         self.lapsed: list[str] = []
-        """Commands that have lapsed since this was last emptied."""
+        """Commands that have expired since this was last cleared."""
         self._due: dict[str, tuple[float, Callable[[], None]]] = {}
         self._dofs = robot_dofs(model, self.drives)
         self._slow = _thresholds(model)[self._dofs]
@@ -87,7 +87,7 @@ class Simulation:
         self._warnings = self.data.warning.number
         """MuJoCo's own counters, not a copy of them."""
         self._held: set[int] = set()
-        """Position actuators whose goal under the brakes is settled."""
+        """Position actuators whose set-point under the brakes is fixed."""
         self._slow_since = 0.0
         self._place()
 
@@ -98,25 +98,25 @@ class Simulation:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the robot has been at rest for a moment, as measured."""
+        """Whether the robot is measured at rest, for long enough."""
         if self.fault is not None or not self._is_slow():
             return False
         return self.time - self._slow_since >= _SETTLED - 1e-9
 
     @property
     def commanded(self) -> bool:
-        """Whether a velocity or force is commanded that could move it."""
+        """Whether a non-zero velocity or force is commanded."""
         return any(d.safe is not None and self.data.ctrl[d.number] != 0 for d in self.drives)
 
     @property
     def speed(self) -> float:
-        """The fastest velocity of the robot, m/s or rad/s."""
+        """The highest joint velocity of the robot, m/s or rad/s."""
         return float(np.abs(self.data.qvel[self._dofs]).max(initial=0.0))
 
     # Commands
 
     def need_whole(self) -> None:
-        """Refuse to move what has diverged.
+        """Refuse motion after the simulation has diverged.
 
         :raises PreconditionFailed: it has.
         """
@@ -127,7 +127,7 @@ class Simulation:
             )
 
     def command(self, drive: Drive, value: float, valid_for: float | None) -> None:
-        """Set the control of an actuator; a velocity or force lapses after `valid_for` seconds."""
+        """Set the control of an actuator; a velocity or force expires after `valid_for` seconds."""
         self.need_whole()
         self.release()
         self.data.ctrl[drive.number] = value
@@ -137,20 +137,20 @@ class Simulation:
             self.lapse(drive.name, valid_for, lambda: self.neutral(drive))
 
     def neutral(self, drive: Drive) -> None:
-        """Take the velocity or force of an actuator back."""
+        """Set the velocity or force of an actuator to zero."""
         self.forget(drive.name)
         self.data.ctrl[drive.number] = 0.0
 
     def lapse(self, name: str, seconds: float, stop: Callable[[], None]) -> None:
-        """Have a command end by itself after so many seconds of simulation time."""
+        """Let a command expire after a number of seconds of simulation time."""
         self._due[name] = (self.time + seconds, stop)
 
     def forget(self, name: str) -> bool:
-        """End the window of a command; return whether there was one."""
+        """Cancel the expiry of a command; return whether there was one."""
         return self._due.pop(name, None) is not None
 
     def brake(self, reason: str) -> None:
-        """Apply the brakes of every driven joint and end what the controllers do."""
+        """Apply the brakes of every driven joint and end the controllers' motions."""
         self._due.clear()
         kept = [index for controller in self.controllers for index in controller.kept()]
         for controller in self.controllers:
@@ -165,7 +165,7 @@ class Simulation:
             self.model.dof_solimp[self._brakes > 0, :2] = _HARD
 
     def release(self) -> None:
-        """Release the brakes; position actuators go on holding where they are."""
+        """Release the brakes; position actuators keep holding."""
         if self.braking:
             self._hold_positions()
             self.braking = False
@@ -173,7 +173,7 @@ class Simulation:
             self.model.dof_solimp[:] = self._softness
 
     def reset(self) -> None:
-        """Go back to the start, at rest and without a fault; brakes that are applied stay."""
+        """Restore the initial state, at rest and without a fault; applied brakes stay applied."""
         self._due.clear()
         for controller in self.controllers:
             controller.stop("the simulation was reset")
@@ -229,14 +229,14 @@ class Simulation:
                 self.lapsed.append(name)
 
     def _keep_braking(self) -> None:
-        """Override whatever else sets controls, step by step."""
+        """Override all other controls, at each step."""
         self._hold_positions()
         for drive in self.drives:
             if drive.safe is not None:
                 self.data.ctrl[drive.number] = 0.0
 
     def _hold_positions(self) -> None:
-        """Have each position actuator hold the place where its joint comes to rest."""
+        """Let each position actuator hold the position where its joint comes to rest."""
         data = self.data
         for drive in self.drives:
             joint = drive.joint

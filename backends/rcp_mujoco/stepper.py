@@ -1,4 +1,4 @@
-"""The thread that a simulation lives in: real-time pacing, jobs from the event loop, steps on demand."""
+"""The thread of a simulation: real-time pacing, jobs from the event loop, steps on demand."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from rcp_mujoco.simulation import Simulation
 
 __all__ = ["Job", "Pace", "Stepper"]
 
-_SLICE = 0.005  # s by the wall clock between two looks at the jobs
-_LATE = 0.25  # s of delay that are caught up
-_IDLE = 0.1  # s between two signs of life of a simulation that is paused
-_MEASURED = 0.5  # s over which the real-time factor is measured
-_JOIN = 2.0  # s that the thread may take to end
+_SLICE = 0.005  # s of wall-clock time between checks for jobs
+_LATE = 0.25  # s, maximum delay that is caught up
+_IDLE = 0.1  # s between heartbeats of a paused simulation
+_MEASURED = 0.5  # s, window of the measured real-time factor
+_JOIN = 2.0  # s for the thread to end
 
 
 class Job(NamedTuple):
-    """What the event loop wants done between two steps."""
+    """A function to run between two steps."""
 
     run: Callable[[Simulation], Any]
     done: Callable[[Any, BaseException | None], None]
     is_wanted: Callable[[], bool]
-    """Whether anybody still waits for it; asked just before it would run."""
+    """Whether it is still needed; called just before it would run."""
 
 
 class Budget:
@@ -44,10 +44,10 @@ class Pace(NamedTuple):
 
 
 class Stepper:
-    """Steps a simulation in a thread of its own.
+    """Steps a simulation in a separate thread.
 
-    `on_tick(simulation)` is called in that thread `rate` times per second of the wall clock while
-    time passes, and after steps on demand; `on_idle` from time to time while it does not.
+    `on_tick(simulation)` is called in that thread `rate` times per second of wall-clock time while
+    the simulation runs, and after steps on demand; `on_idle` occasionally while it is paused.
     """
 
     def __init__(
@@ -61,9 +61,9 @@ class Stepper:
     ) -> None:
         self.pace = pace
         self.measured = 0.0
-        """The real-time factor of late."""
+        """The recent real-time factor."""
         self.beats = 0
-        """Rises as long as the thread lives."""
+        """Incremented while the thread is alive."""
         self._simulation = simulation
         self._rate = rate
         self._on_tick = on_tick
@@ -78,25 +78,25 @@ class Stepper:
         self._thread = threading.Thread(target=self._run, name="mujoco", daemon=True)
 
     def start(self) -> None:
-        """Begin to step."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> bool:
-        """End the thread; return whether it has ended in time. Blocks."""
+        """End the thread; return whether it ended in time. Blocks."""
         self._closing = True
         self._wake.set()
         self._thread.join(_JOIN)
         return not self._thread.is_alive()
 
     def submit(self, job: Job) -> None:
-        """Have a job run between two steps, after those submitted before; from any thread."""
+        """Queue a job to run between two steps, in order; callable from any thread."""
         self._jobs.append(job)
         self._wake.set()
 
     # In the thread
 
     def set_pace(self, *, factor: float | None = None, paused: bool | None = None) -> Pace:
-        """Change how time passes, from now on; for jobs."""
+        """Change the pace; call it from jobs."""
         old = self.pace
         self.pace = Pace(
             old.factor if factor is None else factor, old.paused if paused is None else paused
@@ -105,7 +105,7 @@ class Stepper:
         return self.pace
 
     def demand(self, budget: Budget) -> None:
-        """Have steps done as fast as they can be; for jobs."""
+        """Request steps, done as fast as possible; call it from jobs."""
         self._budgets.append(budget)
 
     def _run(self) -> None:
@@ -140,7 +140,7 @@ class Stepper:
         self._rebase()
 
     def _spend(self, budget: Budget) -> None:
-        """Do steps on demand until a job is waiting or they are used up."""
+        """Do requested steps until a job is pending or all are done."""
         simulation = self._simulation
         until = time.perf_counter() + _SLICE
         while budget.left > 0 and simulation.fault is None and not self._jobs:
@@ -164,7 +164,7 @@ class Stepper:
         behind = (now - wall) * factor - (simulation.elapsed - elapsed)
         if behind > _LATE * factor:
             # The process was suspended, or the machine is too slow: the robot must not rush on to
-            # catch up, blind to commands that are overdue.
+            # catch up before it sees pending commands.
             self._rebase()
             behind = simulation.dt
         until = now + _SLICE
@@ -178,7 +178,7 @@ class Stepper:
         if simulation.fault is not None:
             self._tick()
         elif behind < simulation.dt:
-            self._wake.wait(_SLICE)  # several steps at once: waking up costs more than a step
+            self._wake.wait(_SLICE)  # several steps at once: waking up costs more than one
 
     def _tick(self) -> None:
         simulation, now = self._simulation, time.perf_counter()

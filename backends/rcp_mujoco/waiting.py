@@ -12,7 +12,7 @@ __all__ = ["Waiting"]
 
 
 class Waiting:
-    """Coroutines that wait for a condition, which is looked at whenever the simulation has stepped."""
+    """Coroutines waiting for conditions, which are checked after each step of the simulation."""
 
     def __init__(self) -> None:
         self._waiters: list[tuple[Callable[[], bool], anyio.Event]] = []
@@ -34,13 +34,13 @@ class Waiting:
             raise AdapterUnavailable(self._closed)
 
     def poll(self) -> None:
-        """Wake whoever's condition is true."""
+        """Wake the coroutines whose condition is true."""
         for holds, event in self._waiters:
             if not event.is_set() and holds():
                 event.set()
 
     def close(self, reason: str) -> None:
-        """Wake all; their calls fail."""
+        """Wake all coroutines; their calls fail."""
         self._closed = reason
         for _, event in self._waiters:
             event.set()

@@ -1,4 +1,4 @@
-"""A differential drive: velocities with limits, odometry, and trips to a place."""
+"""A differential drive: velocities with limits, odometry, and drives to a goal."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["Trip", "Wheels"]
 
 _TOLERANCE = 0.05  # m
 _HEADING = 0.03  # rad, at the goal
-_AIMED = 0.15  # rad, off which it turns on the spot
+_AIMED = 0.15  # rad, heading error above which it turns on the spot
 _TURNING = 3.0  # rad/s for each rad
-_PROGRESS = 0.02  # m or rad that it has to come nearer …
+_PROGRESS = 0.02  # m or rad of progress required …
 _PATIENCE = 5.0  # … within so many seconds
-_BRAKING = 0.6  # of the acceleration, planned for braking
+_BRAKING = 0.6  # fraction of the acceleration planned for braking
 _CREEP = 0.05  # m/s
 _TAKEN_OVER = 2.0  # s
-_LEAN = 0.5  # of the speed in a turn
+_LEAN = 0.5  # fraction of the speed in a turn
 
 Phase = Literal["turning", "driving", "aligning", "braking", "done"]
 
 
 class Trip:
-    """A drive to a place."""
+    """A drive to a goal."""
 
     def __init__(
         self, x: float, y: float, yaw: float | None, *, tolerance: float, speed: float | None
@@ -45,17 +45,17 @@ class Trip:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, well or not."""
+        """Whether it has ended, successfully or not."""
         return self.phase == "done" or self.failure is not None
 
     def is_stuck(self, left: float) -> bool:
-        """Tell whether nothing has come nearer for a while."""
+        """Return whether there was no progress for too long."""
         if left < self._best - _PROGRESS:
             self._best, self._best_at = left, self.seconds
         return self.seconds - self._best_at > _PATIENCE
 
     def enter(self, phase: Phase) -> None:
-        """Go on to another phase, whose progress is counted anew."""
+        """Start another phase, with its own progress."""
         if phase != self.phase:
             self.phase, self._best, self._best_at = phase, math.inf, self.seconds
 
@@ -79,7 +79,7 @@ class Wheels:
         self.trip: Trip | None = None
         self._ramp = (0.0, 0.0)
         self._zero_expected = 0.0
-        """Until when the gateway's dead-man may end the velocity that a trip has taken over from."""
+        """Time until which the gateway's dead-man may end the velocity that a trip has replaced."""
         self._driving = False
         self.odometry = (0.0, 0.0, 0.0)
         self._turned = self._wheel_angles()
@@ -113,18 +113,18 @@ class Wheels:
         self.target = (0.0, 0.0)
 
     def set_limit(self, limit: float) -> None:
-        """Change the maximum speed, of what is under way as well."""
+        """Change the maximum speed, also of the motion in progress."""
         self.limit = limit
         v, w = self.target
         self.target = (max(-limit, min(limit, v)), w)
 
     def yield_wheels(self) -> None:
-        """Leave the wheels to whoever commands them one by one."""
+        """Give up control of the wheels, which are now commanded individually."""
         self._simulation.forget("cmd_vel")
         self.stop("the wheels are commanded one by one")
 
     def go(self, trip: Trip) -> None:
-        """Begin a trip."""
+        """Start a trip."""
         self._simulation.need_whole()
         self._end_trip("another goal was given")
         if self._simulation.forget("cmd_vel"):
@@ -134,7 +134,7 @@ class Wheels:
         self.trip = trip
 
     def abandon(self, trip: Trip) -> None:
-        """End a trip that is cancelled: brake within the limits."""
+        """Cancel a trip: brake within the limits."""
         if self.trip is trip:
             self._end_trip("cancelled")
 
@@ -145,17 +145,17 @@ class Wheels:
         self.target = (0.0, 0.0)
 
     def stop(self, reason: str) -> None:
-        """End what it does; the brakes do the rest, or whoever commands the wheels from now on."""
+        """End the motion; the caller brakes, or commands the wheels from now on."""
         self._end_trip(reason)
         self._ramp = (0.0, 0.0)
         self._driving = False
 
     def kept(self) -> Sequence[int]:
-        """Nothing."""
+        """No actuators."""
         return ()
 
     def reset(self) -> None:
-        """Count the way from here, with the highest speed."""
+        """Restart odometry here, with the maximum speed limit."""
         self.limit = self.config.speed
         self.odometry = (0.0, 0.0, 0.0)
         self._turned = self._wheel_angles()
@@ -260,7 +260,7 @@ class Wheels:
         return wanted
 
     def _arrive(self, trip: Trip) -> None:
-        """It is at rest: where it is now counts."""
+        """End a trip at rest, by its current pose."""
         if trip.left > trip.tolerance * 2:
             trip.enter("turning")
             return
@@ -284,14 +284,14 @@ class Wheels:
         return max(-most, min(most, _TURNING * off))
 
     def pace(self, trip: Trip) -> float:
-        """The speed that it can go at on a trip, m/s."""
+        """The speed available on a trip, m/s."""
         return min(self.limit, trip.speed or math.inf)
 
 
 def make_trip(
     x: float, y: float, yaw: float | None, tolerance: float | None, speed: float | None
 ) -> Trip:
-    """Make a trip with the tolerance that the robot has by itself."""
+    """Make a trip with the robot's default tolerance."""
     return Trip(x, y, yaw, tolerance=tolerance or _TOLERANCE, speed=speed)
 
 

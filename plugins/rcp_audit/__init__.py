@@ -1,4 +1,4 @@
-"""Audit log: tamper-evident records of who did what, and of what came of it."""
+"""Audit log: tamper-evident records of actions and their outcomes."""
 
 from __future__ import annotations
 
@@ -48,5 +48,5 @@ def _make(tables: AuditTables, host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer the audit log."""
+    """Provide the audit log."""
     return [FeatureKind("audit", AuditTables, _make, __doc__ or "", table=from_gateway)]

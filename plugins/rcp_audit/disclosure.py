@@ -1,4 +1,4 @@
-"""Who is told what of the record: those whose audit it concerns, and who may see all it names."""
+"""Who may see which records: readers of the tenants' audit who may see everything named in them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from rcp_kernel.tree.latches import GATEWAY
 __all__ = ["Disclosure"]
 
 _LOOK = Operation.READ | Operation.SUBSCRIBE
-_KNOWN = 2000  # records whose names are remembered
-_KEPT = 20_000  # verdicts: of twenty sets of rights about all records at hand
-_PLANS = "/system/plans"  # in records of gateways before this one
-_PLAN = frozenset(("name", "steps", "symbolic", "lines"))  # what the body of a plan may have
+_KNOWN = 2000  # records with cached names
+_KEPT = 20_000  # cached verdicts: enough for twenty sets of rights and the whole history
+_PLANS = "/system/plans"  # in records of older gateways
+_PLAN = frozenset(("name", "steps", "symbolic", "lines"))  # possible fields of a plan
 _ROBOTS = ("robots", "latches")
 _WHOLE = 2  # slashes of the key of a tenant
 
 
 class _Verdict(NamedTuple):
     record: dict[str, Any]
-    told: dict[str, Any] | None
+    visible: dict[str, Any] | None
 
 
 class Disclosure:
-    """Shows each reader the records, and the parts of records, that he may see."""
+    """Filters records by the rights of their reader."""
 
     def __init__(self, visibility: Visibility) -> None:
         self._visibility = visibility
@@ -40,19 +40,19 @@ class Disclosure:
         self._verdicts = _Verdicts()
 
     def shown(self, session: Session, record: dict[str, Any]) -> dict[str, Any] | None:
-        """Return a record as a session may see it; None if it may not at all."""
+        """Return the part of a record that a session may see; None if it may not see any."""
         rights, generation = session.rights, self._visibility.generation
         if not self.concerns(rights, record):
             return None
         try:
             return self._verdicts.find(rights, generation, record)
         except KeyError:
-            told = self._masked(rights, record) if self._sees(rights, record) else None
-            self._verdicts.keep(rights, generation, record, told)
-            return told
+            visible = self._masked(rights, record) if self._sees(rights, record) else None
+            self._verdicts.keep(rights, generation, record, visible)
+            return visible
 
     def concerns(self, rights: Rights, record: dict[str, Any]) -> bool:
-        """Tell whether somebody may see the audit of all tenants that a record is of."""
+        """Return whether the rights cover the audit of every tenant of a record."""
         reach = self._reach_of(rights)
         if "*" in reach:
             return True
@@ -61,11 +61,11 @@ class Disclosure:
 
     def _sees(self, rights: Rights, record: dict[str, Any]) -> bool:
         sight, tenant = self._visibility, record.get("tenant")
-        if _tells_of_a_whole_plan(record):
+        if _has_whole_plan(record):
             return sight.sees_whole(rights, None)
-        # A command shows to whoever sees its path, the value that was read to who may read it too.
-        wanted = Operation.READ if record.get("what") == "read" else Operation.NONE
-        if not sight.sees_all(rights, record.get("touches", ()), wanted):
+        # Seeing a path is enough for its commands; values that were read also need READ.
+        needed = Operation.READ if record.get("what") == "read" else Operation.NONE
+        if not sight.sees_all(rights, record.get("touches", ()), needed):
             return False
         robot = record.get("robot")
         if robot is not None and not sight.sees_robot(rights, robot, tenant):
@@ -73,21 +73,21 @@ class Disclosure:
         return not sight.names_hidden(rights, tenant, self._names_of(record))
 
     def _masked(self, rights: Rights, record: dict[str, Any]) -> dict[str, Any] | None:
-        """Leave out the robots that are hidden; None if there are no others."""
-        told = {key: record[key] for key in _ROBOTS if is_list(record.get(key))}
-        if not any(told.values()):
+        """Remove hidden robots; None if no others are left."""
+        robots = {key: record[key] for key in _ROBOTS if is_list(record.get(key))}
+        if not any(robots.values()):
             return record
         tenant = record.get("tenant")
         kept = {
             key: [name for name in names if self._sees_latch(rights, tenant, str(name))]
-            for key, names in told.items()
+            for key, names in robots.items()
         }
-        if kept == told:
+        if kept == robots:
             return record
         return {**record, **kept} if any(kept.values()) else None
 
     def _sees_latch(self, rights: Rights, tenant: str | None, key: str) -> bool:
-        """Tell whether the latch of a robot, a tenant or the gateway may be told of."""
+        """Return whether the latch of a robot, a tenant or the gateway is visible."""
         if key == GATEWAY:
             return True
         if key.startswith("/") and key.count("/") == _WHOLE:
@@ -95,11 +95,11 @@ class Disclosure:
         return self._visibility.sees_robot(rights, key, tenant)
 
     def _names_of(self, record: dict[str, Any]) -> frozenset[str]:
-        """Return what a record names, beside what was asked for in vain and the keys of stops."""
+        """Return the names in a record, without unknown paths and the keys of stops."""
         seq: Any = record.get("seq")
         known = self._names.get(seq)
         if known is None:
-            known = self._names[seq] = names_in(_telling(record))
+            known = self._names[seq] = names_in(_named_fields(record))
             if len(self._names) > _KNOWN:
                 self._names.popitem(last=False)
         return known
@@ -112,9 +112,9 @@ class Disclosure:
 
 
 class _Verdicts:
-    """What was found to be shown of records: to each set of rights, as long as the tree stays.
+    """Cached results per set of rights, valid until the tree changes.
 
-    The same records are looked through again and again: by each read, and for each subscriber.
+    Every read and every subscriber goes through the same records.
     """
 
     def __init__(self) -> None:
@@ -125,38 +125,42 @@ class _Verdicts:
     def find(
         self, rights: Rights, generation: int, record: dict[str, Any]
     ) -> dict[str, Any] | None:
-        """Return what is shown of a record.
+        """Return the visible part of a record.
 
-        :raises KeyError: it is not known.
+        :raises KeyError: it is not cached.
         """
         if generation != self._generation:
             raise KeyError(generation)
         verdict = self._kept[rights][id(record)]
         if verdict.record is not record:
             raise KeyError(id(record))
-        return verdict.told
+        return verdict.visible
 
     def keep(
-        self, rights: Rights, generation: int, record: dict[str, Any], told: dict[str, Any] | None
+        self,
+        rights: Rights,
+        generation: int,
+        record: dict[str, Any],
+        visible: dict[str, Any] | None,
     ) -> None:
-        """Keep what is shown of a record; too many, and all are forgotten."""
+        """Cache the visible part of a record; a full cache is cleared first."""
         if generation != self._generation or self._count >= _KEPT:
             self._kept.clear()
             self._generation, self._count = generation, 0
         self._count += 1
-        self._kept.setdefault(rights, {})[id(record)] = _Verdict(record, told)
+        self._kept.setdefault(rights, {})[id(record)] = _Verdict(record, visible)
 
 
-def _telling(record: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what is looked at by itself, or tells what was asked for and not what there is."""
+def _named_fields(record: dict[str, Any]) -> dict[str, Any]:
+    """Drop fields that are checked separately, or that name paths which do not exist."""
     left_out = {"touches", *_ROBOTS}
     if {record.get("outcome"), *record.get("codes", ())} <= {"unknown_path", None}:
         left_out |= {"path", "paths", "message"}
     return {key: value for key, value in record.items() if key not in left_out}
 
 
-def _tells_of_a_whole_plan(record: dict[str, Any]) -> bool:
-    """Tell whether a record has a plan with its values: as gateways before this one wrote them."""
+def _has_whole_plan(record: dict[str, Any]) -> bool:
+    """Return whether a record contains a plan with its values, as older gateways wrote them."""
     if "touches" in record:
         return False
     if record.get("path") == _PLANS and record.get("what") in ("execute", "command", "approval"):

@@ -1,4 +1,4 @@
-"""What a record holds of a request or a command; all of it is bounded."""
+"""The fields of records about requests and commands; all are bounded."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ __all__ = ["ACTS", "accepted", "ended", "requested"]
 
 ACTS = frozenset(("write", "execute"))
 _OWN_WORDS = ("estop",)
-"""What is told in words of its own, not by the value of its request."""
+"""Events described by their own facts, not by the value of their request."""
 
 
 def requested(request: Request, what: str, *, hide: bool) -> dict[str, Any]:
-    """Return what a record tells of the request that it is about."""
+    """Return the fields that describe a request."""
     acts = request.type in ACTS and what not in _OWN_WORDS
     approval = request.approval
     return {
@@ -31,7 +31,7 @@ def requested(request: Request, what: str, *, hide: bool) -> dict[str, Any]:
         "id": request.id,
         "idempotency_key": request.idempotency_key,
         "dry_run": request.dry_run or None,
-        # A pass for many commands is nobody's business.
+        # An approval id that covers many commands must stay secret.
         "approval": approval if approval and approval.startswith(ID) else None,
         "value": _value(request, hide=hide) if acts else None,
         "x": bounded(request.custom) if request.custom else None,
@@ -57,7 +57,7 @@ def accepted(command: Command) -> Event:
 
 
 def ended(command: Command, last: Record) -> Event:
-    """Return the event of what became of a command, and what the robot said."""
+    """Return the event of a command's outcome, with the robot's message."""
     asker, error, work = command.asker, last.error, command.work
     outline = None if work is None else work.outline(last.body)
     own = command.is_system
@@ -88,7 +88,7 @@ def _bounded(outline: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _value(request: Request, *, hide: bool) -> Any:
-    """Return a request's body as it is told in a record; None if there is none."""
+    """Return the recorded form of a request's body; None if there is none."""
     body = bytes(request.body)
     if body and not hide and isinstance(request, Prepared):
         return request.told
@@ -98,7 +98,7 @@ def _value(request: Request, *, hide: bool) -> Any:
         return None
     try:
         json = request.encoding is Encoding.JSON
-        told = bounded(msgspec.json.decode(body) if json else parse(body, request.encoding))
-    except Exception:  # a body that is no text of its encoding is told by its hash
+        value = bounded(msgspec.json.decode(body) if json else parse(body, request.encoding))
+    except Exception:  # a body that cannot be decoded is replaced by its hash
         return hashed(body)
-    return told if isinstance(told, msgspec.Raw) else hashed(body)
+    return value if isinstance(value, msgspec.Raw) else hashed(body)

@@ -1,6 +1,6 @@
-"""The audit log: who did what, decided how, and what came of it; one sealed record each.
+"""The audit log: one sealed record per event, with actor, decision and outcome.
 
-What a record holds is bounded: a long value is told by its length and SHA-256.
+Records are bounded: a long value is replaced by its length and SHA-256.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ __all__ = ["FULL", "PATH", "AuditLog"]
 
 PATH = "/system/audit"
 HISTORY = 1000
-"""Records at hand for `history`."""
+"""Records kept in memory for `history`."""
 FULL = 5000
-"""Records that may wait before commands and writes are refused, and refusals counted."""
-_MOST = 20_000  # records that may wait for a store that cannot write; then they are only counted
+"""Pending records above which commands and writes are refused, and refusals only counted."""
+_MOST = 20_000  # pending records above which events are only counted
 _TEXT = 500  # characters of a message
 _DENIALS = frozenset(
     (
         "unauthenticated",
         "token_expired",
         "forbidden",
-        "unknown_path",  # what is hidden answers like what is not there
+        "unknown_path",  # also the answer for hidden paths
         "approval_required",
         "lease_required",
         "lease_held",
@@ -50,11 +50,11 @@ _DENIALS = frozenset(
         "rate_limited",
     )
 )
-"""Codes that go on record whatever the request was; a write or an execute does with any code."""
+"""Codes recorded for every type of request; writes and executes are recorded with any code."""
 
 
 class _Sealed(msgspec.Struct, frozen=True, gc=False):
-    """A record as it is sealed, decoded only if somebody asks: a `Native` value."""
+    """A sealed record, decoded on demand: a `Native` value."""
 
     data: bytes
 
@@ -75,10 +75,10 @@ class AuditLog:
     def hear(self, event: Event) -> bool:
         """Record an event; returns at once.
 
-        It belongs to its tenant and path. What is about several paths names them in `touches`, and
-        is for those who may see all of them, in all of their tenants.
+        It belongs to its tenant and path. An event about several paths names them in `touches`; only
+        readers who may see all of them, in all of their tenants, may see it.
 
-        Returns whether it has a record of its own: refusals past the bound are only counted.
+        Returns whether the event got its own record: refusals beyond the limit are only counted.
         """
         match event.what:
             case "denial":
@@ -98,14 +98,14 @@ class AuditLog:
         return True
 
     def follow(self, command: Command, step: Record) -> None:
-        """Record that a command was accepted, and what became of it."""
+        """Record that a command was accepted, and its outcome."""
         if step.status == "accepted":
             self._record("execute", accepted(command))
         elif step.status in FINAL:
             self._record("command", ended(command, step))
 
     def _start(self, event: Event) -> None:
-        """Record that a gateway began, and the head that the one before it left behind."""
+        """Record the start of the gateway, with the head that the previous run left behind."""
         for record in self._ledger.past(HISTORY):
             self._host.publish(PATH, record)
         left = self._ledger.left
@@ -115,7 +115,7 @@ class AuditLog:
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)
         who = who_did(event, owners_of(event, touches))
-        # A flood of refusals has one record for all.
+        # A flood of refusals gets one common record.
         if (what == "denial" or self._ledger.waiting > _MOST) and not self._passes(
             what, event, who
         ):
@@ -138,7 +138,7 @@ class AuditLog:
         return True
 
     def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
-        """Tell whether a refusal, or what is one too many, has a record of its own."""
+        """Return whether a refusal, or an event beyond the limit, gets its own record."""
         ledger, refusal = self._ledger, what == "denial"
         waiting = ledger.waiting
         principal = event.principal
@@ -158,7 +158,7 @@ class AuditLog:
         self._host.publish(PATH, _Sealed(data))
 
     def state(self, *, head: bool) -> dict[str, Any]:
-        """Describe the record for `/system/status`; its head is not for everybody."""
+        """Describe the log for `/system/status`; `head` adds its head, which not everybody may see."""
         ledger = self._ledger
         trouble = ledger.trouble or (ledger.damage and f"store damaged: {ledger.damage}")
         trouble = trouble or self._host.fault

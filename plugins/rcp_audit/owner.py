@@ -1,4 +1,4 @@
-"""Whose a record is: the tenants that it belongs to, and who did what it tells."""
+"""The owners of a record: its tenants, and the principal who acted."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rcp_kernel.store.touches import EVERYTHING
 
 __all__ = ["owners_of", "who_did"]
 
-_KNOWN = 1024  # principals that are worked out once
+_KNOWN = 1024  # cached principals
 _NAME = 500  # characters of a name
 
 
 def owners_of(event: Event, touches: Iterable[str] | None) -> tuple[str, ...]:
-    """Return the tenants of an event: with `touches`, those of all that it is about."""
+    """Return the tenants of an event, including those of the paths in `touches`."""
     path, session = event.path, event.session
     acting = event.tenant or (tenant_of(path) if path is not None and path[:1] == "/" else None)
     if event.principal is not None:
@@ -31,7 +31,7 @@ def owners_of(event: Event, touches: Iterable[str] | None) -> tuple[str, ...]:
 
 @lru_cache(_KNOWN)
 def _tenant(principal: Principal, acting: str | None, own: str | None) -> str | None:
-    """Return whose record it is: never that of a tenant in which the principal does not act."""
+    """Return the tenant that owns a record: never one in which the principal has no role."""
     tenants = principal.tenants
     if "*" in tenants or acting in tenants:
         return acting
@@ -45,7 +45,7 @@ def _person(principal: Principal, owners: tuple[str, ...]) -> dict[str, Any]:
 
 
 def who_did(event: Event, owners: tuple[str, ...]) -> dict[str, Any]:
-    """Return who did it, in which tenants and session."""
+    """Return the principal, tenants and session of an event."""
     principal, session = event.principal, event.session
     facts = {} if principal is None else {**_person(principal, owners)}
     if len(owners) == 1:

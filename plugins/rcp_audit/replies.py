@@ -1,7 +1,7 @@
-"""Why nobody is told of a write, a command or a refusal before it is on record.
+"""Replies to writes, commands and refusals are held back until their records are committed.
 
-A reply leaves when its record is committed. The robot never waits for that; a store that writes
-adds a moment, one that cannot holds a reply back until its request's deadline and then says so.
+The robot never waits for that. A working store delays a reply by a moment; if the store cannot
+write, the reply is held back until its request's deadline and then reports the failure.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from rcp_kernel.wire import Reply
 
 __all__ = ["HeldReplies"]
 
-_LOOK = 0.25  # s between looks for replies whose deadline passes
-_LONGEST = 5.0  # s that a reply is held back at most
-_ESTOP = 0.25  # s for that of an e-stop, which is told in any case
+_LOOK = 0.25  # s between checks for replies past their deadline
+_LONGEST = 5.0  # s, maximum delay of a reply
+_ESTOP = 0.25  # s, maximum delay of the reply to an e-stop, which is always sent
 
 
 class _Held:
-    """A reply that waits for its record."""
+    """A reply waiting for its record."""
 
     __slots__ = ("anyway", "reply", "send", "until")
 
@@ -40,7 +40,7 @@ class _Held:
             self.send(reply)
 
     def give_up(self) -> None:
-        """Answer without a record, and say so; what is not final is left out."""
+        """Reply without a record and report this; replies that are not final are dropped."""
         reply = self.reply
         if reply is None:
             return
@@ -63,9 +63,9 @@ class HeldReplies:
         self._watching = False
 
     def check(self) -> None:
-        """Refuse what would have to go on record while that cannot be written.
+        """Check that the log can be written.
 
-        :raises QueueFull: the store has trouble, or too many records wait.
+        :raises QueueFull: the store fails, or too many records are pending.
         """
         ledger = self._ledger
         if ledger.trouble is not None or ledger.waiting > FULL:
@@ -82,14 +82,14 @@ class HeldReplies:
         self._hold(send, until, reply)
 
     def hold_estop(self, send: Answer, reply: Reply) -> None:
-        """Send the reply to an e-stop likewise, after a moment in any case."""
+        """Send the reply to an e-stop likewise, but after `_ESTOP` seconds at the latest."""
         self._hold(send, self._loop.time() + _ESTOP, reply, anyway=True)
 
     def _hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
         moment = self._loop.time()
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
         held = _Held(reply, send, until, anyway=anyway)
-        self._ledger.settled(held.release)  # at once if all is committed
+        self._ledger.settled(held.release)  # called at once if all are committed
         if held.reply is None:
             return
         self._held.append(held)

@@ -1,4 +1,4 @@
-"""How long the record is kept: the oldest rows are deleted by age and size, and that is on record."""
+"""Retention of the log: the oldest rows are deleted by age and size, and this is recorded too."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rcp_kernel.store.file import ROWS
 
 __all__ = ["Retention"]
 
-_LOOK = 60.0  # s between looks
+_LOOK = 60.0  # s between checks
 _AT_ONCE = 10_000  # records deleted in one transaction
-_SLACK = 0.05  # part of the age or size by which it may be exceeded: so that few deletions do
+_SLACK = 0.05  # tolerated excess of age or size, so that deletions are rare
 _DAY = 86_400 * 10**9  # ns
 
 
 class Retention:
-    """Looks at age and size of the record now and then."""
+    """Checks the age and size of the log periodically."""
 
     def __init__(self, host: FeatureHost, config: AuditConfig) -> None:
         self._host = host
@@ -32,18 +32,18 @@ class Retention:
         self._stopped = False
 
     def start(self) -> None:
-        """Look now, and again from time to time."""
+        """Check now, then periodically."""
         self._timer = None
         self._host.ledger.look(self._surplus, self._delete)
 
     def stop(self) -> None:
-        """Look no more."""
+        """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
         self._stopped = True
 
     def _surplus(self, base: sqlite3.Connection) -> Head | None:
-        """Return the last record that is to be deleted, on the store's thread."""
+        """Return the last record to delete; runs on the store's thread."""
         first, last = base.execute("SELECT min(seq), max(seq) FROM audit").fetchone()
         if first is None:
             return None
@@ -91,7 +91,7 @@ class Retention:
             self._timer = self._host.loop.call_later(_LOOK, self.start)
             return
         seq, digest = gone
-        # In one transaction: the chain begins after what the record of it names.
+        # In one transaction: the chain begins after the head named in the `prune` record.
         self._host.ledger.prune(gone)
         self._host.note("prune", principal=None, to=seq, hash=digest.hex())
         self.start()
@@ -104,5 +104,5 @@ def _time(base: sqlite3.Connection, seq: int) -> int:
     try:
         record: Any = msgspec.json.decode(row[0])
         return parse_time(record["time"])
-    except Exception:  # a record that was tampered with is as old as any
+    except Exception:  # a record that was tampered with counts as old
         return 0

@@ -1,6 +1,6 @@
-"""A flood of refusals is counted and summed up, so that it cannot fill the disk.
+"""Floods of refusals are counted and summarised, so that they cannot fill the disk.
 
-A sum is of one tenant: what somebody was refused in one is nothing that another should read of.
+Summaries are per tenant: refusals in one tenant must not be visible to another.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import Any
 
 __all__ = ["DenialThrottle"]
 
-_LONGEST = 60.0  # s that one summary covers at most
-_SHOWN = 20  # paths that a summary names
-_TENANTS = 20  # that have sums of their own; further ones go into that of no tenant
+_LONGEST = 60.0  # s, maximum period of a summary
+_SHOWN = 20  # paths named in a summary
+_TENANTS = 20  # tenants with their own summary; the others share one without a tenant
 
 
 class _Sum:
-    """Refusals in one tenant that have no records of their own."""
+    """Refusals in one tenant that have no individual records."""
 
     __slots__ = ("codes", "paths", "who")
 
@@ -34,7 +34,7 @@ class _Sum:
 
 
 class _Window:
-    """Refusals of one principal in the running window."""
+    """Refusals of one principal in the current window."""
 
     __slots__ = ("count", "key", "length", "sums", "timer")
 
@@ -49,32 +49,32 @@ class _Window:
         tenant = who.get("tenant")
         if tenant not in self.sums and len(self.sums) >= _TENANTS:
             who, tenant = {**who, "tenant": None}, None
-        found = self.sums.get(tenant)
-        if found is None:
-            found = self.sums[tenant] = _Sum(who)
-        return found
+        total = self.sums.get(tenant)
+        if total is None:
+            total = self.sums[tenant] = _Sum(who)
+        return total
 
 
 class DenialThrottle:
-    """Lets so many records a second through for each principal, and sums up the others."""
+    """Passes `bound` records per second and principal, and summarises the others."""
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, bound: int, tell: Callable[[dict[str, Any]], None]
+        self, loop: asyncio.AbstractEventLoop, bound: int, record: Callable[[dict[str, Any]], None]
     ) -> None:
         self._loop = loop
         self.bound = bound
-        self._tell = tell
+        self._record = record
         self._windows: dict[str, _Window] = {}
 
     def passes(
         self, key: str, who: dict[str, Any], path: str | None, code: str, *, full: bool = False
     ) -> bool:
-        """Tell whether this one has a record of its own; else it is counted, as all are if `full`."""
+        """Return whether a refusal gets its own record; otherwise, and if `full`, it is counted."""
         window = self._windows.get(key)
         if window is None:
             window = self._open(key, 1.0)
         window.count += 1
-        # A window that follows a flood counts all: it lasts longer the longer the flood does.
+        # A window after a flood counts all refusals; its length grows with that of the flood.
         if window.length == 1.0 and window.count <= self.bound and not full:
             return True
         window.sum_of(who).add(path, code)
@@ -91,24 +91,24 @@ class DenialThrottle:
             return
         del self._windows[key]
         self._sum_up(window)
-        # Telling may itself be refused and have opened the next one.
+        # Recording the summary may itself have opened the next window.
         if key not in self._windows and window.sums and window.count > self.bound * window.length:
             self._open(key, min(window.length * 2, _LONGEST))
 
     def _sum_up(self, window: _Window) -> None:
-        for found in window.sums.values():
-            self._tell(
+        for total in window.sums.values():
+            self._record(
                 {
-                    **found.who,
-                    "count": found.codes.total(),
+                    **total.who,
+                    "count": total.codes.total(),
                     "seconds": window.length,
-                    "codes": dict(found.codes),
-                    "paths": dict(found.paths),
+                    "codes": dict(total.codes),
+                    "paths": dict(total.paths),
                 }
             )
 
     def close(self) -> None:
-        """Sum up what was counted so far."""
+        """Summarise the current windows, and stop."""
         windows, self._windows = self._windows, {}
         for window in windows.values():
             if window.timer is not None:

@@ -1,4 +1,4 @@
-"""Leases: exclusive control of a part of the tree, for a time, by priority."""
+"""Leases: exclusive control of a sub-tree for a limited time, by priority."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
 
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
-    """Offer leases."""
+    """Provide leases."""
     return [
         FeatureKind("leases", LeasesConfig, _make, __doc__ or "", table=from_gateway, check=check)
     ]

@@ -1,4 +1,4 @@
-"""What the configuration says of leases: `lease_…` in `[safety]`."""
+"""The configuration of leases: `lease_…` in `[safety]`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class LeasesConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The settings of leases; times in seconds."""
 
     required: tuple[str, ...]
-    """Patterns of paths that accept commands only under a lease."""
+    """Patterns of paths that only accept commands under a lease."""
     ttl: float
-    """Of a lease that asks for none."""
+    """Duration of a lease whose request names none."""
     ttl_max: float
 
 
 def from_gateway(config: GatewayConfig) -> LeasesConfig:
-    """Take the settings from where they are in the file."""
+    """Read the settings from `[safety]`."""
     safety = config.safety
     return LeasesConfig(
         required=safety.lease_required, ttl=safety.lease_ttl, ttl_max=safety.lease_ttl_max
@@ -30,9 +30,9 @@ def from_gateway(config: GatewayConfig) -> LeasesConfig:
 
 
 def check(config: LeasesConfig, _gateway: GatewayConfig) -> None:
-    """Refuse what cannot be meant.
+    """Check the settings for consistency.
 
-    :raises ConfigError: a pattern is none, or a lease would last longer than the longest.
+    :raises ConfigError: a pattern is invalid, or the default duration exceeds the maximum.
     """
     for path in config.required:
         check_pattern(path, "[safety] lease_required")

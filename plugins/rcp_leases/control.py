@@ -1,4 +1,4 @@
-"""What the check of a plan asks of leases."""
+"""Leases as the check of a plan sees them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class LeaseControl:
         self.check = leases.check
 
     def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
-        """Return the scope of a request for a lease.
+        """Return the scope that a lease request would grant.
 
-        :raises InvalidPath: it is no scope.
+        :raises InvalidPath: it is not a valid scope.
         """
         if entry.path != PATH or not isinstance(value, dict) or value.get("do") != "acquire":
             return None

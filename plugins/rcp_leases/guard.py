@@ -1,4 +1,4 @@
-"""The guard: whoever holds no lease on a path does not command it while somebody else does."""
+"""The guard: refuses commands to a path while another session holds a lease on it."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ __all__ = ["LeaseGuard"]
 
 
 class LeaseGuard:
-    """Asks the leases when a command comes in, and again when it acts."""
+    """Checks the leases when a command arrives, and again just before it acts."""
 
     slot = Slot.LEASE
     active = True
-    """Anybody may acquire a lease at any time."""
+    """A lease may be acquired at any time."""
 
     def __init__(self, leases: Leases) -> None:
         self._leases = leases
 
     def admit(self, call: Call) -> None:
-        """Refuse what somebody else's lease, or a lost or missing one, forbids.
+        """Check the leases of a path.
 
-        :raises LeaseHeld, LeaseLost, LeaseRequired: as `Leases.check` does.
+        :raises LeaseHeld, LeaseLost, LeaseRequired: see `Leases.check`.
         """
         if self._leases.in_use:
             self._leases.check(call.session, call.entry)
 
     def confirm(self, call: Call) -> None:
-        """Refuse it as `admit` does: a lease may have come or gone meanwhile."""
+        """Repeat the check of `admit`: leases may have changed since."""
         if self._leases.in_use:
             self._leases.check(call.session, call.entry)

@@ -1,4 +1,4 @@
-"""One lease as it is now, and what somebody is told whom it stands in the way of."""
+"""A lease, and the error for sessions that it locks out."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["Lease", "refusal"]
 
 @dataclass(slots=True, eq=False)
 class Lease:
-    """One lease, as it is now."""
+    """The current state of a lease."""
 
     id: str
     scope: Scope
     key: str
-    """Whose it is: `Session.holder`."""
+    """The holder: `Session.holder`."""
     holder: str
     """The principal's name."""
     session: str | None
@@ -30,11 +30,11 @@ class Lease:
     reason: str | None = None
 
     def left(self, moment: int) -> float:
-        """Return the seconds until it lapses."""
+        """Return the seconds until it expires."""
         return max(0.0, (self.expires - moment) / 1e9)
 
     def facts(self) -> dict[str, Any]:
-        """Say whose it is, for whoever is refused because of it."""
+        """Return the details of the error for a refused session."""
         return {
             "scope": self.scope.text,
             "holder": self.holder,
@@ -44,13 +44,13 @@ class Lease:
         }
 
     def kept(self) -> dict[str, Any]:
-        """Write it for the store."""
+        """Return its row in the store."""
         fields = (f for f in self.__slots__ if f not in ("id", "scope"))
         return {"scope": self.scope.text, **{name: getattr(self, name) for name in fields}}
 
 
 def refusal(lease: Lease, path: str, moment: int, *, of: str | None = None) -> LeaseHeld:
-    """Say that somebody else holds a lease, `of` what the refused may see of its scope."""
+    """Build the error for a session that a lease locks out; `of` replaces a hidden scope."""
     scope = of or lease.scope.text
     return LeaseHeld(
         f"{lease.holder} holds the lease on {scope} until {iso(lease.expires)}",

@@ -1,8 +1,8 @@
-"""Leases: exclusive control of a part of the tree, for a time, by priority.
+"""Leases: exclusive control of a sub-tree for a limited time, by priority.
 
-While somebody holds a lease, nobody else's write or execute in its scope is admitted, nor reaches
-the robot if it was admitted before. Who loses a lease loses what it commanded there as well: its
-commands and writes are cancelled, and what they held in motion is brought to rest.
+While a lease is held, writes and executes of other sessions in its scope are refused, even those
+admitted before the lease was acquired. When a holder loses a lease, its commands and writes in the
+scope are cancelled, and whatever they kept in motion is brought to rest.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ __all__ = ["COMMANDING", "Leases"]
 log = structlog.get_logger("rcp.store")
 COMMANDING = Operation.WRITE | Operation.EXECUTE
 _TABLE = "held"
-_NEEDED = 100_000  # paths of which it is remembered whether they require a lease
+_NEEDED = 100_000  # cached paths
 
 
 class Leases:
-    """Every lease of the gateway, and what each write and execute is told of them."""
+    """All leases of the gateway, and the check of each write and execute against them."""
 
     def __init__(
         self, config: LeasesConfig, host: FeatureHost, *, changed: Callable[[], None]
     ) -> None:
-        """Hold no lease yet; `changed` is called after every change."""
+        """Start without leases; `changed` is called after every change."""
         self._host = host
         self._now = host.clock.now
         self._changed = changed
@@ -50,15 +50,16 @@ class Leases:
         self._lost = Losses()
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._over: dict[str, Lease | None] = {}
-        """The lease over each path that somebody asked about; forgotten with every change."""
+        """Cache of `over`; cleared on every change."""
         self._needed: dict[str, bool] = {}
+        """Cache of `_requires`."""
         self._required: tuple[Pattern, ...] = ()
         self.in_use = False
         """Whether there is anything to check."""
         self.configure(config)
 
     def configure(self, config: LeasesConfig) -> None:
-        """Take over the settings of a configuration."""
+        """Apply the settings of a configuration."""
         self.config = config
         self._required = tuple(
             Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}")
@@ -69,7 +70,7 @@ class Leases:
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
-        """Hold what earlier runs held while entered; what is held then, the next run finds."""
+        """Restore the leases of the previous run; those held at exit are restored by the next run."""
         self._restore()
         try:
             yield
@@ -94,15 +95,17 @@ class Leases:
             if lease.left(self._now()):
                 self._set_timer(lease)
             else:
-                self._lapse(lease)
+                self._expire(lease)
         self._refresh()
 
-    # -- what commands ask ---------------------------------------------------------------------
+    # -- checking commands ---------------------------------------------------------------------
 
     def check(self, session: Session, entry: Entry) -> None:
-        """Refuse to command what somebody else holds, or what the session has lost or must hold.
+        """Check that the session may command a resource.
 
-        :raises LeaseHeld, LeaseLost, LeaseRequired: as they say.
+        :raises LeaseHeld: another session holds a lease on it.
+                :raises LeaseLost: the session lost its lease and has not acquired one since.
+                :raises LeaseRequired: the path requires a lease.
         """
         if not self.in_use or entry.tenant is None:
             return
@@ -114,24 +117,24 @@ class Leases:
             if loss.scope.covers(path):
                 details = {"lease": loss.lease, "scope": loss.scope.text, "by": loss.by}
                 details["reason"] = loss.reason
-                raise LeaseLost(loss.told, path=path, details=details)
+                raise LeaseLost(loss.message, path=path, details=details)
         if lease is not None:
             raise refusal(lease, path, self._now())
         if self._requires(path):
             raise LeaseRequired(f"{path} accepts commands only under a lease", path=path)
 
     def over(self, path: str) -> Lease | None:
-        """Return the lease that a path is under."""
+        """Return the lease that covers a path."""
         try:
             lease = self._over[path]
         except KeyError:
-            found = [one for one in self.held.values() if one.scope.covers(path)]
-            lease = self._over[path] = max(found, key=lambda one: one.expires, default=None)
+            covering = [held for held in self.held.values() if held.scope.covers(path)]
+            lease = self._over[path] = max(covering, key=lambda held: held.expires, default=None)
         if lease is None or lease.expires > self._now():
             return lease
         if self._host.closing:
             return None
-        self._lapse(lease)  # its timer is a little late
+        self._expire(lease)  # its timer is slightly late
         return self.over(path)
 
     def _requires(self, path: str) -> bool:
@@ -144,15 +147,15 @@ class Leases:
             needed = self._needed[path] = any(p.matches(path) for p in self._required)
         return needed
 
-    # -- what holders do -----------------------------------------------------------------------
+    # -- requests of holders -------------------------------------------------------------------
 
     def acquire(
         self, session: Session, scope: Scope, ttl: float, reason: str | None, *, take: bool
     ) -> Lease:
-        """Give a session the lease on a scope that it may command; one that it has is renewed.
+        """Grant a session the lease on a scope that it may command, or renew the one it holds.
 
-        :raises LeaseHeld: somebody holds a part of it who does not give way.
-        :raises BadRequest: a take-over without a reason.
+        :raises LeaseHeld: another session holds an overlapping lease and is not pre-empted.
+        :raises BadRequest: a take-over has no reason.
         """
         self.check_free(session, scope, reason, take=take)
         by = session.principal.name
@@ -181,7 +184,7 @@ class Leases:
         return lease
 
     def check_free(self, session: Session, scope: Scope, reason: str | None, *, take: bool) -> None:
-        """Make sure that nobody is in the way of a session that wants a scope.
+        """Check that a session could acquire the lease on a scope.
 
         :raises LeaseHeld, BadRequest: as `acquire` does.
         """
@@ -192,31 +195,31 @@ class Leases:
         priority = session.rights.priority(scope.tenant)
         for rival in self.rivals(session, scope):
             if not take or priority <= rival.priority:
-                of = self._told(session, rival, scope)
+                of = self._visible_scope(session, rival, scope)
                 raise refusal(rival, scope.text, self._now(), of=of)
 
-    def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
-        """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
-        seen = self._host.scopes.sees(session.rights, rival.scope)
-        return rival.scope.text if seen else scope.text
+    def _visible_scope(self, session: Session, rival: Lease, scope: Scope) -> str:
+        """Return the scope of a rival's lease, or the requested one if the rival's is hidden."""
+        visible = self._host.scopes.sees(session.rights, rival.scope)
+        return rival.scope.text if visible else scope.text
 
     def rivals(self, session: Session, scope: Scope) -> list[Lease]:
-        """List the leases of others that share something with a scope."""
-        for lease in [one for one in self.held.values() if one.expires <= self._now()]:
-            self._lapse(lease)
+        """List the leases of other sessions that overlap a scope."""
+        for lease in [held for held in self.held.values() if held.expires <= self._now()]:
+            self._expire(lease)
         others = (lease for lease in self.held.values() if lease.key != session.holder)
         return [lease for lease in others if lease.scope.overlaps(scope)]
 
     def own(self, session: Session, scope: Scope) -> Lease | None:
         """Return the session's lease on exactly this scope."""
-        mine = [one for key in session.holders for one in self.held.values() if one.key == key]
-        return next((one for one in mine if one.scope.text == scope.text), None)
+        own = [held for key in session.holders for held in self.held.values() if held.key == key]
+        return next((held for held in own if held.scope.text == scope.text), None)
 
     def find(self, session: Session, id_: str | None, scope: Scope | None) -> Lease:
-        """Return a lease of the session's by its id or its scope.
+        """Return a lease of the session, by its id or its scope.
 
-        :raises LeaseLost: it was the session's.
-        :raises LeaseRequired: it never was.
+        :raises LeaseLost: the session has lost it.
+        :raises LeaseRequired: the session never held it.
         """
         if id_ is not None:
             lease = self.held.get(id_)
@@ -226,12 +229,12 @@ class Leases:
             return lease
         for loss in self._lost.of(session.holders):
             if loss.lease == id_ or (scope is not None and loss.scope.text == scope.text):
-                raise LeaseLost(loss.told, details={"by": loss.by, "reason": loss.reason})
+                raise LeaseLost(loss.message, details={"by": loss.by, "reason": loss.reason})
         what = id_ if scope is None else scope.text
         raise LeaseRequired(f"this session holds no lease {what}")
 
     def renew(self, session: Session, lease: Lease, ttl: float) -> None:
-        """Let a lease last `ttl` seconds from now on."""
+        """Extend a lease to `ttl` seconds from now."""
         lease.priority = session.rights.priority(lease.scope.tenant)
         self._extend(session, lease, ttl)
 
@@ -243,12 +246,12 @@ class Leases:
         self._keep(lease)
 
     def release(self, session: Session, lease: Lease) -> None:
-        """Give a lease up; what runs goes on."""
+        """Release a lease; running commands continue."""
         self._remove(lease)
         self._note("release", lease, session)
 
     def forgive(self, session: Session, id_: str | None, scope: Scope | None) -> None:
-        """Let a session that gives up what it has lost go on without a lease."""
+        """Forget losses of a session, so that it can command there without a lease again."""
         for key in session.holders:
             for loss in self._lost.of((key,)):
                 if loss.lease == id_ or (scope is not None and loss.scope.overlaps(scope)):
@@ -256,7 +259,7 @@ class Leases:
         self._refresh()
 
     def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
-        """Give a lease, and the commands that run under it, to another session."""
+        """Transfer a lease, and the commands running under it, to another session."""
         before = lease.key
         self._host.control.hand_over(before, lease.scope.covers, heir)
         lease.key = heir.holder
@@ -275,12 +278,12 @@ class Leases:
             tell(before, "lease_given", **facts, to=lease.holder)
         self._note("hand_over", lease, session, to=lease.holder)
 
-    # -- how leases end ------------------------------------------------------------------------
+    # -- expiry and loss -----------------------------------------------------------------------
 
     def lose(self, lease: Lease, by: str, reason: str, *, stop: bool = True) -> None:
-        """Take a lease from its holder, with all that the holder commands under it.
+        """Revoke a lease and cancel the commands that its holder gave under it.
 
-        Without `stop` the robots are being halted anyway.
+        `stop` brings the robots to rest; pass False if they are being halted anyway.
         """
         if lease.id not in self.held:
             return
@@ -288,9 +291,9 @@ class Leases:
         loss = Loss(lease.id, lease.scope, by, reason)
         self._lost.add(lease.key, loss)
         self._refresh()
-        covers = self._what_goes(lease)
+        covers = self._revoked_paths(lease)
         control, scope = self._host.control, lease.scope
-        control.withdraw(lease.key, covers, lambda path: LeaseLost(loss.told, path=path))
+        control.withdraw(lease.key, covers, lambda path: LeaseLost(loss.message, path=path))
         if stop:
             entries = self._host.scopes.entries(scope)
             control.bring_to_rest(entry for entry in entries if covers(entry.path))
@@ -298,10 +301,10 @@ class Leases:
         self._host.sessions.tell(lease.key, "lease_lost", **facts)
         self._note("lost", lease, None, by=by, reason=reason)
 
-    def _what_goes(self, lost: Lease) -> Callable[[str], bool]:
-        """Tell of paths whether a lease that is lost took them from its holder.
+    def _revoked_paths(self, lost: Lease) -> Callable[[str], bool]:
+        """Return a test for the paths that a holder no longer controls after losing a lease.
 
-        It may have another one over a part of them.
+        Another lease of the same holder may still cover some of them.
         """
         covers, moment = lost.scope.covers, self._now()
         others = [
@@ -313,25 +316,25 @@ class Leases:
             return covers
         return lambda path: covers(path) and not any(still(path) for still in others)
 
-    def _lapse(self, lease: Lease) -> None:
-        if not self._host.closing:  # else it is for the next run to find
+    def _expire(self, lease: Lease) -> None:
+        if not self._host.closing:  # otherwise the next run restores it
             self.lose(lease, "the gateway", "the lease expired")
 
     def drop_on(self, paths: frozenset[str], by: str, reason: str) -> None:
-        """End the leases that reach one of some paths whose robots are halted."""
+        """Revoke the leases that cover any of these paths, whose robots are being halted."""
         for lease in list(self.held.values()):
             if any(map(lease.scope.covers, paths)):
                 self.lose(lease, by, reason, stop=False)
 
     def session_ended(self, session: Session) -> None:
-        """End the leases of a session that is no more, unless it is for the next run to find."""
+        """Revoke the leases of an ended session, unless the gateway is stopping."""
         if self._host.closing:
             return
-        for lease in [one for one in self.held.values() if one.key == session.holder]:
+        for lease in [held for held in self.held.values() if held.key == session.holder]:
             self.lose(lease, "the gateway", "its session ended")
 
     def review(self) -> None:
-        """End the leases whose holders may command nothing in them any more."""
+        """Revoke the leases in whose scope the holder may no longer command anything."""
         for lease in list(self.held.values()):
             self._host.in_steps(self._review(lease))
 
@@ -350,7 +353,7 @@ class Leases:
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
         left = lease.left(self._now())
-        self._timers[lease.id] = self._host.loop.call_later(left, self._lapse, lease)
+        self._timers[lease.id] = self._host.loop.call_later(left, self._expire, lease)
 
     def _keep(self, lease: Lease) -> None:
         self._store.put(lease.id, lease.kept())

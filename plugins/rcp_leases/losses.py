@@ -1,4 +1,4 @@
-"""Leases that were lost: who lost one is refused there until it has acquired again or gone on."""
+"""Lost leases: their former holders are refused until they acquire a lease again or forgo it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from rcp_kernel.features import Scope
 
 __all__ = ["Loss", "Losses"]
 
-_LOSERS = 1000  # holders whose losses are remembered
-_LOSSES = 100  # of one of them
+_LOSERS = 1000  # holders with remembered losses
+_LOSSES = 100  # per holder
 
 
 @dataclass(slots=True, frozen=True)
 class Loss:
-    """Which lease was lost, to whom, and why."""
+    """A lost lease: its id and scope, who took it, and why."""
 
     lease: str
     scope: Scope
@@ -24,23 +24,23 @@ class Loss:
     reason: str
 
     @property
-    def told(self) -> str:
-        """Say it to the loser."""
+    def message(self) -> str:
+        """The error message for the former holder."""
         return f"the lease on {self.scope.text} was lost: {self.reason} (by {self.by})"
 
 
 class Losses:
-    """What each holder has lost and not asked for again, by lease."""
+    """The losses of each holder that it has not made good or forgone, by lease id."""
 
     def __init__(self) -> None:
         self._lost: OrderedDict[str, dict[str, Loss]] = OrderedDict()
 
     def __bool__(self) -> bool:
-        """Tell whether anybody has lost anything."""
+        """Return whether there is any loss."""
         return bool(self._lost)
 
     def add(self, key: str, loss: Loss) -> None:
-        """Remember a loss; the oldest are forgotten."""
+        """Remember a loss; beyond the limits, the oldest are dropped."""
         lost = self._lost.setdefault(key, {})
         lost[loss.lease] = loss
         self._lost.move_to_end(key)
@@ -50,15 +50,15 @@ class Losses:
             self._lost.popitem(last=False)
 
     def of(self, holders: Iterable[str]) -> list[Loss]:
-        """List what some holders have lost."""
+        """List the losses of some holders."""
         if not self._lost:
             return []
         return [loss for key in holders for loss in self._lost.get(key, {}).values()]
 
     def forgive(self, key: str, scope: Scope) -> None:
-        """Forget what a holder has lost that shares something with a scope."""
+        """Forget the losses of a holder that overlap a scope."""
         lost = self._lost.get(key, {})
-        for loss in [one for one in lost.values() if one.scope.overlaps(scope)]:
+        for loss in [loss for loss in lost.values() if loss.scope.overlaps(scope)]:
             del lost[loss.lease]
         if not lost:
             self._lost.pop(key, None)

@@ -29,19 +29,19 @@ PATH = "/system/leases"
 
 
 class LeaseRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What to do with a lease, which is named by its scope or by its id."""
+    """An operation on a lease, identified by its scope or its id."""
 
     do: Literal["acquire", "renew", "release", "hand_over"]
     scope: Annotated[str, Meta(max_length=512)] | None = None
     """`/tenant/<tenant>`, a sub-tree of a branch (`/actuator`), or a robot of a tenant."""
     lease: Annotated[str, Meta(max_length=64)] | None = None
-    """The id that `acquire` answered, instead of the scope."""
+    """The id returned by `acquire`, instead of the scope."""
     ttl: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})] | None = None
-    """Seconds until it lapses unless it is renewed; the gateway's own if not given."""
+    """Seconds until it expires unless renewed; by default the gateway's setting."""
     take: bool = False
-    """Take it over from holders of a lower priority; needs a `reason`."""
+    """Take it over from holders of lower priority; requires a `reason`."""
     to: Annotated[str, Meta(max_length=128)] | None = None
-    """Whom it is handed over to: a principal's name, or the beginning of a session's id."""
+    """The recipient of a hand-over: a principal's name, or the beginning of a session's id."""
     reason: Annotated[str, Meta(max_length=500)] | None = None
 
 
@@ -61,45 +61,47 @@ class LeaseState(msgspec.Struct, frozen=True):
 
 
 class LeaseRequests:
-    """Shows the leases, and does what requests ask for."""
+    """Lists the leases and carries out requests."""
 
     def __init__(self, leases: Leases, host: FeatureHost) -> None:
         self._leases = leases
         self._host = host
 
     def view(self, session: Session) -> Iterator[dict[str, Any] | None]:
-        """List the leases on robots that a session may see, in steps."""
+        """List the leases on robots visible to a session, in steps."""
         look = self._host.scopes.look
         for lease in list(self._leases.held.values()):
-            seen = yield from look(session.rights, lease.scope)
-            yield msgspec.to_builtins(_state(lease)) if seen else None
+            visible = yield from look(session.rights, lease.scope)
+            yield msgspec.to_builtins(_state(lease)) if visible else None
 
-    def request(self, session: Session, asked: LeaseRequest, *, dry_run: bool) -> LeaseState | None:
-        """Carry a request out and return the lease as it is then; None for a dry run.
+    def request(
+        self, session: Session, request: LeaseRequest, *, dry_run: bool
+    ) -> LeaseState | None:
+        """Carry out a request and return the resulting lease; None for a dry run.
 
-        :raises LeaseHeld, LeaseLost, LeaseRequired, UnknownPath, Forbidden: it may not be.
-        :raises BadRequest, OutOfRange: something is missing, or too much is asked.
+        :raises LeaseHeld, LeaseLost, LeaseRequired, UnknownPath, Forbidden: it is refused.
+        :raises BadRequest, OutOfRange: a field is missing, or exceeds its limit.
         """
-        scope = None if asked.scope is None else Scope(asked.scope, session.tenant)
-        if scope is None and (asked.lease is None or asked.do == "acquire"):
+        scope = None if request.scope is None else Scope(request.scope, session.tenant)
+        if scope is None and (request.lease is None or request.do == "acquire"):
             raise BadRequest(
                 "`scope` and `lease` are both missing", remedy="Set `scope` or `lease`."
             )
-        if asked.do == "acquire":
+        if request.do == "acquire":
             assert scope is not None
-            return self._acquire(session, asked, scope, dry_run=dry_run)
+            return self._acquire(session, request, scope, dry_run=dry_run)
         try:
-            lease = self._leases.find(session, asked.lease, scope)
+            lease = self._leases.find(session, request.lease, scope)
         except LeaseLost:
-            if asked.do == "release" and not dry_run:
-                self._leases.forgive(session, asked.lease, scope)
+            if request.do == "release" and not dry_run:
+                self._leases.forgive(session, request.lease, scope)
             raise
-        if asked.do == "hand_over":
-            heir = self._heir(session, asked.to, lease.scope)
+        if request.do == "hand_over":
+            heir = self._heir(session, request.to, lease.scope)
             if not dry_run:
                 self._leases.hand_over(session, lease, heir)
-        elif asked.do == "renew":
-            ttl = self._ttl(asked)
+        elif request.do == "renew":
+            ttl = self._ttl(request)
             if not dry_run:
                 self._leases.renew(session, lease, ttl)
         elif not dry_run:
@@ -107,10 +109,10 @@ class LeaseRequests:
         return None if dry_run else _state(lease)
 
     def _acquire(
-        self, session: Session, asked: LeaseRequest, scope: Scope, *, dry_run: bool
+        self, session: Session, request: LeaseRequest, scope: Scope, *, dry_run: bool
     ) -> LeaseState | None:
         scopes, rights = self._host.scopes, session.rights
-        ttl = self._ttl(asked)
+        ttl = self._ttl(request)
         if not scopes.sees(rights, scope):
             raise UnknownPath(f"no resources in {scope.text}", path=scope.text)
         if not scopes.may(rights, scope, COMMANDING):
@@ -121,13 +123,13 @@ class LeaseRequests:
         if self._host.closing:
             raise AdapterUnavailable("the gateway is closing")
         if dry_run:
-            self._leases.check_free(session, scope, asked.reason, take=asked.take)
+            self._leases.check_free(session, scope, request.reason, take=request.take)
             return None
-        return _state(self._leases.acquire(session, scope, ttl, asked.reason, take=asked.take))
+        return _state(self._leases.acquire(session, scope, ttl, request.reason, take=request.take))
 
-    def _ttl(self, asked: LeaseRequest) -> float:
+    def _ttl(self, request: LeaseRequest) -> float:
         config = self._leases.config
-        ttl = asked.ttl if asked.ttl is not None else config.ttl
+        ttl = request.ttl if request.ttl is not None else config.ttl
         if ttl > config.ttl_max:
             raise OutOfRange(
                 f"`ttl` is {ttl:g} s; the limit is {config.ttl_max:g} s",
@@ -137,10 +139,10 @@ class LeaseRequests:
         return ttl
 
     def _heir(self, session: Session, to: str | None, scope: Scope) -> Session:
-        """Find whom a lease is handed over to.
+        """Return the session to which a lease is handed over.
 
-        :raises BadRequest: it is not said, or not clearly.
-        :raises UnknownPath: there is nobody of that name who may command in the scope.
+        :raises BadRequest: `to` is missing or ambiguous.
+        :raises UnknownPath: no such principal may command in the scope.
         """
         if not to:
             raise BadRequest("`hand_over` needs `to`")

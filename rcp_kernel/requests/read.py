@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Generator, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from time import perf_counter
@@ -254,8 +254,14 @@ class ReadHandler:
             value = yield from listed(value, expected(session, request), longest)
         return _viewed(request, entry, value, options)
 
-    async def fetch(self, entry: Entry) -> Sample:
-        """Ask the backend for a value; wait for the next sample where it can only publish."""
+    def fetch(self, entry: Entry) -> Coroutine[Any, Any, Sample]:
+        """Ask the backend for a value; take the next sample where it can only publish.
+
+        Next is what comes after this call, not after the first turn of what it returns.
+        """
+        return self._fetch(entry, entry.latest)
+
+    async def _fetch(self, entry: Entry, seen: Sample | None) -> Sample:
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
@@ -263,6 +269,10 @@ class ReadHandler:
         try:
             value = await backend.read(entry.name)
         except UnsupportedOperation:
+            # A backend that has just opened may have declared the path anew.
+            entry = self._registry.entries.get(entry.path, entry)
+            if (sample := entry.latest) is not None and sample is not seen:
+                return sample
             return await _first(entry, backend)
         except RcpError as error:
             error.origin = error.origin or entry.owner.name

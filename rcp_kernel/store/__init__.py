@@ -1,1 +1,1 @@
-"""What survives the process: the audit log with its hash chain, and the store."""
+"""Persistence: the store, and the audit log with its hash chain."""

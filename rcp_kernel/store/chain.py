@@ -1,6 +1,6 @@
-"""The hash chain of the ledger: how a record is sealed.
+"""The hash chain of the ledger.
 
-Each record's SHA-256 is over the hash before it and the record's bytes exactly as they are stored.
+Each record's SHA-256 covers the previous hash and the record's bytes exactly as stored.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ __all__ = [
 _JOINTS = ("gap", "repair")
 
 GENESIS = bytes(32)
-"""What the first record is chained to."""
+"""The hash before the first record."""
 Row = tuple[int, bytes, bytes]
-"""A record as it is stored: its number, its hash, its bytes."""
+"""A stored record: number, hash, bytes."""
 Head = tuple[int, bytes]
-"""A record's number and hash; that of the last record stands for the whole chain."""
+"""A record's number and hash; those of the last record identify the whole chain."""
 
 
 def link(previous: bytes, data: bytes) -> bytes:
@@ -41,14 +41,14 @@ def link(previous: bytes, data: bytes) -> bytes:
 
 
 def written(head: Head) -> str:
-    """Write a head as `SEQ:HASH`."""
+    """Format a head as `SEQ:HASH`."""
     return f"{head[0]}:{head[1].hex()}"
 
 
 def parse_head(text: str) -> Head:
-    """Read a head from `SEQ:HASH`.
+    """Parse a head from `SEQ:HASH`.
 
-    :raises ValueError: it is none.
+    :raises ValueError: it is malformed.
     """
     seq, _, digest = text.strip().partition(":")
     found = int(seq), bytes.fromhex(digest)
@@ -58,7 +58,7 @@ def parse_head(text: str) -> Head:
 
 
 def seal(after: Head, what: str, facts: Mapping[str, Any]) -> Row:
-    """Make the record that follows a head, of a happening that no client has a part in."""
+    """Make the record that follows a head, for an event without a client."""
     seq = after[0] + 1
     told = {key: value for key, value in facts.items() if value is not None}
     data = msgspec.json.encode({"seq": seq, "time": iso(now()), "what": what, **told})
@@ -66,9 +66,9 @@ def seal(after: Head, what: str, facts: Mapping[str, Any]) -> Row:
 
 
 def joint(record: dict[str, Any]) -> Head | None:
-    """Return the head that a record names as the one before it, which may be lost itself.
+    """Return the head that a record names as its predecessor, which may be lost.
 
-    Such a record is where the chain goes on after damage: `gap` and `repair`.
+    The chain continues after damage with such a record: `gap` or `repair`.
     """
     if record.get("what") not in _JOINTS:
         return None
@@ -79,7 +79,7 @@ def joint(record: dict[str, Any]) -> Head | None:
 
 
 def decoded(data: bytes) -> dict[str, Any]:
-    """Return a record as it is stored; an empty one if somebody made something else of it."""
+    """Return a stored record; empty if it is invalid."""
     try:
         return msgspec.json.decode(data, type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError):

@@ -1,6 +1,6 @@
-"""Whether a store is what its gateway left: a damaged one must not be taken for a fresh one.
+"""Detects a damaged store: it must not be mistaken for a new one.
 
-Nothing here changes a file: what is damaged is evidence, and perhaps the only copy.
+Nothing here changes a file: damaged files are evidence, and perhaps the only copy.
 """
 
 from __future__ import annotations
@@ -13,39 +13,39 @@ from itertools import pairwise
 from pathlib import Path
 
 from rcp_kernel.store.chain import GENESIS, Head, Row, decoded, joint, link
-from rcp_kernel.store.file import FAULTS, ROWS, HeadFile, anchor_of, is_damage, looked_at
+from rcp_kernel.store.file import FAULTS, ROWS, HeadFile, anchor_of, is_damage, open_for_inspection
 from rcp_kernel.store.latch_file import LatchFile, latches_beside
 
 __all__ = ["find_damage", "interim_of", "known_head", "last_readable", "quick_check"]
 
-_BOUND = 2.0  # s that a start may look through the pages of a database
-_ROWS = 1000  # records at the end of the chain that a start verifies
-_STEPS = 10_000  # of SQLite's machine between two looks at the clock
+_BOUND = 2.0  # s for checking the pages of the database at the start
+_ROWS = 1000  # records verified at the start, from the end of the chain
+_STEPS = 10_000  # SQLite virtual machine instructions between time checks
 _TABLES = {"kept", "audit"}
 
 
 def interim_of(path: Path) -> Path:
-    """Return where the record goes on while the store is damaged."""
+    """Return the path of the interim database used while the store is damaged."""
     return path.with_name(path.name + ".interim")
 
 
 def find_damage(path: Path, *, bound: float | None = _BOUND) -> str | None:
-    """Return what is wrong with a store, or None. Blocks, for `bound` seconds at most.
+    """Return a description of the damage, or None. Blocks for `bound` seconds at most.
 
-    :raises sqlite3.Error: it cannot be looked at, for a reason that is not damage.
+    :raises sqlite3.Error: the store cannot be read for a reason other than damage.
     """
     try:
-        found = _missing(path) if _empty(path) else _look(path, bound)
+        damage = _missing(path) if _empty(path) else _look(path, bound)
     except FAULTS as error:
         if not is_damage(error):
             raise
-        found = f"the database cannot be read ({error})"
-    if found is None and interim_of(path).exists():
-        found = (
+        damage = f"the database cannot be read ({error})"
+    if damage is None and interim_of(path).exists():
+        damage = (
             f"the database was replaced by hand after it had been damaged, and "
             f"{interim_of(path).name} holds what was recorded meanwhile"
         )
-    return found
+    return damage
 
 
 def _empty(path: Path) -> bool:
@@ -53,7 +53,7 @@ def _empty(path: Path) -> bool:
 
 
 def _missing(path: Path) -> str | None:
-    """Tell whether there was a database once: its gateway leaves other files beside it."""
+    """Return the damage if there was a database once, as other files beside it show."""
     left = _witnesses(path)
     if not left:
         return None
@@ -70,7 +70,7 @@ def _witnesses(path: Path) -> list[str]:
 
 
 def _look(path: Path, bound: float | None) -> str | None:
-    with closing(looked_at(path)) as base:
+    with closing(open_for_inspection(path)) as base:
         names = base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
         if not {name for (name,) in names} >= _TABLES:
             return "its tables are missing" if _witnesses(path) else None
@@ -81,7 +81,7 @@ def _look(path: Path, bound: float | None) -> str | None:
 
 
 def quick_check(base: sqlite3.Connection, bound: float | None) -> str | None:
-    """Return what SQLite finds wrong with a database; None also if the time was not enough.
+    """Return SQLite's report of damage; None also if the check did not finish within `bound`.
 
     :raises sqlite3.Error: it cannot be read.
     """
@@ -90,9 +90,9 @@ def quick_check(base: sqlite3.Connection, bound: float | None) -> str | None:
         base.set_progress_handler(lambda: time.monotonic() > end, _STEPS)
     try:
         for check in ("PRAGMA quick_check('kept')", "PRAGMA quick_check"):
-            [(found,)] = base.execute(check).fetchmany(1)
-            if found != "ok":
-                return f"SQLite finds: {' '.join(str(found).split())}"
+            [(result,)] = base.execute(check).fetchmany(1)
+            if result != "ok":
+                return f"SQLite finds: {' '.join(str(result).split())}"
     except sqlite3.OperationalError as error:
         if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
             raise
@@ -102,9 +102,9 @@ def quick_check(base: sqlite3.Connection, bound: float | None) -> str | None:
 
 
 def _chain(base: sqlite3.Connection, path: Path) -> str | None:
-    """Compare the end of the chain with itself, and with the head beside it."""
+    """Verify the end of the chain, also against the head beside it."""
     file = HeadFile(path)
-    head = file.read()  # before the rows: a gateway that runs goes on meanwhile
+    head = file.read()  # before the rows: a running gateway may add more
     rows = base.execute(f"{ROWS} ORDER BY seq DESC LIMIT ?", (_ROWS,)).fetchall()
     if head is None:
         return (
@@ -113,7 +113,7 @@ def _chain(base: sqlite3.Connection, path: Path) -> str | None:
     last = rows[0][0] if rows else (anchor_of(base) or (0, GENESIS))[0]
     if head[0] > last:
         if not file.of_this_boot and _latches_known(path):
-            return None  # a power cut: latches are flushed to the disk one by one
+            return None  # a power failure: latches are synced individually
         return (
             f"records {last + 1} to {head[0]} are missing ({head[0] - last}): the database ends "
             f"before {file.path.name} does, as an older copy or a lost WAL would"
@@ -132,7 +132,7 @@ def _latches_known(path: Path) -> bool:
 
 
 def _linked(rows: Sequence[Row]) -> str | None:
-    """Verify records from the last backwards, as far as the last repair."""
+    """Verify records backwards from the last, up to the last repair."""
     for (seq, digest, data), (before, previous, _) in pairwise(rows):
         if joint(decoded(data)) is not None:
             return None
@@ -144,9 +144,9 @@ def _linked(rows: Sequence[Row]) -> str | None:
 
 
 def last_readable(path: Path) -> Head | None:
-    """Return the last record that can be read of a database, or None."""
+    """Return the last readable record of a database, or None."""
     try:
-        with closing(looked_at(path, in_spite=True)) as base:
+        with closing(open_for_inspection(path, tolerant=True)) as base:
             row = base.execute(f"{ROWS} ORDER BY seq DESC LIMIT 1").fetchone()
     except FAULTS:
         return None
@@ -156,5 +156,5 @@ def last_readable(path: Path) -> Head | None:
 
 
 def known_head(path: Path) -> Head:
-    """Return the last record that is known to have been in a store, as far as anything tells."""
+    """Return the last record known to have been in a store."""
     return max(HeadFile(path).read() or (0, GENESIS), last_readable(path) or (0, GENESIS))

@@ -1,9 +1,9 @@
-"""What survives the process: keyed values and the audit's rows in SQLite, written by one thread.
+"""Persistent keyed values and audit rows in SQLite, written by one thread.
 
-The event loop gathers what is put and hands it over once a turn; the thread writes whatever has
-come in one transaction. With WAL and `synchronous=NORMAL` what is committed survives `kill -9`
-of the gateway; a power cut may cost the last moments, never the file. Latched e-stops are kept a
-second time, in a file of their own that is flushed to the disk.
+The event loop collects changes and passes them on once per iteration; the thread writes everything
+pending in one transaction. With WAL and `synchronous=NORMAL`, committed data survives `kill -9`
+of the gateway; a power failure may lose the last moments, never the file. Latched e-stops are also
+stored in a separate file that is synced to disk.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from rcp_kernel.store.file import (
     FAULTS,
     ROWS,
     HeadFile,
+    check_usable,
     create,
     is_damage,
     lock,
-    opened,
-    prove,
+    open_writable,
     store_errors,
 )
 from rcp_kernel.store.interim import open_beside, stamp
@@ -54,14 +54,14 @@ _KEEPER = "the gateway"
 
 
 class DiskStore(Store):
-    """A store in one SQLite file. For the event loop's thread, which it never blocks."""
+    """A store in one SQLite file. Use it on the event loop's thread; only loading blocks."""
 
     keeps = True
 
     def __init__(self, path: Path, loop: asyncio.AbstractEventLoop) -> None:
-        """Open or create the database, or one beside it if it is damaged.
+        """Open or create the database, or an interim one if it is damaged.
 
-        :raises ConfigError: it cannot be opened, or another gateway has it.
+        :raises ConfigError: it cannot be opened, or another gateway uses it.
         """
         self._path = path
         self._loop = loop
@@ -72,7 +72,7 @@ class DiskStore(Store):
         self._waiters: deque[tuple[int, Callable[[], object]]] = deque()
         self._latches_changed = False
         self._latches: dict[str, Any] = {}
-        """The latches as they are to be kept."""
+        """The latches to store."""
         self._latch_file = LatchFile(path)
         with store_errors(path), ExitStack() as opening:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -81,14 +81,14 @@ class DiskStore(Store):
             self._lock = lock(path)
             opening.callback(self._lock.close)
             self._open(opening)
-            unkept = self._find_latches()
+            unsaved = self._find_latches()
             opening.pop_all()
-        reports = Reports(self._written, self._failed, self._found_again)
+        reports = Reports(self._written, self._failed, self._recovered)
         self._writer = StoreWriter(
             self.path, self._connect, self._head, self._latch_file, loop, reports
         )
         self._writer.start()
-        for key in unkept:
+        for key in unsaved:
             self.put(LATCHES, key, self._latches[key])
 
     @property
@@ -97,7 +97,7 @@ class DiskStore(Store):
         return self._path
 
     def _open(self, opening: ExitStack) -> None:
-        """Open the database, or another one if it is damaged."""
+        """Open the database, or the interim one if it is damaged."""
         path = self.path
         try:
             self.damage = find_damage(path)
@@ -116,47 +116,47 @@ class DiskStore(Store):
     def _begin(self, opening: ExitStack) -> None:
         self._head = HeadFile(self.path)
         self.left = self._head.read()
-        self._head.open()  # before the database: without one beside it, nothing tells of its end
+        self._head.open()  # before the database: a truncation could not be detected without it
         opening.callback(self._head.close)
         if not self.path.exists():
             create(self.path)
         with closing(self._connect()) as base:
-            prove(base)
+            check_usable(base)
 
     def _find_latches(self) -> list[str]:
-        """Find the latches of earlier runs, in both places; return those the database has not.
+        """Load the latches of earlier runs from both copies; return those missing in the database.
 
-        Where one of the places is damaged, every robot is latched: somebody may have done so.
+        If a copy is damaged, every robot is latched, because the lost part may have been a latch.
         """
         why = None if self.damage is None else f"store damaged: {self.damage}"
-        found = None
+        saved = None
         try:
-            found = self._latch_file.read()
+            saved = self._latch_file.read()
         except ValueError as error:
             why = why or f"store damaged: {self._latch_file.path.name}: {error}"
             aside = self._latch_file.put_aside(stamp())
             log.error("latches_damaged", path=str(aside), detail=str(error))
         kept = self._kept(LATCHES, {})
-        self._latches = union(kept, found or {})
+        self._latches = union(kept, saved or {})
         if why is not None:
             self._latches[GATEWAY] = _held(self._latches.get(GATEWAY), why)
-        if found != self._latches:
+        if saved != self._latches:
             self._latch_file.write(encode_latches(self._latches))
         return [key for key, latch in self._latches.items() if kept.get(key) != latch]
 
     def _connect(self) -> sqlite3.Connection:
-        return opened(self.path)
+        return open_writable(self.path)
 
-    # -- the event loop's side -----------------------------------------------------------------
+    # -- on the event loop ---------------------------------------------------------------------
 
     def put(self, table: str, key: str, value: Any | None) -> None:
-        """Keep a value, or delete it."""
+        """Store a value, or delete it."""
         data = None
         try:
-            key.encode()  # what SQLite would not take must not keep the rest of its batch out
+            key.encode()  # SQLite would refuse the whole batch because of it
             if value is not None:
                 data = _encoded(value)
-        except Exception:  # what it tells of goes on, whether it can be written down or not
+        except Exception:  # the caller continues whether or not it can be stored
             log.exception("store_failed", table=table, key=key)
             return
         self._gathered.puts[table, key] = data
@@ -195,29 +195,29 @@ class DiskStore(Store):
         self._writer.put(batch)
 
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
-        """Have the thread look something up once all that was put before is committed."""
+        """Run a query on the thread once everything put so far is committed."""
         self._gathered.looks.append((work, then))
         self._gather()
 
     @property
     def idle(self) -> bool:
-        """Whether all that was put is committed."""
+        """Whether everything is committed."""
         return self._committed == self._count
 
     def settled(self, callback: Callable[[], object]) -> None:
-        """Call back once all that was put before is committed."""
+        """Call back once everything put so far is committed."""
         if self._committed == self._count:
             callback()
         else:
             self._waiters.append((self._count, callback))
 
-    def _written(self, batch: Batch, found: list[Any]) -> None:
+    def _written(self, batch: Batch, results: list[Any]) -> None:
         upto = self._committed = batch.upto
         self.waiting -= len(batch.rows)
         self.trouble = None
         if batch.rows:
             self.head = batch.rows[-1][:2]
-        for (_, then), result in zip(batch.looks, found, strict=True):
+        for (_, then), result in zip(batch.looks, results, strict=True):
             then(result)
         while self._waiters and self._waiters[0][0] <= upto:
             callback = self._waiters.popleft()[1]
@@ -231,12 +231,12 @@ class DiskStore(Store):
             log.error("store_failed", path=str(self.path), error=reason)
         self.trouble = reason
 
-    def _found_again(self) -> None:
+    def _recovered(self) -> None:
         if self.idle:
             self.trouble = None
 
     def load(self, table: str, *, unreadable: Any = None) -> dict[str, Any]:
-        """Return what earlier runs kept in a table; latches from both places that they are kept in.
+        """Return what earlier runs stored in a table; latches are merged from both copies.
 
         :raises ConfigError: the database cannot be read.
         """
@@ -247,8 +247,8 @@ class DiskStore(Store):
     def _kept(self, table: str, unreadable: Any) -> dict[str, Any]:
         with store_errors(self.path), closing(self._connect()) as base:
             rows = base.execute("SELECT key, value FROM kept WHERE place = ?", (table,)).fetchall()
-        found = {key: _decoded(table, key, data, unreadable) for key, data in rows}
-        return {key: value for key, value in found.items() if value is not None}
+        values = {key: _decoded(table, key, data, unreadable) for key, data in rows}
+        return {key: value for key, value in values.items() if value is not None}
 
     def rows(self, last: int) -> list[Row]:
         """Return the audit's last rows, oldest first.
@@ -259,7 +259,7 @@ class DiskStore(Store):
             return base.execute(f"{ROWS} ORDER BY seq DESC LIMIT ?", (last,)).fetchall()[::-1]
 
     def close(self) -> None:
-        """Write what is left within a bound, then stop."""
+        """Write the rest within a time limit, then stop."""
         self._hand_over()
         self.lost = not self._writer.close()
         self._lock.close()
@@ -268,7 +268,7 @@ class DiskStore(Store):
 def _encoded(value: Any) -> bytes:
     try:
         return msgspec.msgpack.encode(value)
-    except OverflowError:  # an integer past 64 bits: a text, as on the wire
+    except OverflowError:  # an integer beyond 64 bits becomes a string, as on the wire
         return msgspec.msgpack.encode(msgspec.json.decode(dump(value, Encoding.JSON)))
 
 
@@ -281,7 +281,7 @@ def _decoded(table: str, key: str, data: bytes, unreadable: Any) -> Any:
 
 
 def _held(latch: dict[str, Any] | None, why: str) -> dict[str, Any]:
-    """Return the latch that holds every robot, with what is known of an older one."""
+    """Return a gateway-wide latch whose reason mentions an older one."""
     if latch and latch.get("by") != _KEEPER:
         why += f"; latched already by {latch.get('by')}: {latch.get('reason')}"
     return latch_row(_KEEPER, why)

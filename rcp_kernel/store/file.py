@@ -1,4 +1,4 @@
-"""The file of a store: how it is made, opened, proved and locked, and what is said if it cannot be."""
+"""The file of a store: creating, opening, checking and locking it, and the errors of each."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ __all__ = [
     "HeadFile",
     "anchor_of",
     "beside",
+    "check_usable",
     "create",
     "head_beside",
     "is_damage",
     "lock",
-    "looked_at",
+    "open_for_inspection",
     "open_read_only",
-    "opened",
-    "prove",
+    "open_writable",
     "store_errors",
 ]
 
 Kept = tuple[str, str, bytes]
-"""A row of what is kept by key: its place, its key, its value."""
+"""A row of the keyed values: table, key, value."""
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS kept (
     place TEXT NOT NULL, key TEXT NOT NULL, value BLOB NOT NULL, PRIMARY KEY (place, key)
@@ -45,7 +45,7 @@ CREATE TABLE IF NOT EXISTS audit (
 ROWS = (
     "SELECT seq, coalesce(CAST(hash AS BLOB), x''), coalesce(CAST(record AS BLOB), x'') FROM audit"
 )
-"""Selects rows of the audit, as bytes whatever somebody made of them."""
+"""Selects audit rows, always as bytes, even if somebody changed the types of the columns."""
 _NO_ACCESS = (
     sqlite3.SQLITE_PERM,
     sqlite3.SQLITE_READONLY,
@@ -59,25 +59,25 @@ _BAD_READ = (
     getattr(sqlite3, "SQLITE_IOERR_DATA", 8202),
     sqlite3.SQLITE_IOERR_CORRUPTFS,
 )
-"""The disk does not give back what was written."""
+"""The disk does not return what was written."""
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 FAULTS = (sqlite3.Error, UnicodeError)
-"""What SQLite raises: also the other where a damaged schema is to be told of."""
-_BUSY = 1.0  # s to wait for somebody else's lock on the database
+"""Errors of SQLite; it raises `UnicodeError` for a damaged schema."""
+_BUSY = 1.0  # s to wait while another process locks the database
 
 
 def beside(path: Path) -> Path:
-    """Return where the head of the audit is kept a second time."""
+    """Return the path of the second copy of the audit's head."""
     return path.with_name(path.name + ".head")
 
 
 def head_beside(path: Path) -> Head | None:
-    """Return the head of the audit that the last writer left beside a database."""
+    """Return the head of the audit that the last writer stored beside a database."""
     return HeadFile(path).read()
 
 
 class HeadFile:
-    """The head of the audit beside a database, and in which run of the machine it was written."""
+    """The head of the audit in a file beside the database, with the machine's boot id."""
 
     def __init__(self, path: Path) -> None:
         self.path = beside(path)
@@ -86,7 +86,7 @@ class HeadFile:
         self._boot = _boot()
 
     def read(self) -> Head | None:
-        """Return the head; None if there is none that can be read."""
+        """Return the head; None if it is missing or unreadable."""
         try:
             return parse_head(self.path.read_text(encoding="ascii").split()[0])
         except (OSError, ValueError, IndexError):
@@ -94,9 +94,9 @@ class HeadFile:
 
     @property
     def of_this_boot(self) -> bool:
-        """Whether the machine has run since the head was written, as far as that can be known.
+        """Whether the head was written since the machine was started; True if unknown.
 
-        If not, a power cut may have cost what was committed last.
+        If not, a power failure may have lost the last commits.
         """
         try:
             words = self.path.read_text(encoding="ascii").split()
@@ -105,20 +105,20 @@ class HeadFile:
         return not self._boot or len(words) < 2 or words[1] == self._boot
 
     def open(self, head: Head = (0, GENESIS)) -> None:
-        """Open it to write, with a head if it is new.
+        """Open the file for writing; a new one gets `head`.
 
-        :raises OSError: it cannot be.
+        :raises OSError: it cannot be opened.
         """
         self._last = self.read() or head
         self._file = os.open(self.path, os.O_CREAT | os.O_WRONLY, 0o600)
         if os.fstat(self._file).st_size == 0:
             self.write(head)
-            os.fsync(self._file)  # an empty one would count as damage after a power cut
+            os.fsync(self._file)  # an empty file would count as damage after a power failure
 
     def write(self, head: Head) -> None:
-        """Replace the head in a file that is open.
+        """Replace the head in the open file.
 
-        :raises OSError: it cannot be.
+        :raises OSError: it cannot be written.
         """
         assert self._file is not None
         seq, digest = head
@@ -126,17 +126,17 @@ class HeadFile:
         os.write(self._file, f"{seq:020d}:{digest.hex()} {self._boot}\n".encode())
         self._last = head
 
-    def stay(self) -> None:
-        """Make it anew if somebody has deleted it.
+    def restore(self) -> None:
+        """Create the file again if it was deleted.
 
-        :raises OSError: that cannot be done.
+        :raises OSError: it cannot be created.
         """
         if self._file is not None and os.fstat(self._file).st_nlink == 0:
             self.close()
             self.open(self._last)
 
     def close(self) -> None:
-        """Close it."""
+        """Close the file."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
@@ -149,10 +149,10 @@ def _boot() -> str:
         return ""
 
 
-def opened(path: Path) -> sqlite3.Connection:
-    """Open a store to write.
+def open_writable(path: Path) -> sqlite3.Connection:
+    """Open a store for writing.
 
-    :raises sqlite3.Error: it cannot be.
+    :raises sqlite3.Error: it cannot be opened.
     """
     base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=rw", uri=True, timeout=_BUSY)
     base.execute("PRAGMA journal_mode=WAL")
@@ -161,19 +161,19 @@ def opened(path: Path) -> sqlite3.Connection:
     return base
 
 
-def looked_at(path: Path, *, in_spite: bool = False) -> sqlite3.Connection:
-    """Open a database without changing it; `in_spite` of its length, which tells that it was cut.
+def open_for_inspection(path: Path, *, tolerant: bool = False) -> sqlite3.Connection:
+    """Open a database without changing it; with `tolerant`, even if its length shows truncation.
 
-    :raises sqlite3.Error: it cannot be.
+    :raises sqlite3.Error: it cannot be opened.
     """
     base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=_BUSY)
-    if in_spite:
+    if tolerant:
         base.execute("PRAGMA writable_schema = ON")
     return base
 
 
 def is_damage(error: Exception) -> bool:
-    """Tell whether an error is of what the file holds, not of who may open it."""
+    """Return whether an error is caused by the file's content, not by access to it."""
     if isinstance(error, UnicodeError):
         return True
     if not isinstance(error, sqlite3.Error) or isinstance(error, _Taken):
@@ -183,38 +183,38 @@ def is_damage(error: Exception) -> bool:
     return code in _BAD_READ or code & 0xFF not in passing
 
 
-def prove(base: sqlite3.Connection) -> None:
-    """Find out whether what survives can be read, and whether anything can be written.
+def check_usable(base: sqlite3.Connection) -> None:
+    """Check that keyed values can be read, and that the database can be written.
 
-    :raises sqlite3.Error: it cannot.
+    :raises sqlite3.Error: either fails.
     """
-    [(found,)] = base.execute("PRAGMA quick_check('kept')").fetchmany(1)
-    if found != "ok":
-        raise sqlite3.DatabaseError(found)
+    [(result,)] = base.execute("PRAGMA quick_check('kept')").fetchmany(1)
+    if result != "ok":
+        raise sqlite3.DatabaseError(result)
     with base:
         base.execute("INSERT OR REPLACE INTO kept VALUES ('store', 'proof', x'c0')")
         base.execute("DELETE FROM kept WHERE place = 'store'")
 
 
 def create(path: Path, rows: Iterable[Row] = (), kept: Iterable[Kept] = ()) -> None:
-    """Make the database all at once: whoever looks finds it whole or not at all."""
+    """Create the database atomically: other processes see it complete or not at all."""
     fresh = path.with_name(path.name + ".new")
-    for suffix in ("", "-journal", "-wal", "-shm"):  # of a start that was cut off
+    for suffix in ("", "-journal", "-wal", "-shm"):  # left by an interrupted start
         fresh.with_name(fresh.name + suffix).unlink(missing_ok=True)
     _claim(fresh)
-    with closing(opened(fresh)) as base, base:
+    with closing(open_writable(fresh)) as base, base:
         base.executemany("INSERT INTO audit VALUES (?, ?, ?)", rows)
         base.executemany("INSERT INTO kept VALUES (?, ?, ?)", kept)
     fresh.replace(path)
 
 
 def _claim(path: Path) -> None:
-    """Have a file whose content is nobody else's to read."""
+    """Create a file that only its owner can read."""
     os.close(os.open(path, os.O_CREAT | os.O_WRONLY, 0o600))
 
 
 def lock(path: Path) -> sqlite3.Connection:
-    """Keep a second gateway from the same store; the system lets go when the process ends."""
+    """Lock the store against a second gateway; the system releases it when the process ends."""
     place = path.with_name(path.name + ".lock")
     _claim(place)
     held = sqlite3.connect(place, timeout=0, isolation_level=None)
@@ -230,9 +230,9 @@ def lock(path: Path) -> sqlite3.Connection:
 
 @contextmanager
 def store_errors(path: Path) -> Generator[None]:
-    """Have what is wrong with a store said in full.
+    """Turn errors of a store into configuration errors with a remedy.
 
-    :raises ConfigError: with what to do next.
+    :raises ConfigError: the store cannot be opened.
     """
     try:
         yield
@@ -260,12 +260,12 @@ def _remedy(error: Exception) -> str:
 
 
 def open_read_only(path: Path) -> sqlite3.Connection:
-    """Open a store to look at, also while its gateway runs.
+    """Open a store for reading, even while its gateway runs.
 
-    :raises ConfigError: it is not there, or not a store.
+    :raises ConfigError: it is missing, or not a store.
     """
     try:
-        base = looked_at(path)
+        base = open_for_inspection(path)
         base.execute("SELECT 1 FROM audit LIMIT 1")
     except FAULTS as error:
         advice = "; run `rcpd store check`" if is_damage(error) else ""
@@ -274,12 +274,12 @@ def open_read_only(path: Path) -> sqlite3.Connection:
 
 
 def anchor_of(base: sqlite3.Connection) -> Head | None:
-    """Return the last record that was deleted, where the chain begins."""
+    """Return the last deleted record, after which the chain begins."""
     row = base.execute("SELECT value FROM kept WHERE place = 'audit' AND key = 'anchor'").fetchone()
     if row is None:
         return None
     try:
         kept: Any = msgspec.msgpack.decode(row[0])
         return int(kept["seq"]), bytes(kept["hash"])
-    except (msgspec.DecodeError, ValueError, TypeError, KeyError):  # the gap says that it is gone
+    except (msgspec.DecodeError, ValueError, TypeError, KeyError):  # the gap reports it
         return None

@@ -1,4 +1,4 @@
-"""Where the record goes on while a store is damaged: a database beside it, which is left as it is."""
+"""The interim database that takes new records while the store is damaged and left unchanged."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rcp_kernel.store.file import HeadFile, Kept, create
 __all__ = ["SUFFIXES", "open_beside", "stamp"]
 
 SUFFIXES = ("", "-wal", "-shm", "-journal", ".head")
-"""What the files of a database and its head are called, by what is added to its name."""
+"""Name suffixes of the files of a database and its head."""
 
 
 def stamp() -> str:
-    """Return the present time as it is put into the names of files."""
+    """Return the current time in the form used in file names."""
     return datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
 
 
 def open_beside(path: Path, interim: Path, damage: str) -> None:
-    """Have a database in which the record of a damaged store goes on after what is known of it.
+    """Create the interim database of a damaged store; its chain continues from the known head.
 
-    One that an earlier start made is used again, unless it is damaged as well: it is put aside.
+    One from an earlier start is reused, unless it is damaged as well: then it is moved aside.
 
-    :raises OSError: there can be none.
+    :raises OSError: it cannot be created.
     :raises sqlite3.Error: likewise.
     """
     head = known_head(path)
@@ -37,17 +37,17 @@ def open_beside(path: Path, interim: Path, damage: str) -> None:
             return
         head = max(head, known_head(interim))
         _put_aside(interim)
-    for suffix in SUFFIXES:  # of a start that was cut off
+    for suffix in SUFFIXES:  # left by an interrupted start
         interim.with_name(interim.name + suffix).unlink(missing_ok=True)
     facts = {"head": written(head), "message": f"store damaged: {damage}"}
     gap = seal(head, "gap", facts)
-    with closing(HeadFile(interim)) as file:  # first: a database without one counts as damaged
+    with closing(HeadFile(interim)) as file:  # first: without one, it counts as damaged
         file.open(gap[:2])
     create(interim, [gap], _anchor(head))
 
 
 def _anchor(head: Head) -> list[Kept]:
-    """Have the chain begin after a head that is in another file."""
+    """Return the rows that let the chain begin after a head in another file."""
     if head[0] == 0:
         return []
     value = msgspec.msgpack.encode({"seq": head[0], "hash": head[1]})

@@ -1,8 +1,8 @@
-"""The latched e-stops a second time: a small file beside the store that outlives its database.
+"""A second copy of the latched e-stops: a small file beside the store that outlives its database.
 
-It is JSON with a version and a checksum, replaced as a whole: written, flushed to the disk,
-renamed, and the folder flushed. The file that it replaces becomes the next one's space, so a full
-disk does not keep a latch from it.
+It is JSON with a version and a checksum, replaced atomically: written, synced to disk, renamed,
+and the folder synced. The replaced file is reused for the next version, so latches can be stored
+even when the disk is full.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ __all__ = [
 ]
 
 LATCHES = "latches"
-"""The table of the store that the file repeats."""
+"""The table of the store that the file duplicates."""
 GATEWAY = "*"
-"""The key of the latch that holds every robot."""
+"""The key of the gateway-wide latch."""
 _VERSION = 1
-_SPACE = 65536  # bytes that the file and its successor take at least
+_SPACE = 65536  # minimum size of the file and its spare, in bytes
 Rows = dict[str, dict[str, Any]]
 
 
 class _Row(msgspec.Struct):
-    """What is kept of a latch."""
+    """The stored form of a latch."""
 
     by: str
     reason: str | None
@@ -52,40 +52,40 @@ class _Content(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def latches_beside(path: Path) -> Path:
-    """Return where the latches of a store are kept a second time."""
+    """Return the path of the second copy of a store's latches."""
     return path.with_name(path.name + ".latches")
 
 
 def latch_row(by: str, reason: str) -> dict[str, Any]:
-    """Return what is kept of a new latch."""
+    """Return the stored form of a new latch."""
     return {"by": by, "reason": reason, "since": now(), "freed": []}
 
 
 def encode_latches(rows: Rows) -> bytes:
-    """Write the content of the file."""
+    """Encode the content of the file."""
     content = _Content(_VERSION, _checksum(rows), rows)
     return msgspec.json.encode(content)
 
 
 def union(kept: dict[str, Any], beside: Rows) -> Rows:
-    """Return the latches that either place knows; a robot is freed of one only if both say so.
+    """Merge the latches of both copies; a robot counts as reset only if both copies agree.
 
-    A row of the database that is none any more counts as a latch that frees nobody.
+    An invalid row of the database counts as a latch from which no robot was reset.
     """
-    found: Rows = dict(beside)
+    merged: Rows = dict(beside)
     for key, value in kept.items():
         row = _checked(value)
         other = beside.get(key)
         if other is None:
-            found[key] = row
+            merged[key] = row
         else:
             freed = _freed(row) & _freed(_checked(other))
-            found[key] = {**other, **row, "freed": sorted(freed)}
-    return found
+            merged[key] = {**other, **row, "freed": sorted(freed)}
+    return merged
 
 
 def _checked(value: Any) -> dict[str, Any]:
-    """Return a row as it was kept; an empty one if somebody made something else of it."""
+    """Return a stored row; empty if it is invalid."""
     try:
         return msgspec.to_builtins(msgspec.convert(value, _Row))
     except msgspec.ValidationError:
@@ -101,7 +101,7 @@ def _checksum(rows: Rows) -> str:
 
 
 class LatchFile:
-    """The file of one store; for one thread at a time, which it blocks."""
+    """The latch file of one store. Calls block; use it from one thread at a time."""
 
     def __init__(self, path: Path) -> None:
         self.path = latches_beside(path)
@@ -129,15 +129,15 @@ class LatchFile:
         return content.latches
 
     def write(self, data: bytes) -> None:
-        """Replace the file; return when that would outlive a power cut.
+        """Replace the file; return once it would survive a power failure.
 
-        :raises OSError: it cannot be.
+        :raises OSError: it cannot be written.
         """
         self._fill(self._spare, data)
         try:
             self._swap.unlink(missing_ok=True)
             self._swap.hardlink_to(self.path)
-        except OSError:  # there is none yet, or a file has one name only here
+        except OSError:  # no file yet, or no hard links on this file system
             self._spare.replace(self.path)
             self._reserve()
         else:
@@ -146,7 +146,7 @@ class LatchFile:
         _flush_folder(self.path.parent)
 
     def put_aside(self, stamp: str) -> Path:
-        """Rename a damaged file, so that it can be looked at; return where it is."""
+        """Rename a damaged file, to keep it for inspection; return its new path."""
         aside = self.path.with_name(f"{self.path.name}.damaged-{stamp}")
         return self.path.rename(aside)
 
@@ -154,12 +154,12 @@ class LatchFile:
         try:
             self._fill(self._spare, b"")
         except OSError as error:
-            if error.errno != errno.ENOSPC:  # else the next write finds out whether there is room
+            if error.errno != errno.ENOSPC:  # otherwise the next write reports it
                 raise
 
     @staticmethod
     def _fill(path: Path, data: bytes) -> None:
-        """Write in place, padded with spaces: blocks that a file has cannot run out."""
+        """Write in place, padded with spaces: allocated blocks are available on a full disk too."""
         place = os.open(path, os.O_CREAT | os.O_WRONLY, 0o600)
         try:
             size = max(os.fstat(place).st_size, -(-len(data) // _SPACE) * _SPACE, _SPACE)
@@ -172,7 +172,7 @@ class LatchFile:
 
 
 def _flush_folder(folder: Path) -> None:
-    if os.name == "nt":  # it flushes names with the file
+    if os.name == "nt":  # names are synced with the file
         return
     place = os.open(folder, os.O_RDONLY)
     try:

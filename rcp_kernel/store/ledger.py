@@ -1,4 +1,4 @@
-"""The tamper-evident log of a store: each record is sealed by a hash over the one before it.
+"""The tamper-evident log of a store: each record's hash includes the previous one.
 
 Records are sealed on the event loop, in order; the store's thread writes them.
 """
@@ -16,19 +16,19 @@ __all__ = ["Ledger"]
 
 
 class Ledger:
-    """The log as a feature writes it. For the event loop's thread only."""
+    """The log as features use it, on the event loop's thread only."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
         last = store.rows(1)
         self.head: Head = (last[0][0], last[0][1]) if last else (0, GENESIS)
-        """The last record made; not necessarily committed yet."""
+        """The last record added; not necessarily committed yet."""
         self._found = self.head[0]
         self.settled = store.settled
-        """Calls back on the event loop once all that the store was given before is committed."""
+        """Calls back on the event loop once everything added so far is committed."""
 
     def add(self, what: str, facts: Mapping[str, Any]) -> bytes:
-        """Seal a record and have it written; return its bytes. Facts that are None are left out.
+        """Seal a record and queue it for writing; return its bytes. Facts that are None are omitted.
 
         :raises TypeError, ValueError, OverflowError, RecursionError: a fact is not plain data.
         """
@@ -38,52 +38,52 @@ class Ledger:
         return data
 
     def past(self, last: int) -> list[dict[str, Any]]:
-        """Return the last records of earlier runs. Blocks: for the start only."""
+        """Return the last records of earlier runs. Blocks: use it only at the start."""
         rows = [decoded(data) for seq, _, data in self._store.rows(last) if seq <= self._found]
         return [record for record in rows if record]
 
     def prune(self, upto: Head) -> None:
-        """Delete the oldest records, up to this one."""
+        """Delete all records up to this one."""
         seq, digest = upto
-        # In one transaction: the chain begins after what the anchor names.
+        # In one transaction: the chain begins after the record named in the anchor.
         self._store.put("audit", "anchor", {"seq": seq, "hash": digest})
         self._store.prune(seq + 1)
 
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
-        """Have the store's thread look something up; `then` gets it on the event loop."""
+        """Run a query on the store's thread; `then` gets the result on the event loop."""
         self._store.look(work, then)
 
     @property
     def keeps(self) -> bool:
-        """Whether records survive the process."""
+        """Whether records survive a restart."""
         return self._store.keeps
 
     @property
     def idle(self) -> bool:
-        """Whether all that the store was given is committed."""
+        """Whether everything is committed."""
         return self._store.idle
 
     @property
     def waiting(self) -> int:
-        """How many records are not committed yet."""
+        """Number of records not committed yet."""
         return self._store.waiting
 
     @property
     def trouble(self) -> str | None:
-        """Why nothing can be written at present."""
+        """Why writing fails; None if it works."""
         return self._store.trouble
 
     @property
     def damage(self) -> str | None:
-        """Why the database that is configured is left alone, and another one is written."""
+        """Why the interim database is used instead of the configured one; None if it is not."""
         return self._store.damage
 
     @property
     def left(self) -> Head | None:
-        """The head as the earlier run left it beside the database."""
+        """The head that the previous run stored beside the database."""
         return self._store.left
 
     @property
     def committed(self) -> Head | None:
-        """The last record that this run committed."""
+        """The last record committed in this run."""
         return self._store.head

@@ -1,4 +1,4 @@
-"""Files that are for the gateway's user alone, and whether they are."""
+"""Permissions of files that only the gateway's user may access."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["READ", "WRITE", "check_store_modes", "others_may"]
 READ = stat.S_IRGRP | stat.S_IROTH
 WRITE = stat.S_IWGRP | stat.S_IWOTH
 _STORE = ("", ".head", ".lock", ".latches", ".interim", "-wal", "-shm")
-"""What a store consists of, by what is added to its name."""
+"""Name suffixes of the files of a store."""
 
 
 def others_may(path: Path, bits: int) -> bool:
-    """Tell whether a file's group or others have one of some permissions; no, if it is not there."""
-    if os.name == "nt":  # it has other rights, of which the mode says nothing
+    """Return whether the group or others have any of `bits`; False if the file does not exist."""
+    if os.name == "nt":  # the mode does not reflect its access control lists
         return False
     try:
         return bool(path.stat().st_mode & bits)
@@ -27,9 +27,9 @@ def others_may(path: Path, bits: int) -> bool:
 
 
 def check_store_modes(path: Path) -> str | None:
-    """Return what to tell the operator if others may read a store, or None.
+    """Return a warning if other users can read a store, or None.
 
-    :raises ConfigError: others may write it, and so make tokens and records.
+    :raises ConfigError: others can write it, and thus create tokens and records.
     """
     files = [path.with_name(path.name + suffix) for suffix in _STORE]
     for file in files:

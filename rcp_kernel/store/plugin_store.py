@@ -1,4 +1,4 @@
-"""A table of an adapter's own in the gateway's store."""
+"""A plugin's own table in the gateway's store."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["PluginStore"]
 
 
 class PluginStore:
-    """Keyed values that survive the process where the gateway has a store."""
+    """Keyed values that survive a restart if the gateway has a store."""
 
     def __init__(self, store: Store, table: str) -> None:
         self._store = store
@@ -18,13 +18,13 @@ class PluginStore:
 
     @property
     def keeps(self) -> bool:
-        """Whether anything survives; what is dear to prepare need not be put where nothing does."""
+        """Whether values survive; if not, expensive preparation can be skipped."""
         return self._store.keeps
 
     def put(self, key: str, value: Any | None) -> None:
-        """Keep a value that MessagePack takes under a key; None deletes. Returns at once."""
+        """Store a value that MessagePack can encode; None deletes the key. Returns at once."""
         self._store.put(self._table, key, value)
 
     def load(self) -> dict[str, Any]:
-        """Return what earlier runs kept. Blocks: for the start only."""
+        """Return the values of earlier runs. Blocks: use it only at the start."""
         return self._store.load(self._table)

@@ -1,7 +1,7 @@
-"""Whether the files of an open database are still where they were opened.
+"""Detects that the files of an open database were deleted or replaced.
 
-SQLite goes on writing into a file that somebody has deleted or replaced, and nothing of that
-would be there at the next start.
+SQLite keeps writing to a file that was deleted or replaced, and all of that would be missing at
+the next start.
 """
 
 from __future__ import annotations
@@ -15,31 +15,31 @@ _NEIGHBOURS = ("-wal", "-shm")
 
 
 class StoreGone(OSError):
-    """The file that is written is not the one that the next start will find."""
+    """The open file is not the one that the next start will open."""
 
 
 class Presence:
-    """The files of one database, for the thread that writes it."""
+    """The files of one database; used by its writer thread."""
 
     def __init__(self, path: Path) -> None:
         self._path = str(path)
         self._known = {self._path: path.stat()}
 
     def learn(self) -> None:
-        """Take the files beside the database for the right ones: it has just been written."""
+        """Remember the current files beside the database, right after a write."""
         for suffix in _NEIGHBOURS:
             file = self._path + suffix
             with suppress(FileNotFoundError):
                 self._known.setdefault(file, Path(file).stat())
 
     def forget(self) -> None:
-        """Expect other files beside the database: it was closed, which may have deleted them."""
+        """Forget the files beside the database: closing it may have deleted them."""
         self._known = {self._path: self._known[self._path]}
 
     def check(self) -> None:
         """Compare the files with those that were opened.
 
-        :raises StoreGone: one was deleted, replaced or cut.
+        :raises StoreGone: a file was deleted, replaced or truncated.
         """
         for file, known in self._known.items():
             try:

@@ -1,4 +1,4 @@
-"""What is written to the store in one transaction."""
+"""Changes written to the store in one transaction."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import structlog
 
 from rcp_kernel.store.chain import Row
 
-__all__ = ["Batch", "commit", "looked_up"]
+__all__ = ["Batch", "commit", "run_query"]
 
 log = structlog.get_logger("rcp.store")
 
 
 class Batch:
-    """What one transaction writes."""
+    """The changes of one transaction."""
 
     __slots__ = ("before", "latches", "looks", "puts", "rows", "upto")
 
     def __init__(self) -> None:
         self.latches: bytes | None = None
-        """What the latch file is to hold, if a latch has changed."""
+        """New content of the latch file; None if no latch has changed."""
         self.looks: list[tuple[Callable[[sqlite3.Connection], Any], Callable[[Any], None]]] = []
         self.puts: dict[tuple[str, str], bytes | None] = {}
         self.rows: list[Row] = []
@@ -30,7 +30,7 @@ class Batch:
         self.upto = 0
 
     def take(self, later: Batch) -> None:
-        """Add what came after it."""
+        """Add the changes of a later batch."""
         self.puts.update(later.puts)
         self.rows += later.rows
         self.looks += later.looks
@@ -51,10 +51,10 @@ def commit(base: sqlite3.Connection, batch: Batch) -> None:
             base.execute("DELETE FROM audit WHERE seq < ?", (batch.before,))
 
 
-def looked_up(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any]) -> Any:
-    """Return the result of a look-up; None if it failed."""
+def run_query(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any]) -> Any:
+    """Return the result of a query; None if it failed."""
     try:
         return work(base)
-    except Exception:  # nobody's question may end the thread that writes
+    except Exception:  # a failing query must not end the writer thread
         log.exception("store_look_failed")
         return None

@@ -1,4 +1,4 @@
-"""What survives the process, as the parts of the gateway see it; and a store that keeps nothing."""
+"""The interface of the store, and a store that keeps nothing."""
 
 from __future__ import annotations
 
@@ -13,59 +13,59 @@ __all__ = ["Store"]
 
 
 class Store:
-    """Keeps nothing: the store of a gateway without `[store] path`, and the base of the other."""
+    """The store of a gateway without `[store] path`: it keeps nothing. Base class of the other."""
 
     keeps = False
-    """Whether anything survives; what is dear to prepare need not be put where nothing does."""
+    """Whether values survive; if not, expensive preparation can be skipped."""
     damage: str | None = None
-    """Why the database that is configured is left alone, and another one is written."""
+    """Why the interim database is used instead of the configured one; None if it is not."""
     lost = False
-    """Whether something could not be written before the end."""
+    """Whether something could not be written at the end."""
     trouble: str | None = None
-    """Why nothing can be written at present."""
+    """Why writing fails; None if it works."""
     waiting = 0
-    """Rows of the audit that are not committed yet."""
+    """Number of audit rows not committed yet."""
     left: Head | None = None
-    """The head of the audit as the earlier run left it beside the database."""
+    """The head of the audit that the previous run stored beside the database."""
     head: Head | None = None
-    """The last row of the audit that this run committed."""
+    """The last audit row committed in this run."""
 
     @property
     def path(self) -> Path | None:
-        """The database that is written; it is beside that of the configuration if that is damaged."""
+        """The database in use: the interim one if the configured one is damaged."""
         return None
 
     def put(self, table: str, key: str, value: Any | None) -> None:
-        """Keep a value that msgpack takes under a key; None deletes. Returns at once."""
+        """Store a value that MessagePack can encode; None deletes the key. Returns at once."""
 
     def load(self, table: str, *, unreadable: Any = None) -> dict[str, Any]:
-        """Return what earlier runs kept in a table. Blocks: for the start only.
+        """Return what earlier runs stored in a table. Blocks: use it only at the start.
 
-        A row that cannot be read counts as `unreadable`; it is left out if that is None.
+        An unreadable row gets the value `unreadable`; with None it is omitted.
         """
         return {}
 
     def append(self, row: Row) -> None:
-        """Add a row to the audit. Returns at once."""
+        """Add an audit row. Returns at once."""
 
     def prune(self, before: int) -> None:
-        """Delete the audit's rows before a number. Returns at once."""
+        """Delete the audit rows before a number. Returns at once."""
 
     def rows(self, last: int) -> list[Row]:
-        """Return the last rows of the audit that earlier runs left. Blocks: for the start only."""
+        """Return the last audit rows of earlier runs. Blocks: use it only at the start."""
         return []
 
     @property
     def idle(self) -> bool:
-        """Whether all that was put is committed."""
+        """Whether everything is committed."""
         return True
 
     def settled(self, callback: Callable[[], object]) -> None:
-        """Call back on the event loop once all that was put before is committed."""
+        """Call back on the event loop once everything put so far is committed."""
         callback()
 
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
-        """Have the store's thread look something up; `then` gets it on the event loop."""
+        """Run a query on the store's thread; `then` gets the result on the event loop."""
 
     def close(self) -> None:
-        """Write what is left, then stop."""
+        """Write the rest, then stop."""

@@ -1,4 +1,4 @@
-"""The thread that writes the store: whatever has gathered in one transaction, again until it can."""
+"""The thread that writes the store: all pending changes in one transaction, retried on failure."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ import structlog
 from rcp_kernel.store.file import HeadFile
 from rcp_kernel.store.latch_file import LatchFile
 from rcp_kernel.store.presence import Presence, StoreGone
-from rcp_kernel.store.record_batch import Batch, commit, looked_up
+from rcp_kernel.store.record_batch import Batch, commit, run_query
 
 __all__ = ["Reports", "StoreWriter"]
 
 log = structlog.get_logger("rcp.store")
-_RETRY = 0.5  # s between attempts of a store that cannot write
-_LOOK = 1.0  # s between looks whether the files are still there
-_OFTEN = 0.1  # s between them while much is written
-_CLOSE = 10.0  # s to write what is left
+_RETRY = 0.5  # s between attempts after a failure
+_LOOK = 1.0  # s between checks that the files still exist
+_OFTEN = 0.1  # s between these checks during continuous writes
+_CLOSE = 10.0  # s to write the rest at the end
 
 
 class Reports(NamedTuple):
-    """What the writer calls on the event loop."""
+    """The writer's callbacks, called on the event loop."""
 
     written: Callable[[Batch, list[Any]], None]
-    """With a batch that is committed, and what its look-ups found."""
+    """Called with a committed batch and the results of its queries."""
     failed: Callable[[str], None]
-    """With the reason why nothing can be written at present."""
-    found_again: Callable[[], None]
-    """After a failure, when the files are there."""
+    """Called with the reason why writing fails."""
+    recovered: Callable[[], None]
+    """Called after a failure, when the files exist again."""
 
 
 class StoreWriter:
-    """Takes batches and writes them in their order."""
+    """Writes batches in order."""
 
     def __init__(
         self,
@@ -65,15 +65,15 @@ class StoreWriter:
         self._thread = threading.Thread(target=self._write, name="rcp-store", daemon=True)
 
     def start(self) -> None:
-        """Begin to write."""
+        """Start the thread."""
         self._thread.start()
 
     def put(self, batch: Batch) -> None:
-        """Have a batch written. Returns at once."""
+        """Queue a batch. Returns at once."""
         self._queue.put(batch)
 
     def close(self) -> bool:
-        """Write what is left within a bound, then stop; return whether all is written."""
+        """Write the rest within a time limit, then stop; return whether everything was written."""
         self._queue.put(None)
         self._thread.join(timeout=_CLOSE)
         if self._thread.is_alive():
@@ -82,7 +82,7 @@ class StoreWriter:
         self._head.close()
         return not self._lost
 
-    # -- the thread's side ---------------------------------------------------------------------
+    # -- in the thread -------------------------------------------------------------------------
 
     def _write(self) -> None:
         base: sqlite3.Connection | None = None
@@ -94,10 +94,10 @@ class StoreWriter:
             while batch.upto > 0:
                 try:
                     base = self._commit(base, batch)
-                    found = [looked_up(base, work) for work, _ in batch.looks]
-                except Exception as error:  # whatever it was: nothing may end what keeps the record
+                    results = [run_query(base, work) for work, _ in batch.looks]
+                except Exception as error:  # nothing may end the thread
                     self._fail(str(error))
-                    base = self._let_go(base, error)
+                    base = self._after_failure(base, error)
                     if ending:
                         self._lost = True
                         log.error("store_lost", path=str(self._path), rows=len(batch.rows))
@@ -105,13 +105,13 @@ class StoreWriter:
                     ending = self._wait_out(batch)
                 else:
                     self._failing = False
-                    self._tell(self._reports.written, batch, found)
+                    self._tell(self._reports.written, batch, results)
                     batch = Batch()
         if base is not None:
             base.close()
 
     def _collect(self, batch: Batch, within: float) -> bool:
-        """Take in what has gathered or comes soon; return whether that was all there will ever be."""
+        """Collect queued batches, waiting `within` seconds; return whether the writer is closing."""
         with suppress(queue.Empty):
             more = self._queue.get(timeout=within)
             while more is not None:
@@ -121,19 +121,19 @@ class StoreWriter:
         return False
 
     def _wait_out(self, batch: Batch) -> bool:
-        """Collect for a while before the next attempt; latches are kept at once even then."""
+        """Collect batches until the next attempt; latches are still saved at once."""
         end = time.monotonic() + _RETRY
         while (left := end - time.monotonic()) > 0:
             if self._collect(batch, left):
                 return True
-            with suppress(OSError):  # the next attempt tells of it
+            with suppress(OSError):  # the next attempt reports it
                 self._save_latches(batch)
         return False
 
     def _commit(self, base: sqlite3.Connection | None, batch: Batch) -> sqlite3.Connection:
-        """Write a batch to where it belongs; the latch file first, which is there in any case.
+        """Write a batch; the latch file first, because it can be written in any case.
 
-        :raises Exception: not all of it could be.
+        :raises Exception: a part could not be written.
         """
         unsaved: OSError | None = None
         try:
@@ -141,7 +141,7 @@ class StoreWriter:
         except OSError as error:
             unsaved = error
         fresh = base is None
-        self._check_files(at_once=fresh)  # before anything is made in their place
+        self._check_files(at_once=fresh)  # before new files are created in their place
         base = base or self._connect()
         commit(base, batch)
         if fresh:
@@ -156,26 +156,26 @@ class StoreWriter:
             self._latch_file.write(batch.latches)
             batch.latches = None
 
-    def _let_go(
+    def _after_failure(
         self, base: sqlite3.Connection | None, error: Exception
     ) -> sqlite3.Connection | None:
-        """Close a database that has failed, so that it is opened anew."""
+        """Close the database after an error, so that it is reopened."""
         if isinstance(error, StoreGone):
-            return base  # its files are expected back; others would not be its own
+            return base  # wait for the original files to come back
         if base is not None:
             base.close()
         self._presence.forget()
         return None
 
     def _check_files(self, *, at_once: bool = False) -> None:
-        """Look whether the files are still there, if that is due.
+        """Check that the files still exist, if a check is due.
 
-        :raises StoreGone: one is not.
+        :raises StoreGone: one was deleted, replaced or truncated.
         """
         moment = time.monotonic()
         if at_once or moment >= self._next_look:
             self._presence.check()
-            self._head.stay()
+            self._head.restore()
             self._next_look = moment + _OFTEN
 
     def _look_after_files(self) -> None:
@@ -185,12 +185,12 @@ class StoreWriter:
             self._fail(str(error))
         else:
             if self._failing:
-                self._tell(self._reports.found_again)
+                self._tell(self._reports.recovered)
 
     def _write_head(self, batch: Batch) -> None:
-        """Keep the head in a second place, where the end of the chain can be missed."""
+        """Save a second copy of the head, which reveals a truncated chain."""
         if batch.rows:
-            with suppress(OSError):  # what is committed is committed
+            with suppress(OSError):  # the batch is committed in any case
                 self._head.write(batch.rows[-1][:2])
 
     def _fail(self, reason: str) -> None:
@@ -198,5 +198,5 @@ class StoreWriter:
         self._tell(self._reports.failed, reason)
 
     def _tell(self, what: Callable[..., None], *facts: Any) -> None:
-        with suppress(RuntimeError):  # the loop has ended: nobody waits any more
+        with suppress(RuntimeError):  # the event loop has ended
             self._loop.call_soon_threadsafe(what, *facts)

@@ -1,4 +1,4 @@
-"""The paths that a record names beside its own: whoever may not see one of them is not told of it."""
+"""The further paths that a record names: readers must be allowed to see all of them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from itertools import islice
 __all__ = ["EVERYTHING", "MOST_TOUCHES", "bounded_touches"]
 
 EVERYTHING = "/**"
-"""Stands among paths for all there are: what is about it is for those from whom nothing is hidden."""
+"""Stands for all paths: only readers from whom nothing is hidden may see such a record."""
 MOST_TOUCHES = 256
-"""Paths that a record names beside its own; what is about more of them is about everything."""
+"""Maximum number of further paths; beyond it, a record counts as naming everything."""
 
 
 def bounded_touches(paths: Iterable[str]) -> tuple[str, ...]:
-    """Return each path once; `EVERYTHING` instead if they are too many, or it is one of them."""
+    """Remove duplicates; return only `EVERYTHING` if there are too many, or it is among them."""
     found = tuple(islice(dict.fromkeys(paths), MOST_TOUCHES + 1))
     return (EVERYTHING,) if len(found) > MOST_TOUCHES or EVERYTHING in found else found

@@ -1,1 +1,1 @@
-"""From a sample to its subscribers, and what waits for them."""
+"""The way of samples to subscribers, and the data queued for them."""

@@ -1,4 +1,4 @@
-"""Silence: subscribers are told of values that went stale, and of deadlines of their own that passed."""
+"""Notices to subscribers about stale values, and about missed deadlines of their own."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from rcp_kernel.tree.registry import Registry
 
 __all__ = ["DeadlineMonitor"]
 
-_SWEEP = 0.1  # s between looks for values that went stale
+_SWEEP = 0.1  # s between checks for stale values
 
 
 class DeadlineMonitor:
-    """Looks now and then at every path whose silence somebody is to be told of."""
+    """Periodically checks every path with a subscriber that wants to know about missing samples."""
 
     def __init__(self, registry: Registry, loop: asyncio.AbstractEventLoop) -> None:
         self._registry = registry
         self._loop = loop
         self._timed: dict[str, bool] = {}
-        """By path, whether it is known to be stale."""
+        """By path, whether it was last reported as stale."""
         self._sweep: asyncio.TimerHandle | None = None
 
     def known(self, entry: Entry) -> bool:
-        """Tell whether subscribers have been told that an entry is stale."""
+        """Return whether subscribers were notified that an entry is stale."""
         return self._timed.get(entry.path, False)
 
     def follow(self, entry: Entry) -> None:
-        """Look at an entry from now on."""
+        """Start to monitor an entry."""
         self._timed.setdefault(entry.path, entry.latest is not None and entry.stale)
         if self._sweep is None:
             self._sweep = self._loop.call_later(_SWEEP, self.poll)
 
     def forget(self, entry: Entry) -> None:
-        """Look at an entry no more."""
+        """Stop monitoring an entry."""
         self._timed.pop(entry.path, None)
 
     def poll(self) -> None:
-        """Tell of what has gone silent since the last look."""
+        """Report the paths that became stale since the last check."""
         self._sweep = None
         moment = self._registry.clock.monotonic()
         for path, known in list(self._timed.items()):
@@ -56,7 +56,7 @@ class DeadlineMonitor:
             self._sweep = self._loop.call_later(_SWEEP, self.poll)
 
     def tell(self, feed: PathSubscription) -> None:
-        """Tell one subscriber that a value is stale."""
+        """Notify one subscriber that a value is stale."""
         age = feed.entry.age
         notice(
             feed.outbox,
@@ -85,6 +85,6 @@ class DeadlineMonitor:
         feed.missed = late
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop."""
         if self._sweep is not None:
             self._sweep.cancel()

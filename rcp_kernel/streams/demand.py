@@ -1,6 +1,6 @@
-"""Sources kept running while somebody listens, with the rate that the most demanding one wants.
+"""Sources kept running while they have subscribers, at the highest rate that any of them needs.
 
-`Backend.watch` is entered and left by one task for each source, and entered again if it fails.
+One task per source enters and exits `Backend.watch`, and enters it again if it fails.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from rcp_kernel.tree.samples import Sample
 __all__ = ["AbsentListener", "DemandTracker", "absent_listener"]
 
 log = structlog.get_logger("rcp.streams")
-_WATCH_RETRY = 1.0  # s until a watch that failed is entered again
+_WATCH_RETRY = 1.0  # s before a failed watch is entered again
 
 
 class DemandTracker:
-    """Every source that is wanted."""
+    """All sources in demand."""
 
     def __init__(
         self,
@@ -42,31 +42,31 @@ class DemandTracker:
         self._closed = False
 
     def holds(self, entry: Entry) -> bool:
-        """Tell whether the source of an entry is kept running."""
+        """Return whether the source of an entry is kept running."""
         return entry.path in self._watches
 
     def retune(self, entry: Entry) -> None:
-        """Watch an entry with the rate that its listeners want by now."""
+        """Watch an entry at the rate that its listeners currently need."""
         backend = entry.owner.backend
         if backend is None or not has_watch(backend):
-            wanted: float | None = 0.0
+            rate: float | None = 0.0
         else:
-            wanted = _wanted_rate(entry)
+            rate = _wanted_rate(entry)
         watch = self._watches.get(entry.path)
         if watch is None:
-            if wanted == 0.0:
+            if rate == 0.0:
                 return
             watch = self._watches[entry.path] = _Watch(entry)
             task = self._loop.create_task(watch.run(), name=f"watch {entry.path}")
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
             task.add_done_callback(lambda _: self._watch_ended(entry.path, watch))
-        watch.want(entry, wanted)
-        if wanted == 0.0:
+        watch.want(entry, rate)
+        if rate == 0.0:
             del self._watches[entry.path]
 
     def _watch_ended(self, path: str, watch: _Watch) -> None:
-        """Enter a watch again that ended although it is wanted, after a while."""
+        """Enter a watch again that ended despite demand, after a delay."""
         if not self._closed and self._watches.get(path) is watch:
             self._later(_WATCH_RETRY, lambda: self._rewatch(path, watch))
 
@@ -77,14 +77,14 @@ class DemandTracker:
                 self.retune(entry)
 
     def backend_changed(self, entries: list[Entry]) -> None:
-        """Watch again what a backend that came back has to publish; leave what it cannot any more."""
+        """Watch the sources of a reopened backend again; drop those that it no longer has."""
         for entry in entries:
             if (watch := self._watches.pop(entry.path, None)) is not None:
                 watch.want(entry, 0.0)
             self.retune(entry)
 
     async def close(self) -> None:
-        """Leave every watch."""
+        """Exit all watches."""
         self._closed = True
         for task in list(self._tasks):
             task.cancel()
@@ -92,9 +92,9 @@ class DemandTracker:
 
 
 class AbsentListener:
-    """Stands in for all feeds of an entry whose clients are away, so that its history is kept.
+    """Represents all feeds of an entry with disconnected clients, so that its history is kept.
 
-    One for each entry: as many clients may be away as there may be sessions, and every sample is
+    One per entry: there may be as many disconnected clients as sessions, and every sample is
     offered to every listener.
     """
 
@@ -107,11 +107,11 @@ class AbsentListener:
         return self._rates.total()
 
     def add(self, rate: float | None) -> None:
-        """Stand in for one more that wants `rate` of the source."""
+        """Add a feed that needs `rate` from the source."""
         self._rates[rate] += 1
 
     def discard(self, rate: float | None) -> bool:
-        """Stand in for one less; tell whether there was one."""
+        """Remove a feed; return whether there was one."""
         count = self._rates[rate]
         if count > 1:
             self._rates[rate] = count - 1
@@ -121,22 +121,22 @@ class AbsentListener:
 
     @property
     def rate(self) -> float | None:
-        """The most that any of them wants; None for everything."""
+        """The highest rate needed; None for every sample."""
         if None in self._rates:
             return None
         return max((rate or 0.0 for rate in self._rates), default=0.0)
 
     def offer(self, sample: Sample) -> None:
-        """Do nothing: the entry's ring has the sample."""
+        """Do nothing: the entry's ring buffer has the sample."""
 
 
 def absent_listener(entry: Entry) -> AbsentListener | None:
-    """Return what stands in for the clients of an entry that are away."""
+    """Return the listener for the disconnected clients of an entry."""
     return next((one for one in entry.listeners if isinstance(one, AbsentListener)), None)
 
 
 def _wanted_rate(entry: Entry) -> float | None:
-    """The most that anybody wants in Hz; None for everything, 0.0 for nothing at all."""
+    """The highest rate needed, in Hz; None for every sample, 0.0 without demand."""
     best = entry.sustained
     for listener in entry.listeners:
         if isinstance(listener, AbsentListener):
@@ -154,7 +154,7 @@ def _wanted_rate(entry: Entry) -> float | None:
 
 
 class _Watch:
-    """One source kept running: enters the next `watch` before it leaves the last."""
+    """One source kept running: enters the next `watch` before it exits the last."""
 
     def __init__(self, entry: Entry) -> None:
         self._entry = entry

@@ -1,4 +1,4 @@
-"""Which kind of feed a path of a subscription gets."""
+"""Selection of the feed class for a path of a subscription."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["new_path_subscription"]
 
 
 def new_path_subscription(subscription: Subscription, entry: Entry) -> PathSubscription:
-    """Make the feed of an entry."""
+    """Create the feed of an entry."""
     outbox = subscription.outbox
     view = subscription.view(entry)
     if view is not None:

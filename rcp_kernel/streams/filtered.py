@@ -1,4 +1,4 @@
-"""Feeds that send less than every sample, or something else than the sample: filters and views."""
+"""Feeds that filter or replace samples: filters, hidden parts and views."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ __all__ = [
     "VisibilityFilteredSubscription",
 ]
 
-_LONGEST = 86_400.0  # s between updates, however low the rate
+_LONGEST = 86_400.0  # s, maximum period between updates
 
 
 class FilteredPathSubscription(PathSubscription):
-    """One path of a subscription that asked for less than every sample."""
+    """One path of a subscription with filters."""
 
     judges = True
 
@@ -44,15 +44,15 @@ class FilteredPathSubscription(PathSubscription):
         self._due = 0.0
         self._held: Sample | None = None
         self._armed = False
-        """Whether a timer will look at what is held."""
+        """Whether a timer is set for the held sample."""
 
     def offer(self, sample: Sample) -> None:
-        """Queue a sample if every filter lets it through, later if the rate does not yet."""
+        """Queue a sample that passes every filter; hold it back while the rate requires this."""
         if self._where is not None and not self._passes(sample):
             return
         if self._interval:
             wait = self._due - self._monotonic()
-            # A tenth of the period is forgiven: a source at the wanted rate has jitter too.
+            # A tenth of the period is tolerated, because a source at the requested rate has jitter.
             if wait > self._interval * 0.1:
                 self._held = sample
                 self._arm(wait)
@@ -69,7 +69,7 @@ class FilteredPathSubscription(PathSubscription):
         self._armed = False
         if self._held is None or self.outbox is None:
             return
-        # A sample may have gone out by the allowance since: what is held waits for its own beat.
+        # A sample may have been sent early by the tolerance: the held one waits for its own period.
         wait = self._due - self._monotonic()
         if wait > self._interval * 0.1:
             self._arm(wait)
@@ -87,7 +87,7 @@ class FilteredPathSubscription(PathSubscription):
         if self._interval:
             moment = self._monotonic()
             late = moment - self._due
-            # Keep the beat of the period where possible, so that the mean rate is the one asked for.
+            # Keep the phase of the period where possible, so that the mean rate is the requested one.
             self._due = (self._due if late < self._interval else moment) + self._interval
         super().offer(sample)
 
@@ -99,13 +99,13 @@ class FilteredPathSubscription(PathSubscription):
             return False
 
     def replay(self, samples: Iterable[Sample]) -> None:
-        """Queue earlier samples; the next new one keeps the rate's distance from them."""
+        """Queue earlier samples; the next new one keeps the period from them."""
         super().replay(samples)
         if self.backlog and self._interval:
             self._due = self._monotonic() + self._interval
 
     def admit(self, sample: Sample) -> Sample | None:
-        """Return an earlier sample that passes; the rate does not hold the past back."""
+        """Return an earlier sample if it passes; the rate does not apply to earlier samples."""
         if self._where is not None and not self._passes(sample):
             return None
         if self._change is None:
@@ -116,17 +116,17 @@ class FilteredPathSubscription(PathSubscription):
             return None
 
     def prime(self, sample: Sample) -> None:
-        """Let the filters see the present value, without sending it."""
+        """Pass the current value to the filters, without sending it."""
         self.admit(sample)
 
     def leave(self) -> None:
-        """Forget what waits and what was held back."""
+        """Drop queued and held samples."""
         super().leave()
         self._held = None
 
 
 class VisibilityFilteredSubscription(FilteredPathSubscription):
-    """A path of which everybody sees some samples only, or parts of them."""
+    """A path of which each principal may see only some samples, or parts of them."""
 
     __slots__ = ("_shown",)
 
@@ -141,39 +141,39 @@ class VisibilityFilteredSubscription(FilteredPathSubscription):
         self._shown = shown
 
     def offer(self, sample: Sample) -> None:
-        """Queue what this principal may see of a sample."""
-        # The filters come after: what is hidden must not show in what they let through.
-        if (told := self._told(sample)) is not None:
-            super().offer(told)
+        """Queue the part of a sample that this principal may see."""
+        # Before the filters, so that their results reveal nothing hidden.
+        if (admitted := self._filtered(sample)) is not None:
+            super().offer(admitted)
 
     def admit(self, sample: Sample) -> Sample | None:
-        """Return what may be seen of an earlier sample, and passes."""
-        told = self._told(sample)
-        return None if told is None else super().admit(told)
+        """Return the visible part of an earlier sample, if it passes the filters."""
+        admitted = self._filtered(sample)
+        return None if admitted is None else super().admit(admitted)
 
-    def _told(self, sample: Sample) -> Sample | None:
+    def _filtered(self, sample: Sample) -> Sample | None:
         return masked(sample, self._shown)
 
 
 class View(Protocol):
-    """What a path shows one reader: made anew for each."""
+    """The value of a path for one reader, computed for each."""
 
     @property
     def sees(self) -> Hashable:
-        """What of the reader decides of what is shown: it is not sent once that has changed."""
+        """The reader's properties that determine the value: it is not sent once they have changed."""
         ...
 
     def make(self, encoding: Encoding) -> Generator[None, None, Any]:
-        """Make the value, a list in steps and no longer than fits in one page."""
+        """Compute the value; lists in steps, limited to one page."""
         ...
 
     def begin(self, work: Generator[None]) -> None:
-        """Do work in the turns of the loop that have time for it."""
+        """Start work that runs in steps when the loop has time."""
         ...
 
 
 class _Made(NamedTuple):
-    """A value as it was made for a reader."""
+    """A value computed for a reader."""
 
     sees: Hashable
     data: bytes
@@ -181,10 +181,10 @@ class _Made(NamedTuple):
 
 
 class ViewSubscription(PathSubscription):
-    """A path whose value depends on who asks: a sample only says that it changed.
+    """A path whose value depends on the reader: a sample only signals a change.
 
-    A list of all that is known may be long, and its subscribers many: each value is made in turns of
-    its own, before the samples that are waiting for it are queued.
+    Lists may be long and their subscribers many: each value is computed in separate steps before
+    the samples that wait for it are queued.
     """
 
     __slots__ = ("_fresh", "_made", "_making", "_past", "_view", "_works")
@@ -196,23 +196,23 @@ class ViewSubscription(PathSubscription):
         self._plain = False
         self._view = view
         self._fresh: deque[Sample] = deque()
-        """Samples that wait for a value to be made."""
+        """Samples waiting for a value."""
         self._making: deque[Sample] = deque()
-        """Those for which one is being made."""
+        """Samples for which the value is being computed."""
         self._past: deque[Sample] = deque()
-        """Earlier samples, to be replayed with it."""
+        """Earlier samples to replay with the value."""
         self._made: _Made | None = None
-        """The newest value, with which all that is queued is sent."""
+        """The newest value; all queued samples are sent with it."""
         self._works = False
 
     @property
     def waiting(self) -> int:
-        """How many samples wait to be collected."""
+        """Number of queued samples."""
         made = len(self._fresh) + len(self._making) + len(self._past)
         return super().waiting + made
 
     def offer(self, sample: Sample) -> None:
-        """Have a value made, then queue the sample."""
+        """Compute the value, then queue the sample."""
         if len(self.queue) + len(self._fresh) >= self.depth:
             if self.reliable:
                 self.subscription.overrun(self)
@@ -224,7 +224,7 @@ class ViewSubscription(PathSubscription):
         self._begin()
 
     def replay(self, samples: Iterable[Sample]) -> None:
-        """Have a value made, then queue earlier samples ahead of everything else."""
+        """Compute the value, then queue earlier samples ahead of all others."""
         self._past = deque(samples)
         self._begin()
 
@@ -236,7 +236,7 @@ class ViewSubscription(PathSubscription):
     def _work(self) -> Generator[None]:
         try:
             while (outbox := self.outbox) is not None and (self._fresh or self._past):
-                # What comes from now on may be of a change that the value does not show.
+                # Later samples may signal changes that this value does not include.
                 self._making, self._fresh = self._fresh, deque()
                 past, self._past = self._past, deque()
                 encoding, *_ = self._heads or self._make_heads()
@@ -255,7 +255,7 @@ class ViewSubscription(PathSubscription):
             if self.fields is not None:
                 value = project(value.value if isinstance(value, Body) else value, self.fields)
             return _Made(sees, encode_body(value, encoding), cut)
-        except Exception as error:  # a bug of the view costs this update, and is in the log
+        except Exception as error:  # a fault in the view drops this update and is logged
             to_internal_error(error, path=self.entry.path)
             return None
 
@@ -267,7 +267,7 @@ class ViewSubscription(PathSubscription):
             super().offer(sample)
 
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
-        """Move what is queued to `out`, unless it was made for other eyes: then it is made anew."""
+        """Move queued samples to `out`; a value computed for other rights is computed again first."""
         if self._made is not None and self._made.sees != self._view.sees:
             self._fresh.extendleft(reversed(self.queue))
             self._past = self.backlog or self._past
@@ -278,7 +278,7 @@ class ViewSubscription(PathSubscription):
         return super().drain(out, budget, wrap, big)
 
     def conflate(self) -> None:
-        """Let go of all that waits but the newest."""
+        """Drop all queued samples but the newest."""
         if self._fresh or self._making or self._past:
             old = self.waiting - 1
             newest = (self._fresh or self._making or self._past)[-1]
@@ -293,7 +293,7 @@ class ViewSubscription(PathSubscription):
             super().conflate()
 
     def leave(self) -> None:
-        """Forget what waits."""
+        """Drop the queue."""
         super().leave()
         for held in (self._fresh, self._making, self._past):
             held.clear()

@@ -1,4 +1,4 @@
-"""What a subscription lets through: its options as data, compiled to small functions."""
+"""Filters of subscriptions: options as data, compiled to small functions."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from rcp_kernel.values import Encoding
 __all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
 
 _MAX_DEPTH = 65_536
-_MAX_TERMS = 64  # of a `where`; fields of a `deadband`, and of `fields`
-_AGES = 3.2e9  # s: a century is as good as any longer time
+_MAX_TERMS = 64  # terms of a `where`; fields of a `deadband`, and of `fields`
+_AGES = 3.2e9  # s: a century is long enough
 Deadband = float | str | dict[str, float | str]
 Predicate = Callable[[Any], bool]
 
@@ -30,17 +30,17 @@ class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     reliability: Literal["best_effort", "reliable"] = "best_effort"
     depth: Annotated[int, Meta(ge=1, le=_MAX_DEPTH)] | None = None
-    """Samples queued for each path; 1 for best effort and 1024 for reliable if not given."""
+    """Samples queued per path; default 1 for best effort and 1024 for reliable."""
     priority: Annotated[int, Meta(ge=0, le=7)] = 4
-    """7 leaves first."""
+    """0…7; 7 is sent first."""
     deadline: Annotated[float, Meta(gt=0)] | None = None
-    """Seconds between updates after which the client is told that they stay away."""
+    """Seconds without an update after which the client gets a notice."""
     lifespan: Annotated[float, Meta(gt=0)] | None = None
     """Seconds after which a sample is too old to be delivered."""
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The body of `subscribe`; everything is optional and everything is ANDed."""
+    """The body of `subscribe`: all fields are optional, and filters are combined with AND."""
 
     paths: tuple[str, ...] = ()
     rate: Annotated[float, Meta(gt=0, le=10_000)] | None = None
@@ -56,7 +56,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     count: Annotated[int, Meta(ge=1)] | None = None
 
     def __post_init__(self) -> None:
-        # Each one costs time for every sample, in the loop that carries e-stops too.
+        # Each one costs time for every sample, on the event loop that also handles e-stops.
         several = {"fields": self.fields, "deadband": self.deadband}
         for name, given in several.items():
             if isinstance(given, (tuple, dict)) and len(given) > _MAX_TERMS:
@@ -65,7 +65,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def plain(self) -> bool:
-        """Whether every sample goes through as it comes."""
+        """Whether every sample passes unchanged."""
         return (
             self.rate is None
             and self.on == "sample"
@@ -76,17 +76,17 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def depth(self) -> int:
-        """The queue's length, by the reliability's default if none was asked for."""
+        """The queue's length; by default that of the reliability."""
         return self.qos.depth or (1024 if self.qos.reliability == "reliable" else 1)
 
     @property
     def splice(self) -> Encoding | None:
-        """The encoding asked for, or None for the connection's own or `native`."""
+        """The requested encoding; None for the connection's own or `native`."""
         return None if self.encoding in (None, "native") else Encoding(self.encoding)
 
 
 def seconds(text: str) -> float:
-    """Read a duration such as `"30s"`, `"500ms"`, `"2m"` or `"1h"`.
+    """Parse a duration such as `"30s"`, `"500ms"`, `"2m"` or `"1h"`.
 
     :raises InvalidValue: it is not one.
     """
@@ -114,7 +114,7 @@ _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
 
 
 class Where:
-    """A compiled `where`, with its memory if it fires on an edge."""
+    """A compiled `where`; with the last result if it fires on an edge."""
 
     __slots__ = ("_before", "edge", "holds")
 
@@ -124,7 +124,7 @@ class Where:
         self._before: bool | None = None
 
     def passes(self, value: Any) -> bool:
-        """Tell whether a value fires; an edge needs a value before it that did not hold."""
+        """Return whether a value passes; an edge requires an earlier value on the other side."""
         now = self.holds(value)
         if self.edge is None:
             return now
@@ -136,14 +136,14 @@ class Where:
         return before and not now if self.edge == "fall" else now != before
 
     def fresh(self) -> Where:
-        """Return a copy without memory: every path has its own edges."""
+        """Return a copy without state: every path has its own edges."""
         return Where(self.holds, self.edge)
 
 
 def parse_where(node: dict[str, Any]) -> Where:
-    """Compile `{"field": …, "lt": …}` with `and`/`or`/`not`; `edge` stands at the top.
+    """Compile `{"field": …, "lt": …}` with `and`/`or`/`not`; `edge` is at the top level.
 
-    :raises FilterUnsupported: it is not such an expression.
+    :raises FilterUnsupported: the expression is invalid.
     """
     edge = node.get("edge")
     if edge not in (None, "rise", "fall", "both"):
@@ -196,11 +196,11 @@ def _comparison(
     get: Callable[[Any], Any], compare: Callable[[Any, Any], bool], item: Any
 ) -> Predicate:
     def holds(value: Any) -> bool:
-        found = get(value)
-        if found is None and item is not None:
+        actual = get(value)
+        if actual is None and item is not None:
             return False
         try:
-            return bool(compare(found, item))
+            return bool(compare(actual, item))
         except TypeError:
             return False
 
@@ -208,7 +208,7 @@ def _comparison(
 
 
 def fields_of(where: dict[str, Any]) -> list[str]:
-    """List the fields that an expression looks at, to be checked against the type."""
+    """List the fields that an expression uses, to be checked against the type."""
     out: list[str] = []
     for key, item in where.items():
         if key == "field" and isinstance(item, str) and item:
@@ -222,7 +222,7 @@ def fields_of(where: dict[str, Any]) -> list[str]:
 
 
 class Change:
-    """Whether a value differs enough from the last one that went out."""
+    """Whether a value differs enough from the last one that was sent."""
 
     __slots__ = ("_bands", "_get", "_last")
 
@@ -238,7 +238,7 @@ class Change:
         self._last: Any = None
 
     def passes(self, value: Any) -> bool:
-        """Tell whether it differs, and if so take it as the new reference."""
+        """Return whether a value differs; if so, it becomes the new reference."""
         seen = value if self._get is None else [get(value) for get in self._get]
         last = self._last
         if last is not None and not self._differs(last, seen):
@@ -284,9 +284,9 @@ def _beyond(old: float, new: float, size: float) -> bool:
 
 
 def check_fields(options: Options, entry: Entry) -> None:
-    """Refuse options that name what the entry's type does not have.
+    """Check that the entry's type has everything that the options name.
 
-    :raises FilterUnsupported: a field or the native encoding is not there.
+    :raises FilterUnsupported: it lacks a field or the native encoding.
     """
     named = list(options.fields or ())
     if options.where is not None:

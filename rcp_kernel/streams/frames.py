@@ -1,4 +1,4 @@
-"""The updates that are more than a head and a tail: shortened ones, and the first in native bytes."""
+"""Updates that are more than a head and a tail: shortened ones, and the first in native bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TAIL = 3  # fields of a tail: number, time and body
 
 
 def spliced(head: bytes, count: int, encoding: Encoding) -> tuple[bytes, bytes]:
-    """Return a frame of `count` fields as what a tail follows; the second counts skipped ones too."""
+    """Return heads of frames with `count` fields, without and with the number of skipped samples."""
     if encoding is Encoding.JSON:
         head = head[:-1] + b","
         return head, head
@@ -33,7 +33,7 @@ def shortened(
     fields: tuple[str, ...] | None,
     encoding: Encoding,
 ) -> bytes:
-    """Return an update that has, in place of the value, its length."""
+    """Return an update with the length of the value instead of the value."""
     facts = _facts(subscription, sample)
     facts |= {"truncated": True, "size": sample.length(encoding, fields)}
     if dropped:
@@ -44,7 +44,7 @@ def shortened(
 def first_native(
     subscription: str, sample: Sample, dropped: int, type_: str | None, encoding: Encoding
 ) -> bytes:
-    """Return an update of native bytes that tells their type.
+    """Return an update of native bytes that names their type.
 
     :raises Overrun: the sample has none.
     """

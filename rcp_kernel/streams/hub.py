@@ -1,4 +1,4 @@
-"""The hub links feeds to entries, and keeps them linked as the tree changes."""
+"""The hub: links feeds to entries, and keeps the links up to date when the tree changes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["Hub"]
 
 
 class Hub:
-    """Every subscription of the gateway."""
+    """All subscriptions of the gateway."""
 
     def __init__(
         self, registry: Registry, loop: asyncio.AbstractEventLoop, pattern_value: int
@@ -35,7 +35,7 @@ class Hub:
         self.registry = registry
         self.loop = loop
         self.pattern_value = pattern_value
-        """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
+        """Longest value, in bytes, sent whole to a subscription that did not name its path."""
         self.flush_scheduler = FlushScheduler(loop)
         self.subscriptions: set[Subscription] = set()
         self.dropped: dict[str, int] = {"conflated": 0, "overrun": 0, "gap": 0}
@@ -47,13 +47,13 @@ class Hub:
         registry.on_removed.append(self._removed)
 
     def soon(self, function: Callable[..., object], *args: Any) -> None:
-        """Call a function in the coming loop turn."""
+        """Call a function in the next loop iteration."""
         self.loop.call_soon(function, *args)
 
     # -- subscriptions -------------------------------------------------------------------------
 
     def first(self, feed: PathSubscription, last: int) -> None:
-        """Send the value that was the present one with number `last`, and all that came since."""
+        """Send the value that was current at number `last`, and all later ones."""
         entry = feed.entry
         if entry.latest is None:
             return
@@ -63,18 +63,18 @@ class Hub:
         if not feed.subscription.options.initial and samples[0].seq == last:
             feed.prime(samples.pop(0))
         if samples:
-            feed.replay([told for one in samples if (told := feed.admit(one)) is not None])
+            feed.replay([s for sample in samples if (s := feed.admit(sample)) is not None])
         if self.deadline_monitor.known(entry):
             self.deadline_monitor.tell(feed)
 
     def let_go(self, feed: PathSubscription) -> None:
-        """Offer a feed nothing more, for good; what it has queued is forgotten."""
+        """Remove a feed for good; its queued samples are dropped."""
         self.release(feed)
         self.unlink(feed)
         feed.leave()
 
     def link(self, subscription: Subscription, feed: PathSubscription) -> None:
-        """Offer a new feed every sample from now on."""
+        """Start to offer samples to a new feed."""
         entry = feed.entry
         feed.sent = entry.seq
         subscription.feeds[entry.path] = feed
@@ -89,7 +89,7 @@ class Hub:
         subscription.placed(feed)
 
     def join(self, subscription: Subscription, entry: Entry) -> None:
-        """Add an entry to a subscription that stands, and tell its client."""
+        """Add an entry to an existing subscription, and notify its client."""
         feed = new_path_subscription(subscription, entry)
         self.link(subscription, feed)
         notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
@@ -97,7 +97,7 @@ class Hub:
             self.first(feed, entry.seq)
 
     def pause(self, feed: PathSubscription) -> None:
-        """Send nothing more of a path for now; what waits is forgotten."""
+        """Pause sending for a path; its queued samples are dropped."""
         self.release(feed)
         self.unlink(feed)
         feed.leave()
@@ -105,7 +105,7 @@ class Hub:
         feed.paused = True
 
     def unpause(self, feed: PathSubscription) -> None:
-        """Go on with the present value; what came meanwhile is not missed."""
+        """Resume with the current value; samples in between are not replayed."""
         entry = feed.entry
         feed.paused = False
         feed.sent = entry.seq
@@ -119,24 +119,24 @@ class Hub:
         self.first(feed, entry.seq)
 
     def hold(self, feed: PathSubscription) -> None:
-        """Have the history of a feed's path kept while its client is away."""
+        """Keep the history of a feed's path while its client is disconnected."""
         if not feed.kept:
             feed.kept = True
             self._keep(feed)
 
     def release(self, feed: PathSubscription) -> None:
-        """Have the history kept no more for a feed."""
+        """Stop keeping the history for a feed."""
         if feed.kept:
             feed.kept = False
             self._unkeep(feed)
 
     def _keep(self, feed: PathSubscription) -> None:
-        """Have the history of a path kept for a client that is away."""
+        """Keep the history of a path for a disconnected client."""
         _hold(feed.entry, feed.subscription.options.rate)
         self.demand.retune(feed.entry)
 
     def relink(self, feed: PathSubscription) -> None:
-        """Offer a feed samples again."""
+        """Offer samples to a feed again."""
         entry = feed.entry
         if isinstance(feed, SharedPathSubscription):
             join_fanout(feed, entry, self.flush_scheduler)
@@ -150,7 +150,7 @@ class Hub:
         self.demand.retune(entry)
 
     def unlink(self, feed: PathSubscription) -> None:
-        """Offer a feed nothing more."""
+        """Stop offering samples to a feed."""
         if self._cut(feed):
             self._left(feed.entry)
 
@@ -162,23 +162,23 @@ class Hub:
 
     @staticmethod
     def _cut(feed: PathSubscription) -> bool:
-        """Take a feed from its entry's listeners; tell whether it was among them."""
+        """Remove a feed from its entry's listeners; return whether it was among them."""
         if isinstance(feed, SharedPathSubscription):
             return leave_fanout(feed, feed.entry)
         entry = feed.entry
         if feed not in entry.listeners:
             return False
-        # A new list: the old one may be the one that a sample is being offered to right now.
+        # A new list, because a sample may just be being offered to the old one.
         entry.listeners = [listener for listener in entry.listeners if listener is not feed]
         return True
 
     @staticmethod
     def keep(entry: Entry) -> None:
-        """Have the whole history of a path kept although nobody may be listening."""
+        """Keep the whole history of a path even without subscribers."""
         _hold(entry, 0.0)
 
     def listen(self, entry: Entry, listener: Listener) -> None:
-        """Offer the gateway's own listener every sample, and keep the source running for it."""
+        """Offer every sample to a listener of the gateway, and keep the source running for it."""
         if listener not in entry.listeners:
             entry.listeners.append(listener)
             if len(entry.listeners) == 1:
@@ -186,13 +186,13 @@ class Hub:
         self.demand.retune(entry)
 
     def unlisten(self, entry: Entry, listener: Listener) -> None:
-        """Offer a listener nothing more."""
+        """Stop offering samples to a listener."""
         if listener in entry.listeners:
             entry.listeners = [known for known in entry.listeners if known is not listener]
             self._left(entry)
 
     def drop(self, feed: PathSubscription) -> None:
-        """Take one path out of a subscription."""
+        """Remove one path from a subscription."""
         subscription = feed.subscription
         del subscription.feeds[feed.entry.path]
         self.release(feed)
@@ -207,12 +207,12 @@ class Hub:
             self._left(entry)
 
     def sustain(self, entry: Entry, rate: float) -> None:
-        """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
+        """Keep an entry published at `rate` Hz at least, regardless of subscribers; 0.0 ends this."""
         if entry.sustained != rate:
             entry.sustained = rate
             self.demand.retune(entry)
 
-    # -- the tree changes ----------------------------------------------------------------------
+    # -- changes of the tree -------------------------------------------------------------------
 
     def _added(self, entry: Entry) -> None:
         for subscription in list(self.subscriptions):
@@ -224,7 +224,7 @@ class Hub:
                     continue
                 if known.outbox is None:
                     if returned:
-                        known.kept = False  # with the entry that has gone
+                        known.kept = False  # with the removed entry
                         self.hold(known)
                 elif known not in path_subscriptions_of(entry):
                     self.relink(known)
@@ -249,14 +249,14 @@ class Hub:
         self.demand.retune(entry)
 
     async def close(self) -> None:
-        """Leave every watch and stop the timers."""
+        """Exit all watches and stop the timers."""
         self._timers.close()
         self.deadline_monitor.close()
         await self.demand.close()
 
 
 def _hold(entry: Entry, rate: float | None) -> None:
-    """Have an entry's history kept for somebody who wants `rate` of its source."""
+    """Keep an entry's history for a client that needs `rate` from its source."""
     absent = absent_listener(entry)
     if absent is None:
         absent = AbsentListener()

@@ -1,7 +1,7 @@
-"""Subscriptions are linked to the tree, cut, brought back and ended in steps.
+"""Linking of subscriptions to the tree, their detaching, resuming and ending, all in steps.
 
-One may have twenty thousand paths. While it comes to pass, a client may go, come back or end it, and
-the tree may change: each step does what holds by then.
+A subscription may have twenty thousand paths. Between steps, a client may disconnect, return or end
+it, and the tree may change: each step uses the current state.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ from rcp_kernel.tree.samples import Sample
 
 __all__ = ["Links"]
 
-_STEP = 32  # paths that are linked or let go of at once
-_STREAMS = "streams"  # with an owner: what is done for its subscriptions, beside its requests
-_LONGEST = 86_400.0 * 365  # s: no timer reaches further
+_STEP = 32  # paths linked or unlinked per step
+_STREAMS = "streams"  # key, with an owner, of the work on its subscriptions
+_LONGEST = 86_400.0 * 365  # s: maximum of a timer
 
 
 class Links:
-    """Does with all paths of a subscription what the hub does with one."""
+    """Applies the hub's operations to all paths of a subscription."""
 
     def __init__(self, hub: Hub, turns: Turns) -> None:
         self._hub = hub
         self._turns = turns
 
     def add(self, subscription: Subscription, entries: list[Entry]) -> None:
-        """Start a subscription on the entries that it matches now; later ones join by themselves.
+        """Start a subscription on the entries that it matches now; later ones are added automatically.
 
-        They are linked in steps: some of them may be when this returns.
+        They are linked in steps, some of them before this returns.
         """
         self._start(subscription)
         subscription.awaited = {entry.path: entry.seq for entry in entries}
         self.begin(subscription, self._link_awaited(subscription))
 
-    def search(self, subscription: Subscription, found: Iterator[Entry]) -> None:
-        """Start a subscription as `add` does, on those entries found that it may have, in steps."""
+    def search(self, subscription: Subscription, matches: Iterator[Entry]) -> None:
+        """Start a subscription like `add`, on those of the matching entries that it may have, in steps."""
         self._start(subscription)
-        self.begin(subscription, self._search(subscription, found))
+        self.begin(subscription, self._search(subscription, matches))
 
     def _start(self, subscription: Subscription) -> None:
         self._hub.subscriptions.add(subscription)
@@ -56,15 +56,15 @@ class Links:
             )
 
     def begin(self, subscription: Subscription, work: Work) -> None:
-        """Do work on a subscription, after all that was begun before."""
+        """Start work on a subscription, after all earlier work on it."""
         self.begin_for(subscription.owner, work)
 
     def begin_for(self, owner: Hashable, work: Work) -> None:
-        """Do work for a client's subscriptions, after all that was begun before."""
+        """Start work on a client's subscriptions, after all earlier work on them."""
         self._turns.oblige((_STREAMS, owner), work)
 
-    def _search(self, subscription: Subscription, found: Iterator[Entry]) -> Work:
-        for number, entry in enumerate(found, 1):
+    def _search(self, subscription: Subscription, matches: Iterator[Entry]) -> Work:
+        for number, entry in enumerate(matches, 1):
             if subscription not in self._hub.subscriptions:  # it has ended
                 return
             if entry.path not in subscription.feeds and subscription.may(entry):
@@ -84,7 +84,7 @@ class Links:
 
     def _link_path(self, subscription: Subscription, path: str) -> Work:
         entry = self._hub.registry.entries.get(path)
-        if entry is None or not subscription.may(entry):  # since the client was told of it
+        if entry is None or not subscription.may(entry):  # changed since the client was informed
             notice(subscription.outbox, "resource_removed", id=subscription.id, path=path)
             return
         feed = new_path_subscription(subscription, entry)
@@ -94,7 +94,7 @@ class Links:
             samples = yield from admitted(feed, past(feed, history, last))
             if path not in subscription.awaited:
                 return
-            if self._hub.registry.entries.get(path) is not entry:  # another one by now, or none
+            if self._hub.registry.entries.get(path) is not entry:  # replaced or removed
                 yield from self._link_path(subscription, path)
                 return
         self._hub.link(subscription, feed)
@@ -108,9 +108,9 @@ class Links:
     def remove(
         self, subscription: Subscription, leaving: Callable[[PathSubscription], None] | None = None
     ) -> Work:
-        """End a subscription in steps, `leaving` called with each feed before it goes.
+        """End a subscription in steps; `leaving` is called with each feed before it is unlinked.
 
-        What it has queued is forgotten. Until the last step it may still send.
+        Its queued samples are dropped. It may still send until the last step.
         """
         self._hub.subscriptions.discard(subscription)
         self._hub.dropped["conflated"] += subscription.skipped
@@ -134,13 +134,13 @@ class Links:
                 yield
 
     def detach(self, subscription: Subscription) -> None:
-        """Stop sending: the connection is gone. The history of its paths goes on being kept."""
+        """Stop sending because the connection is lost; the history of its paths is still kept."""
         subscription.outbox = None
         self.begin(subscription, self._detach_feeds(subscription))
 
     def _detach_feeds(self, subscription: Subscription) -> Work:
         for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
-            if subscription.outbox is not None:  # it is back already
+            if subscription.outbox is not None:  # already resumed
                 return
             self._detach_feed(feed)
             if not number % _STEP:
@@ -151,13 +151,13 @@ class Links:
             return
         feed.leave()
         if feed.entry.path in self._hub.registry.entries and not feed.paused:
-            self._hub.hold(feed)  # before the feed goes, so that its source goes on
+            self._hub.hold(feed)  # before the feed is unlinked, so that its source keeps running
         self._hub.unlink(feed)
 
     def attach(
         self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int] | None
     ) -> None:
-        """Go on sending, what was missed first; `missed_from` is what the client has, by path."""
+        """Resume sending, missed samples first; `missed_from` is the client's last sample by path."""
         subscription.outbox = outbox
         self.begin(subscription, self._attach_feeds(subscription, outbox, missed_from or {}))
 
@@ -165,10 +165,10 @@ class Links:
         self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int]
     ) -> Work:
         for number, (path, feed) in enumerate(tuple(subscription.feeds.items()), 1):
-            if subscription.outbox is not outbox:  # the client has gone again
+            if subscription.outbox is not outbox:  # disconnected again
                 return
             if feed.outbox is not outbox and subscription.feeds.get(path) is feed:
-                self._detach_feed(feed)  # where the turn for that has not come
+                self._detach_feed(feed)  # not linked yet
                 yield from self._attach_feed(feed, outbox, missed_from.get(path, feed.sent))
             if not number % _STEP:
                 yield
@@ -211,20 +211,20 @@ class Links:
             feed.replay(samples)
 
     def forget(self, subscription: Subscription) -> None:
-        """Let go of a subscription whose session has ended."""
+        """Remove a subscription whose session has ended."""
         self.begin(subscription, self.remove(subscription))
 
     def end(
         self,
         subscription: Subscription,
         leaving: Callable[[PathSubscription], None] | None,
-        told: Callable[[], None],
+        ended: Callable[[], None],
     ) -> None:
-        """End a subscription that has come to its end by itself; `told` is called afterwards."""
+        """Remove a subscription that has ended by itself; `ended` is called afterwards."""
         removal = self.remove(subscription, leaving)
 
         def work() -> Work:
             yield from removal
-            told()
+            ended()
 
         self.begin(subscription, work())

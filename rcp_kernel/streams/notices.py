@@ -1,4 +1,4 @@
-"""Notices: what a client is told that it did not ask for."""
+"""Notices: unsolicited messages to clients."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["notice"]
 
 
 def notice(outbox: Outbox | None, code: str, **facts: Any) -> None:
-    """Tell a client something it did not ask for; without a connection nobody is told."""
+    """Send a notice to a client; without a connection it is dropped."""
     if outbox is None:
         return
     kept = {key: value for key, value in facts.items() if value is not None}

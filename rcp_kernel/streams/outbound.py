@@ -1,8 +1,8 @@
-"""What waits for clients, in bytes: for each of them, and for all together.
+"""Unread bytes of clients: of each of them, and in total.
 
-A share of what waits for a client is its own and counts for nobody; what it holds beyond counts in
-the total. So clients that leave everything unread take no other client's replies from it. Bytes
-that many clients wait for are counted for each of them.
+Each client has a share that does not count; only bytes beyond it count in the total. Therefore
+clients that read nothing cannot cost other clients their replies. Bytes shared by several clients
+count for each of them.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
 __all__ = ["SHARE", "SMALL", "Backlog", "Outbound"]
 
 log = structlog.get_logger("rcp.streams")
-SHARE = 65_536  # bytes that may wait for any client, whatever waits for the others
-SMALL = 4096  # bytes: a shorter reply is worth as much as the refusal in its place
-_LOOK = 0.25  # s between looks while the total is reached
-_STALLED = 5.0  # s that a client may hold more than its share, once the total is reached
+SHARE = 65_536  # bytes that each client may leave unread, regardless of the others
+SMALL = 4096  # bytes: shorter replies are not longer than a refusal
+_LOOK = 0.25  # s between checks while the total is reached
+_STALLED = 5.0  # s that a client may exceed its share once the total is reached
 
 
 class Waiting(Protocol):
-    """An outbox that waits for room."""
+    """An outbox waiting for room."""
 
     def again(self) -> None:
-        """Flush what waits."""
+        """Flush pending data."""
         ...
 
 
 class Backlog:
-    """The bytes that wait for one client: here, in its transport, or for its return."""
+    """The unread bytes of one client: here, in its transport, or kept while it is disconnected."""
 
     __slots__ = ("_closed", "_outbound", "counted", "cut", "since", "size")
 
@@ -42,15 +42,15 @@ class Backlog:
         self._outbound = outbound
         self._closed = False
         self.cut = cut
-        """Lets go of the client, or of what waits for it; None where neither can be done."""
+        """Closes the client or drops its data; None if neither is possible."""
         self.size = 0
         self.counted = 0
-        """What of it counts in the total."""
+        """The part that counts in the total."""
         self.since = 0.0
-        """Since when it holds more than its share, by the loop's clock."""
+        """Loop time since which it exceeds its share."""
 
     def set(self, size: int) -> None:
-        """Take notice of how much waits now."""
+        """Set the current number of bytes."""
         if self._closed:
             return
         self.size = size
@@ -60,26 +60,26 @@ class Backlog:
 
     @property
     def overfull(self) -> bool:
-        """Whether more waits than may: for this client, or for all together with a part of it."""
+        """Whether this client, or the total with a part of it, exceeds the limit."""
         return self.size > self._outbound.each or (self.counted > 0 and self.full)
 
     @property
     def full(self) -> bool:
-        """Whether as much waits for all clients together as may."""
+        """Whether the total is reached."""
         return self._outbound.total >= self._outbound.limit
 
     @property
     def crowded(self) -> bool:
-        """Whether so much waits that the client should be asked for nothing more."""
+        """Whether reading from the client should pause because of its unread bytes."""
         outbound = self._outbound
         return self.size > SHARE and (
             self.size > outbound.each // 2 or outbound.total >= outbound.limit
         )
 
     def refuses(self, size: int) -> bool:
-        """Tell whether a reply of so many bytes is too much beside what waits already.
+        """Return whether a reply of `size` bytes does not fit.
 
-        Where nothing else waits, it goes, however long it is.
+        If nothing else is unread, a reply of any length fits.
         """
         if size <= SMALL or self.size + size <= SHARE:
             return False
@@ -91,11 +91,11 @@ class Backlog:
         return False
 
     def wait(self, outbox: Waiting) -> None:
-        """Have an outbox flushed when there is room in the total again."""
+        """Flush an outbox as soon as there is room in the total."""
         self._outbound.wait(outbox)
 
     def close(self, outbox: Waiting | None = None) -> None:
-        """Count nothing any more, and flush the outbox no more that it belongs to."""
+        """Stop counting, and do not flush its outbox any more."""
         if outbox is not None:
             self._outbound.forget(outbox)
         self.cut = None
@@ -104,7 +104,7 @@ class Backlog:
 
 
 class Outbound:
-    """What waits for all clients together."""
+    """The unread bytes of all clients."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits) -> None:
         self._loop = loop
@@ -114,22 +114,22 @@ class Outbound:
         self.total = 0
         """Bytes, without the clients' own shares."""
         self.refused = 0
-        """Replies that were not sent because too much waited."""
+        """Number of replies refused because too much was unread."""
         self.cut = 0
-        """Clients that were let go of because they took nothing."""
+        """Number of clients closed because they did not read."""
         self.configure(limits)
 
     def configure(self, limits: Limits) -> None:
-        """Take over other limits; what waits already goes on waiting."""
+        """Apply new limits; queued data is kept."""
         self.each = limits.queue_bytes
         self.limit = limits.queue_bytes_total
 
     def open(self, cut: Callable[[], None] | None = None) -> Backlog:
-        """Count the bytes of one client more; its owner closes it."""
+        """Start to count the bytes of a client; the caller closes the backlog."""
         return Backlog(self, cut)
 
     def count(self, backlog: Backlog, counted: int) -> None:
-        """Count what a backlog holds beyond its share."""
+        """Update the total with the part of a backlog beyond its share."""
         self.total += counted - backlog.counted
         if not backlog.counted:
             backlog.since = self._loop.time()
@@ -143,19 +143,19 @@ class Outbound:
             self._wake()
 
     def has_room(self, size: int) -> bool:
-        """Tell whether a reply of so many bytes may go to a client for whom nothing else waits."""
+        """Return whether the total has room for a reply of `size` bytes to a client without backlog."""
         if size <= SHARE or self.total < self.limit:
             return True
         self.refused += 1
         return False
 
     def wait(self, outbox: Waiting) -> None:
-        """Have an outbox flushed when there is room again."""
+        """Flush an outbox as soon as there is room."""
         self._waiting[outbox] = None
         self._watch()
 
     def forget(self, outbox: Waiting) -> None:
-        """Flush an outbox no more."""
+        """Do not flush an outbox any more."""
         self._waiting.pop(outbox, None)
 
     def _wake(self) -> None:
@@ -168,7 +168,7 @@ class Outbound:
             self._timer = self._loop.call_later(_LOOK, self._look)
 
     def _look(self) -> None:
-        """Let go of the clients that have held most for long, until the others have room."""
+        """Close the clients that have exceeded their share for too long, largest first, until there is room."""
         self._timer = None
         over = self.total - self.limit
         if over >= 0:
@@ -188,7 +188,7 @@ class Outbound:
             self._watch()
 
     def close(self) -> None:
-        """Look at nothing any more."""
+        """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
 

@@ -1,8 +1,8 @@
-"""The way out to one client: replies and notices in order, updates as fresh as the socket allows.
+"""The outbox of one client: replies and notices in order, updates as fresh as the socket allows.
 
-Nobody waits for a slow client. Updates wait in their feeds, bounded, and conflate; replies are
-counted in bytes, and a client that leaves too many unread is asked for nothing more. What goes into
-the socket is collected once a loop turn, for all outboxes in one shared tick, so that a burst
+A slow client delays nobody else. Updates queue in their feeds, bounded, and conflate; replies are
+counted in bytes, and the gateway stops reading from a client that leaves too many unread. Data for
+the sockets is collected once per loop iteration, for all outboxes in one tick, so that a burst
 becomes one write.
 """
 
@@ -23,20 +23,20 @@ from rcp_kernel.values import Encoding
 __all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Wrap"]
 
 log = structlog.get_logger("rcp.streams")
-BUDGET = 262_144  # bytes that an outbox gives away at once
-_PATIENCE = 0.001  # s that it collects samples of many paths, before others have their turn
-_TICK = 0.004  # s of one tick: outboxes that are left wait for the next turn of the loop
-_FEW = 32  # paths that are collected between looks at the time
+BUDGET = 262_144  # bytes that an outbox sends at once
+_PATIENCE = 0.001  # s of collecting samples of many paths, before others have their turn
+_TICK = 0.004  # s of one tick: the other outboxes wait for the next loop iteration
+_FEW = 32  # paths collected between checks of the time
 
 Framing = Callable[[int, bool], bytes]
-"""Make the head of a transport's frame, for a message of so many bytes, text or not."""
+"""Makes the head of a transport's frame, from the message's length and whether it is text."""
 
 Wrap = Callable[[bytes, Sample | None], bytes]
-"""Frame one message for its transport: an update with its sample, or a control message."""
+"""Frames one message for its transport: an update with its sample, or a control message."""
 
 
 class PendingPath(Protocol):
-    """A path of a subscription, with updates that wait to be collected."""
+    """A path of a subscription with updates to collect."""
 
     marked: bool
     queue: deque[Sample]
@@ -44,25 +44,25 @@ class PendingPath(Protocol):
 
     @property
     def priority(self) -> int:
-        """The higher, the sooner it is collected."""
+        """Higher priorities are collected first."""
         ...
 
     @property
     def depth(self) -> int:
-        """How many samples may wait."""
+        """Maximum number of queued samples."""
         ...
 
     @property
     def waiting(self) -> int:
-        """How many samples wait."""
+        """Number of queued samples."""
         ...
 
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
-        """Move queued samples to `out` as framed updates; return how many bytes that were."""
+        """Move queued samples to `out` as framed updates; return their number of bytes."""
         ...
 
     def weight(self) -> int:
-        """Estimate how many bytes wait."""
+        """Estimate the number of queued bytes."""
         ...
 
     def shed(self, known: Container[str], reason: str) -> None:
@@ -71,10 +71,10 @@ class PendingPath(Protocol):
 
 
 class Flushable(Protocol):
-    """What can be flushed by a tick."""
+    """Anything that a tick can flush."""
 
     dirty: bool
-    """Whether a tick will; it sets this to False before it does."""
+    """Whether the next tick will flush it; the tick resets this first."""
 
     @property
     def on_flush(self) -> Callable[[], None] | None:
@@ -83,7 +83,7 @@ class Flushable(Protocol):
 
 
 class FlushScheduler:
-    """One call per loop turn for all that have something to send."""
+    """One callback per loop iteration for everything that has data to send."""
 
     __slots__ = ("_dirty", "_held", "_loop")
 
@@ -93,14 +93,14 @@ class FlushScheduler:
         self._held = False
 
     def mark(self, one: Flushable) -> None:
-        """Flush an outbox or fanout in the coming tick; it must not be marked already."""
+        """Flush an outbox or fan-out in the next tick; it must not be marked already."""
         if not self._dirty and not self._held:
             self._loop.call_soon(self._tick)
         self._dirty.append(one)
 
     def gather(self, function: Callable[..., object], *args: Any) -> None:
-        """Call a function, and tick at its end: what it has published goes out without a turn more."""
-        if self._held or self._dirty:  # a tick will come that takes it along
+        """Call a function, then tick: what it has published is sent in the same loop iteration."""
+        if self._held or self._dirty:  # a tick is scheduled anyway
             function(*args)
             return
         self._held = True
@@ -122,18 +122,18 @@ class FlushScheduler:
             if flush is not None:
                 try:
                     flush()
-                except Exception:  # one client's trouble must not keep the others waiting
+                except Exception:  # an error of one client must not affect the others
                     log.exception("flush_failed")
 
     def _postpone(self, left: list[Flushable]) -> None:
-        """Go on in the coming turn of the loop, ahead of what was marked meanwhile."""
+        """Continue in the next loop iteration, ahead of anything marked meanwhile."""
         if not self._dirty:
             self._loop.call_soon(self._tick)
         self._dirty[:0] = left
 
 
 class Outbox:
-    """What one connection has to be sent; the transport collects it when its socket takes it."""
+    """Data to send on one connection; the transport collects it when its socket is writable."""
 
     __slots__ = (
         "_ticker",
@@ -167,9 +167,9 @@ class Outbox:
     ) -> None:
         self._ticker = ticker
         self.backlog = backlog
-        """What is counted of all that waits for this client."""
+        """The count of this client's unread bytes."""
         self.on_flush: Callable[[], None] | None = flush
-        """The transport's; None once it is gone."""
+        """The transport's callback; None once it is closed."""
         self.encoding = encoding
         self.text = encoding is Encoding.JSON
         self.dirty = False
@@ -177,25 +177,25 @@ class Outbox:
         """Frames for the transport, see `send_frames`."""
         self.direct: Callable[[list[bytes]], bool] | None = None
         self.alone = False
-        """Each message is wrapped in what is its client's own: there is nothing to share."""
+        """Wraps each message for this client only, so that frames cannot be shared."""
         self.takes_long = False
-        """The client takes messages of any length, as it agreed to get them in parts: values that
-        only a pattern asks for come whole too."""
+        """The client accepts messages of any length because of segmented transfer: long values are
+        sent whole to its pattern subscriptions too."""
         self.control: list[bytes] = []
         """Replies and notices: in order, never dropped. Queue them by `put`, which counts them."""
         self.waiting = 0
         """Bytes of `control`."""
         self.parked = 0
-        """Bytes of messages that the transport has collected and sends in parts."""
+        """Bytes of messages that the transport has collected and is sending in segments."""
         self.buffered = 0
-        """Bytes that the transport has given away and the client has not taken."""
+        """Bytes that the transport has written and the client has not read."""
         self.feedback: dict[str, Callable[[], bytes]] = {}
         """The newest feedback of each running command, by command id."""
         self.pending: list[PendingPath] = []
         """Feeds with queued samples."""
         self.held = 0
-        """How many subscriptions are looked through for what the client may not see any more: no
-        update is collected meanwhile. Count by `hold` and `release`."""
+        """Number of subscriptions being checked for paths that the client may no longer see: no
+        update is collected meanwhile. Changed by `hold` and `release`."""
         self.prioritised = False
         self.updates = 0
         self.high_water = 0
@@ -216,28 +216,28 @@ class Outbox:
         self.mark()
 
     def send_frames(self, framing: Framing, direct: Callable[[list[bytes]], bool]) -> None:
-        """Collect frames, for a transport that sends whole messages in such.
+        """Collect frames, for a transport that frames whole messages.
 
-        `collect` then returns bytes ready for the socket, a long message in two parts, and like
-        receivers share frames. While nothing else waits, `direct` sends frames at once; False says
-        that the socket does not take them now.
+        `collect` then returns bytes ready for the socket, a long message in two parts, and receivers
+        of the same bytes share frames. If nothing else is queued, `direct` sends frames at once; it
+        returns False if the socket is not writable.
         """
         self.framing, self.direct, self.takes_long = framing, direct, False
 
     def send_messages(self, *, long: bool = False) -> None:
-        """Collect whole messages without frames, as at the beginning.
+        """Collect whole messages without frames (the default).
 
-        `long` tells that the client takes those of any length, as it gets them in parts.
+        `long`: the client accepts messages of any length, because of segmented transfer.
         """
         self.framing = self.direct = None
         self.takes_long = long
 
     def gather(self) -> None:
-        """Mark nothing for the coming tick: the transport calls `settle` at the end of a read."""
+        """Suspend marking for the next tick until the transport calls `settle` at the end of a read."""
         self.dirty = True
 
     def settle(self, *, alone: bool) -> bytes | None:
-        """End what `gather` began; take the one message that waits, if it may go `alone`."""
+        """End `gather`; return the only queued message, if it may be sent `alone`."""
         self.dirty = False
         if alone and len(self.control) == 1 and not (self.pending or self.feedback):
             self.waiting = 0
@@ -245,61 +245,61 @@ class Outbox:
         return None
 
     def hand(self, buffered: int) -> None:
-        """Take notice of how many bytes the transport has given away that were not taken."""
+        """Set the number of bytes that the transport has written and the client has not read."""
         if buffered != self.buffered:
             self.buffered = buffered
             self.weigh()
 
     def park(self, size: int) -> None:
-        """Take notice of how many bytes the transport sends in parts, or keeps to send again."""
+        """Set the number of bytes that the transport sends in segments, or keeps to repeat them."""
         if size != self.parked:
             self.parked = size
             self.weigh()
 
     def weigh(self) -> None:
-        """Count all that waits."""
+        """Update the backlog."""
         self.backlog.set(self.waiting + self.parked + self.buffered)
 
     @property
     def crowded(self) -> bool:
-        """Whether nothing more should be read from the client, as it leaves so much unread."""
+        """Whether reading from the client should pause because of its unread bytes."""
         return self.backlog.size > SHARE and self.backlog.crowded
 
     @property
     def more(self) -> bool:
-        """Whether something waits to be collected."""
+        """Whether there is data to collect."""
         return bool(self.control or self.feedback or (self.pending and not self.held))
 
     def hold(self) -> None:
-        """Collect no updates until they are released; they wait, and conflate."""
+        """Collect no updates until `release`; they stay queued, and conflate."""
         self.held += 1
 
     def release(self) -> None:
-        """Collect updates again, once nobody holds them."""
+        """Collect updates again after the last `hold` has ended."""
         self.held -= 1
         if not self.held and self.pending:
             self.mark()
 
     def again(self) -> None:
-        """Have the transport called once more for what is left, as soon as there is room for it."""
+        """Call the transport again for the rest, as soon as there is room."""
         if not (self.control or self.feedback) and self.pending and self.backlog.full:
             self.backlog.wait(self)
         elif self.more:
             self.mark()
 
     def mark(self) -> None:
-        """Have the transport called in the coming tick."""
+        """Call the transport in the next tick."""
         if not self.dirty:
             self.dirty = True
             self._ticker.mark(self)
 
     def flush(self) -> None:
-        """Call the transport, which collects if its socket can take more."""
+        """Call the transport, which collects if its socket is writable."""
         if self.on_flush is not None:
             self.on_flush()
 
     def close(self) -> None:
-        """Forget everything; the transport is gone."""
+        """Drop everything; the transport is closed."""
         self.on_flush = self.direct = None
         self.control.clear()
         self.feedback.clear()
@@ -309,7 +309,7 @@ class Outbox:
 
     @property
     def depth(self) -> int:
-        """How many messages wait."""
+        """Number of queued messages."""
         return len(self.control) + len(self.feedback) + sum(feed.waiting for feed in self.pending)
 
     def collect(
@@ -319,11 +319,11 @@ class Outbox:
         wrap: Wrap | None = None,
         big: int | None = None,
     ) -> list[bytes]:
-        """Take what is to be sent now: control first, then updates by priority.
+        """Return the data to send now: control messages first, then updates by priority.
 
-        Stops after about `budget` bytes; what is left stays, and the transport collects again
-        when the socket has room (`more`). With `big`, updates longer than that stay where they
-        are, for a transport that is still busy with an earlier one.
+        Stops after about `budget` bytes; the rest stays queued, and the transport collects again
+        when the socket has room (`more`). With `big`, longer updates stay queued, for a transport
+        that is still busy with an earlier one.
         """
         long = self.waiting > SHARE
         if self.waiting <= budget:
@@ -341,7 +341,7 @@ class Outbox:
         elif out and self.framing is not None:
             text = self.text
             frame = self.framing
-            if long:  # a head goes before what is long, so that nothing copies that
+            if long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]
             else:
                 out = [frame(len(data), text) + data for data in out]
@@ -349,7 +349,7 @@ class Outbox:
         if not pending or self.control or self.feedback or self.held:
             return out
         if big is None and self.backlog.full:
-            big = SHARE  # long updates wait, and conflate, until others have taken theirs
+            big = SHARE  # long updates stay queued, and conflate, until other clients have had their turn
         later: list[PendingPath] = []
         self.pending = later
         if self.prioritised:
@@ -369,7 +369,7 @@ class Outbox:
         return out
 
     def _take(self, budget: int) -> list[bytes]:
-        """Take the first control messages, one at least, up to about `budget` bytes."""
+        """Remove the first control messages, at least one, up to about `budget` bytes."""
         size = count = 0
         for data in self.control:
             size += len(data)

@@ -1,6 +1,6 @@
-"""Earlier samples for a client that asks for history or comes back: judged in steps.
+"""Earlier samples for a client that requests history or resumes, filtered in steps.
 
-Filters, and what the rules hide, take time for each of up to a thousand samples.
+Filters and access rules take time for each of up to a thousand samples.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from rcp_kernel.tree.samples import Sample
 
 __all__ = ["admitted", "past"]
 
-_STEP = 16  # samples that are judged at once
+_STEP = 16  # samples filtered per step
 
 
 def past(feed: PathSubscription, history: int | str, last: int) -> list[Sample]:
-    """Return the samples that `history` asks for, oldest first, and all after number `last`."""
+    """Return the samples that `history` selects, oldest first, and all after number `last`."""
     ring = list(feed.entry.ring)
     if isinstance(history, int):
         newer = sum(sample.seq > last for sample in ring)
@@ -27,16 +27,16 @@ def past(feed: PathSubscription, history: int | str, last: int) -> list[Sample]:
 
 
 def admitted(feed: PathSubscription, samples: list[Sample]) -> Generator[None, None, list[Sample]]:
-    """Return what passes a feed's filters of `samples`, and of those that come meanwhile."""
+    """Return those of `samples`, and of samples published meanwhile, that pass a feed's filters."""
     if not feed.judges:
         return samples
-    found: list[Sample] = []
+    passed: list[Sample] = []
     while samples:
         for number, sample in enumerate(samples, 1):
-            if (told := feed.admit(sample)) is not None:
-                found.append(told)
+            if (admitted := feed.admit(sample)) is not None:
+                passed.append(admitted)
             if not number % _STEP:
                 yield
         last = samples[-1].seq
         samples = [sample for sample in feed.entry.ring if sample.seq > last]
-    return found
+    return passed

@@ -1,6 +1,6 @@
-"""A feed is one path of one subscription: what waits to be sent, and how it is put into updates.
+"""A feed is one path of one subscription: its queue, and the encoding of its updates.
 
-The plain feed, which every 50 Hz pose rides on, does a list access and a deque append for a sample.
+The plain feed, used for most poses at 50 Hz, does a list access and a deque append per sample.
 """
 
 from __future__ import annotations
@@ -21,43 +21,43 @@ from rcp_kernel.wire import encode_frame
 
 __all__ = ["SHARED", "PathSubscription", "Subscriber"]
 
-SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
+SHARED = 16_384  # bytes; longer updates are not copied into a shared frame
 
 
 class _Share:
-    """What all feeds have in common whose updates are the same bytes."""
+    """The shared part of feeds whose updates are the same bytes."""
 
     __slots__ = ("__weakref__",)
 
 
 _shares: WeakValueDictionary[Any, _Share] = WeakValueDictionary()
-"""By what makes the bytes; each is gone with the last of its feeds."""
+"""By everything that determines the bytes; removed with the last of its feeds."""
 
 
 class Subscriber(Protocol):
-    """The subscription that a path belongs to, as far as the path needs it."""
+    """The part of a subscription that its paths use."""
 
     remaining: int | None
     skipped: int
 
     @property
     def id(self) -> str:
-        """What its updates name it by."""
+        """Its id in updates."""
         ...
 
     @property
     def options(self) -> Options:
-        """What the client wants of its paths."""
+        """The options of the client."""
         ...
 
     @property
     def where(self) -> Where | None:
-        """The condition that its samples must meet."""
+        """The condition on its samples."""
         ...
 
     @property
     def outbox(self) -> Outbox | None:
-        """Where its updates go; None while its client is away."""
+        """The destination of its updates; None while the client is disconnected."""
         ...
 
     @property
@@ -66,19 +66,19 @@ class Subscriber(Protocol):
         ...
 
     def later(self, seconds: float, function: Callable[[], None]) -> None:
-        """Call a function in so many seconds."""
+        """Call a function after a delay in seconds."""
         ...
 
     def longest(self, entry: Entry) -> int | None:
-        """Return the longest value of an entry that is sent whole; None: every one is."""
+        """Return the longest value of an entry that is sent whole; None: no limit."""
         ...
 
     def delivered(self) -> bool:
-        """Count one update; tell whether it was the last of a limited number."""
+        """Count one update; return whether it was the last of a limited number."""
         ...
 
     def overrun(self, feed: PathSubscription, why: str | None = None) -> None:
-        """End the subscription: nothing of this path may be skipped, and something has to be."""
+        """End the subscription, because a sample of a reliable path would have to be skipped."""
         ...
 
 
@@ -86,7 +86,7 @@ class PathSubscription:
     """One path of one subscription, without filters."""
 
     judges = False
-    """Whether `admit` may keep a sample back, or a part of it."""
+    """Whether `admit` may drop or reduce a sample."""
 
     __slots__ = (
         "_heads",
@@ -127,42 +127,42 @@ class PathSubscription:
         self.priority = options.qos.priority
         self.native = options.encoding == "native"
         self.named = not self.native
-        """Whether the client knows the name of the native type, if it wants native bytes."""
+        """Whether the client was sent the name of the native type."""
         self.dropped = 0
-        """Samples skipped since the last update that went out."""
+        """Samples skipped since the last update that was sent."""
         self.sent = entry.seq
-        """Number of the last sample that the client has, or has no claim to: what came before it
-        subscribed is not missed."""
+        """Number of the last sample that the client has or that preceded its subscription: only later
+        ones can be missed."""
         self.heard = 0.0
-        """Monotonic time of the last sample, kept where a deadline was asked for."""
+        """Monotonic time of the last sample; only set with a deadline."""
         self.missed = False
         self.marked = False
         self.paused = False
-        """The rules do not allow it at present."""
+        """The access rules do not allow it at the moment."""
         self.kept = False
-        """The history of its path is kept for a client that is away."""
+        """The history of its path is kept for a disconnected client."""
         self.fields = NATIVE if self.native else options.fields
         self.longest = subscription.longest(entry)
-        """Longest value that is sent whole, bytes, to a client that does not take long messages;
-        None: every one is."""
+        """Longest value sent whole, in bytes, to a client without segmented transfer;
+        None: no limit."""
         self._lifespan = options.qos.lifespan
         self._plain = self._lifespan is None and options.count is None
         self._heads: tuple[Encoding, bytes, bytes] | None = None
         self.share: object = None
-        """Under what a sample keeps the frame that all feeds with the same head send."""
+        """The key of the frame that all feeds with the same head share in a sample."""
 
     @property
     def waiting(self) -> int:
-        """How many samples wait to be collected."""
+        """Number of queued samples."""
         return len(self.queue) + (len(self.backlog) if self.backlog else 0)
 
     def _old(self, sample: Sample) -> bool:
-        """Tell whether a sample has waited for longer than it is worth sending."""
+        """Return whether a sample has exceeded its lifespan in the queue."""
         lifespan = self._lifespan
         return lifespan is not None and self.entry.clock.now() - sample.received > lifespan * 1e9
 
     def offer(self, sample: Sample) -> None:
-        """Queue a sample; a full queue lets its oldest go, or ends a reliable subscription."""
+        """Queue a sample; a full queue drops its oldest one, or ends a reliable subscription."""
         queue = self.queue
         if len(queue) >= self.depth:
             if self.reliable:
@@ -176,7 +176,7 @@ class PathSubscription:
             self.mark()
 
     def conflate(self) -> None:
-        """Let go of all that waits but the newest."""
+        """Drop all queued samples but the newest."""
         old = self.waiting - 1
         if old > 0:
             if self.backlog and not self.queue:
@@ -188,7 +188,7 @@ class PathSubscription:
             self.subscription.skipped += old
 
     def weight(self) -> int:
-        """Estimate how many bytes wait."""
+        """Estimate the number of queued bytes."""
         latest, waiting = self.entry.latest, self.waiting
         if latest is None or not waiting:
             return 0
@@ -201,7 +201,7 @@ class PathSubscription:
             return 0
 
     def shed(self, known: Container[str], reason: str) -> None:
-        """Conflate, or end a reliable subscription whose id is `known`, for a reason."""
+        """Conflate, or end a reliable subscription whose id is `known`, with a reason."""
         if not self.reliable:
             self.conflate()
         elif self.waiting > 1 and self.subscription.id in known:
@@ -210,7 +210,7 @@ class PathSubscription:
                 other.conflate()
 
     def mark(self) -> None:
-        """Have the outbox collect this feed in the coming tick."""
+        """Let the outbox collect this feed in the next tick."""
         outbox = self.outbox
         if outbox is not None:
             self.marked = True
@@ -219,7 +219,7 @@ class PathSubscription:
                 outbox.mark()
 
     def replay(self, samples: Iterable[Sample]) -> None:
-        """Queue earlier samples ahead of everything else."""
+        """Queue earlier samples ahead of all others."""
         self.backlog = deque(samples)
         if self.backlog:
             self.sent = min(self.sent, self.backlog[0].seq - 1)
@@ -227,19 +227,19 @@ class PathSubscription:
             self.mark()
 
     def admit(self, sample: Sample) -> Sample | None:
-        """Return what passes the filters of an earlier sample, for history and resume."""
+        """Filter an earlier sample, for history and resume; None: it is dropped."""
         return sample
 
     def prime(self, sample: Sample) -> None:
-        """Take the present value as known, without sending it."""
+        """Treat the current value as known, without sending it."""
 
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
-        """Move queued samples to `out` as framed updates; return how many bytes that were."""
+        """Move queued samples to `out` as framed updates; return their number of bytes."""
         if self._plain and big is None and not self.backlog and self.named:
             return self._drain_plain(out, budget, wrap)
         size = 0
         remaining = self.subscription.remaining
-        if remaining is not None and remaining <= 0:  # another path had the last of the count
+        if remaining is not None and remaining <= 0:  # another path has used up the count
             self.queue.clear()
             self.backlog = None
             return 0
@@ -279,9 +279,9 @@ class PathSubscription:
         return size
 
     def _drain_plain(self, out: list[bytes], budget: int, wrap: Wrap | None) -> int:
-        """Drain a feed that has nothing to look at but its queue: the hot loop of every fan-out."""
+        """Drain a feed without filters or limits: the hot loop of every fan-out."""
         outbox = self.outbox
-        if outbox is None:  # it ended after it was marked
+        if outbox is None:  # ended after it was marked
             return 0
         encoding, head, _ = self._heads or self._make_heads()
         if outbox.framing is not None and wrap is None:
@@ -305,7 +305,7 @@ class PathSubscription:
         return size
 
     def _drain_framed(self, out: list[bytes], budget: int, outbox: Outbox, framing: Framing) -> int:
-        """Drain with frames of the transport's own making, made once for all alike receivers."""
+        """Drain with frames built by the transport, once for all receivers of the same bytes."""
         share = self.share
         queue = self.queue
         size = count = 0
@@ -326,12 +326,12 @@ class PathSubscription:
 
     @property
     def head(self) -> tuple[Encoding, bytes]:
-        """The encoding, and what every update that skips nothing begins with."""
+        """The encoding, and the start of every update without skipped samples."""
         encoding, head, _ = self._heads or self._make_heads()
         return encoding, head
 
     def _make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
-        """Return an update as a frame; of a long one the head goes to `out` before it."""
+        """Return an update as a frame; the head of a long one is added to `out` first."""
         encoding, head, _ = self._heads or self._make_heads()
         text = encoding is Encoding.JSON
         if self.dropped:
@@ -371,7 +371,7 @@ class PathSubscription:
         )
 
     def _is_too_long(self, tail: bytes) -> bool:
-        """Tell whether the client should not be sent a value that only a pattern asks for."""
+        """Return whether a value is too long for a subscription that matches it only by a pattern."""
         outbox = self.outbox
         limit = self.longest
         return limit is not None and len(tail) > limit and not (outbox and outbox.takes_long)
@@ -388,7 +388,7 @@ class PathSubscription:
         return self._heads
 
     def leave(self) -> None:
-        """Forget what waits; the connection is gone."""
+        """Drop the queue; the connection is lost."""
         self.queue.clear()
         self.backlog = None
         self.marked = False

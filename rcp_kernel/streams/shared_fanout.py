@@ -1,8 +1,8 @@
-"""Feeds that send alike bytes: one burst is queued and encoded once for all of them.
+"""Feeds that send the same bytes: a burst is queued and encoded once for all of them.
 
-A hundred dashboards subscribe to one path: what differs between them is how far each has got,
-and the head of their updates. So the samples stand in one ring, and a feed holds its place in it.
-A receiver that falls behind the ring skips, is told how many, and delays nobody.
+If a hundred dashboards subscribe to one path, they differ only in their position and in the head
+of their updates. So the samples are in one ring buffer, and each feed has a position in it. A
+receiver that falls behind the ring skips samples, with their number, and delays nobody.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ __all__ = [
 
 
 _JSON = Encoding.JSON
-_KEPT = 16  # batches of frames kept for receivers that are alike
+_KEPT = 16  # batches of frames kept for equal receivers
 Fields = tuple[str, ...] | None
 Batch = tuple[list[bytes], int, int]
-"""Bytes for the socket, how many updates they hold, and how long they are."""
+"""Bytes for the socket, their number of updates, and their length."""
 
 
 class _Tails:
-    """The parts of some updates that all receivers of an encoding share."""
+    """The parts of updates that all receivers of an encoding share."""
 
     __slots__ = ("count", "length", "longest", "parts")
 
     def __init__(self, samples: list[Sample], encoding: Encoding, fields: Fields) -> None:
         key = encoding if fields is None else (encoding, fields)
-        found: list[bytes] = [b""]
+        parts: list[bytes] = [b""]
         for sample in samples:
             try:
-                found.append(sample.tails.get(key) or sample.tail(encoding, fields))
+                parts.append(sample.tails.get(key) or sample.tail(encoding, fields))
             except RcpError:  # reported as the backend's fault where it was found
                 continue
-        self.parts = found
-        """An empty part, so that joining them by a beginning puts it before each; then the tails."""
-        self.count = len(found) - 1
-        lengths = set(map(len, found[1:]))
+        self.parts = parts
+        """An empty part, then the tails: joining them by a head puts it before each tail."""
+        self.count = len(parts) - 1
+        lengths = set(map(len, parts[1:]))
         self.length = lengths.pop() if len(lengths) == 1 else None
-        """Of each tail, where all are alike."""
-        self.longest = max(map(len, found))
+        """Length of each tail, if all are equal."""
+        self.longest = max(map(len, parts))
 
 
 class SharedFanout:
-    """The samples that the feeds of one entry and depth have in common.
+    """The samples shared by the feeds of one entry and depth.
 
-    A sample is taken in once for all of them. What follows is shared as far as it goes: the tails
-    by all of an encoding, the frames by those whose updates have the same head.
+    A sample is queued once for all of them. Tails are shared by all feeds of an encoding, frames
+    by those whose updates have the same head.
     """
 
     __slots__ = (
@@ -83,20 +83,20 @@ class SharedFanout:
         self.members: list[SharedPathSubscription] = []
         self.ring: deque[Sample] = deque(maxlen=depth)
         self.end = 0
-        """How many samples were offered ever."""
+        """Number of samples offered so far."""
         self.dirty = False
-        """Whether the coming tick will send the members what they have not got."""
+        """Whether the next tick will send pending samples to the members."""
         self.marked = False
-        """Whether every member whose transport collects by itself waits for that."""
+        """Whether all members whose transport collects by itself are marked for it."""
         self._sent_end = 0
-        """What `end` was at the last tick."""
+        """Value of `end` at the last tick."""
         self._made = 0
-        """What `end` was when the following were made."""
+        """Value of `end` for which the following were built."""
         self._tails: dict[Any, _Tails] = {}
         self._frames: dict[Any, Batch] = {}
 
     def offer(self, sample: Sample) -> None:
-        """Take a sample in; the first one of a loop turn has the coming tick send them."""
+        """Queue a sample; the first one of a loop iteration schedules the tick."""
         self.ring.append(sample)
         self.end += 1
         if not self.dirty:
@@ -110,7 +110,7 @@ class SharedFanout:
                     member.mark()
 
     def on_flush(self) -> None:
-        """Send every member what it has not got, at once where nothing else waits for it."""
+        """Send pending samples to every member, directly if nothing else is queued for it."""
         start, self._sent_end = self._sent_end, self.end
         end, whole = self.end, self.end - start <= len(self.ring)
         share = framing = None
@@ -150,9 +150,9 @@ class SharedFanout:
                 member.mark()
 
     def batch(self, start: int, feed: SharedPathSubscription, framing: Framing) -> Batch:
-        """Return the bytes of all samples since `start`, their number and their length.
+        """Return the bytes of all samples since `start`, with their number and length.
 
-        What was made for a feed that had got as far serves its like too.
+        They are reused for equal feeds at the same position.
         """
         if self._made != self.end:
             self._made = self.end
@@ -160,12 +160,12 @@ class SharedFanout:
             self._frames.clear()
         encoding, head = feed.head
         key = (start, feed.share, framing)
-        found = self._frames.get(key)
-        if found is None:
-            found = self._make(start, encoding, head, feed.fields, framing)
+        batch = self._frames.get(key)
+        if batch is None:
+            batch = self._make(start, encoding, head, feed.fields, framing)
             if len(self._frames) < _KEPT:
-                self._frames[key] = found
-        return found
+                self._frames[key] = batch
+        return batch
 
     def _make(
         self, start: int, encoding: Encoding, head: bytes, fields: Fields, framing: Framing
@@ -186,14 +186,14 @@ class SharedFanout:
         return parts, tails.count, sum(map(len, parts))
 
     def since(self, start: int) -> list[Sample]:
-        """Return the samples from the `start`th on, as far as the ring still has them."""
-        wanted = self.end - start
+        """Return the samples from number `start` on, as far as the ring still has them."""
+        count = self.end - start
         ring = list(self.ring)
-        return ring[-wanted:] if wanted else []
+        return ring[-count:] if count else []
 
 
 class SharedPathSubscription(PathSubscription):
-    """A feed without filters whose samples wait in a ring that it shares."""
+    """A feed without filters whose samples are in a shared ring buffer."""
 
     __slots__ = ("fanout", "place")
 
@@ -201,16 +201,16 @@ class SharedPathSubscription(PathSubscription):
         super().__init__(subscription, entry, outbox)
         self.fanout: SharedFanout | None = None
         self.place = 0
-        """Number of the next sample of the fanout to send."""
+        """Number of the fan-out's next sample to send."""
 
     @property
     def waiting(self) -> int:
-        """How many samples wait to be collected."""
+        """Number of queued samples."""
         behind = 0 if self.fanout is None else min(self.fanout.end - self.place, self.depth)
         return super().waiting + behind
 
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
-        """Move what waits to `out`: the common bytes where nothing is special about this feed."""
+        """Move queued samples to `out`, as shared bytes unless this feed needs different ones."""
         fanout, outbox = self.fanout, self.outbox
         if outbox is None or fanout is None or self.place == fanout.end:
             return super().drain(out, budget, wrap, big)
@@ -234,7 +234,7 @@ class SharedPathSubscription(PathSubscription):
         return super().drain(out, budget, wrap, big)
 
     def _take(self, fanout: SharedFanout) -> None:
-        """Go on alone with what waits, for as long as something is special."""
+        """Queue the pending samples individually while this feed needs different bytes."""
         if fanout.end - self.place == 1:
             self.queue.append(fanout.ring[-1])
         else:
@@ -246,20 +246,20 @@ class SharedPathSubscription(PathSubscription):
             self.subscription.skipped += 1
 
     def conflate(self) -> None:
-        """Let go of all that waits but the newest."""
+        """Drop all queued samples but the newest."""
         if self.fanout is not None and self.outbox is not None:
             self._take(self.fanout)
         super().conflate()
 
     def leave(self) -> None:
-        """Forget what waits; the connection is gone."""
+        """Drop the queue; the connection is lost."""
         super().leave()
         if self.fanout is not None:
             self.place = self.fanout.end
 
 
 def join_fanout(feed: SharedPathSubscription, entry: Entry, scheduler: FlushScheduler) -> None:
-    """Have a feed sing with its like among an entry's listeners, from the next sample on."""
+    """Add a feed to the fan-out of equal feeds among an entry's listeners, from the next sample on."""
     for listener in entry.listeners:
         if isinstance(listener, SharedFanout) and listener.depth == feed.depth:
             fanout = listener
@@ -274,7 +274,7 @@ def join_fanout(feed: SharedPathSubscription, entry: Entry, scheduler: FlushSche
 
 
 def leave_fanout(feed: SharedPathSubscription, entry: Entry) -> bool:
-    """Take a feed out of its fanout; tell whether it was in one."""
+    """Remove a feed from its fan-out; return whether it was in one."""
     fanout = feed.fanout
     if fanout is None:
         return False
@@ -286,7 +286,7 @@ def leave_fanout(feed: SharedPathSubscription, entry: Entry) -> bool:
 
 
 def path_subscriptions_of(entry: Entry) -> Iterator[PathSubscription]:
-    """Go through the feeds of an entry, whether they stand alone or in a fanout."""
+    """Iterate over the feeds of an entry, in fan-outs or not."""
     for listener in list(entry.listeners):
         if isinstance(listener, SharedFanout):
             yield from list(listener.members)

@@ -1,4 +1,4 @@
-"""Subscriptions: which samples go to whom, and what ends one that is too slow."""
+"""Subscriptions: their paths, options and end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Subscription"]
 
 
 class Delivery(Protocol):
-    """What a subscription needs of whoever links its paths."""
+    """What a subscription needs from the object that links its paths."""
 
     def later(self, seconds: float, function: Callable[[], None], /) -> None:
         """Call a function in so many seconds."""
@@ -25,20 +25,20 @@ class Delivery(Protocol):
 
     @property
     def pattern_value(self) -> int:
-        """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
+        """Longest value, in bytes, sent whole to a subscription that did not name its path."""
         ...
 
     def soon(self, function: Callable[..., object], *args: Any) -> None:
-        """Call a function in the coming loop turn."""
+        """Call a function in the next loop iteration."""
         ...
 
     def unlink(self, feed: PathSubscription) -> None:
-        """Offer a feed nothing more."""
+        """Stop offering samples to a feed."""
         ...
 
 
 class Subscription:
-    """A standing request of one session for samples of one or more paths."""
+    """A session's request for a stream of samples of one or more paths."""
 
     __slots__ = (
         "_delivery",
@@ -83,33 +83,33 @@ class Subscription:
         self.options = options
         self.outbox = outbox
         self.owner = owner
-        """In whose turns its paths are linked."""
+        """The principal in whose turns its paths are linked."""
         self.may = may
         """Whether the principal may subscribe to an entry."""
         self.end = end
-        """Called when the subscription ends by itself, with the reason."""
+        """Called with the reason when the subscription ends by itself."""
         self.view = view
-        """What an entry shows this principal, where that depends on who asks."""
+        """The entry's view for this principal, if it depends on the reader."""
         self.visibility_filter = visibility_filter
-        """What of an entry's samples this principal may see, where that is not all: None is nothing."""
+        """Filters an entry's samples for this principal, if it may not see everything; None: nothing."""
         self.placed = placed
-        """Called with each feed that has joined."""
+        """Called with each feed that was linked."""
         self.feeds: dict[str, PathSubscription] = {}
         self.awaited: dict[str, int] = {}
-        """Paths that are still to be linked, in their order, each with the number of its last
-        sample when the client subscribed: what came after that is not missed."""
+        """Paths still to be linked, in order, each with the number of its last sample when the client
+        subscribed: later samples are not missed."""
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
         self.skipped = 0
-        """Samples of all its paths that were skipped."""
+        """Number of skipped samples of all paths."""
         self.timer: Any = None
 
     def wants(self, entry: Entry) -> bool:
-        """Tell whether an entry belongs to this subscription."""
+        """Return whether an entry belongs to this subscription."""
         return any(p.matches(entry.path) for p in self.patterns) and self.may(entry)
 
     def longest(self, entry: Entry) -> int | None:
-        """Return the longest value of an entry that is sent whole; None: every one is."""
+        """Return the longest value of an entry that is sent whole; None: no limit."""
         return None if entry.path in self._named else self._delivery.pattern_value
 
     def later(self, seconds: float, function: Callable[[], None]) -> None:
@@ -117,7 +117,7 @@ class Subscription:
         self._delivery.later(seconds, function)
 
     def delivered(self) -> bool:
-        """Count one update; tell whether it was the last of a limited number."""
+        """Count one update; return whether it was the last of a limited number."""
         assert self.remaining is not None
         self.remaining -= 1
         if self.remaining > 0:
@@ -133,5 +133,5 @@ class Subscription:
             path=feed.entry.path,
             details={"depth": feed.depth, "last_seq": feed.sent},
         )
-        self._delivery.unlink(feed)  # of this path no sample may follow after a gap
+        self._delivery.unlink(feed)  # no sample of this path may follow a gap
         self._delivery.soon(self.end, self, "overrun", error)

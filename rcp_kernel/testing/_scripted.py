@@ -140,9 +140,7 @@ class ScriptedRobot(BaseBackend):
             self.moving.add(name)
         if name.startswith("action/"):
             self.started.put_nowait(value)
-        task = asyncio.current_task()
-        assert task is not None
-        run = _Run(name, task)
+        run = _Run(name)
         self._runs.append(run)
         try:
             result = await self.behaviours.get(name, self.wait)(value, progress)
@@ -155,6 +153,7 @@ class ScriptedRobot(BaseBackend):
             raise
         finally:
             self._runs.remove(run)
+            run.forget()
             if self.obeys and not self.lost:
                 self.moving.discard(name)
         return result if resource is None or resource.output is not None else None
@@ -220,20 +219,24 @@ class ScriptedRobot(BaseBackend):
 class _Run:
     """A command under way, which the robot itself may end: it was stopped, or lost its link."""
 
-    def __init__(self, name: str, task: asyncio.Task[Any]) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
         self.why: Exception | None = None
-        self._task = task
+        self._task = asyncio.current_task()
 
     def end(self, why: Exception) -> None:
         """Have it fail."""
-        if self.why is None:
+        if self.why is None and self._task is not None:
             self.why = why
             self._task.cancel()
 
     def ended_itself(self) -> bool:
         """Tell whether nobody else cancelled it."""
-        return self.why is not None and not self._task.uncancel()
+        return self.why is not None and self._task is not None and not self._task.uncancel()
+
+    def forget(self) -> None:
+        """Let go of the task, which keeps an error whose traceback would keep it."""
+        self._task = self.why = None
 
 
 def _moves(resource: Resource) -> bool:

@@ -131,7 +131,9 @@ class WsClient:
         """Handle a message of the client, or keep it until the client's next turn."""
         gate, size = self._gate, len(data)
         if not gate.handing and (
-            gate.paused or (self._began and self._over()) or (size > _SHORT and self._turns.over)
+            gate.paused
+            or (self._began and perf_counter() - self._began > _LEAST and self._over())
+            or (size > _SHORT and self._turns.over)
         ):
             gate.keep(data)
             if not gate.paused:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from itertools import pairwise
 from typing import Any
 
@@ -256,6 +257,35 @@ async def test_what_is_refused_moves_nothing() -> None:
         with pytest.raises(ModeForbids, match="'tilt' is disabled"):
             await rig.execute(FOLLOW, WAVE)
         assert rig.still()
+
+
+STOPS = {
+    "a stop of the joints": lambda rig: rig.write("actuator/arm/joints", {}),
+    "a hold": lambda rig: rig.backend.hold(None),
+    "a halt": lambda rig: rig.backend.halt(),
+}
+
+
+@pytest.mark.parametrize("stop", STOPS)
+async def test_what_stops_the_joints_while_it_is_planned_is_not_overtaken(
+    stop: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    going_on = threading.Event()
+
+    def slowly(*given: Any) -> Any:
+        going_on.wait(20)
+        return plan(*given)
+
+    monkeypatch.setattr("rcp_can.joint_group.plan", slowly)
+    async with arm() as rig:
+        running = following(rig, FAR)
+        await rig.until(lambda: rig.axes["pan"].owner)
+        await STOPS[stop](rig)
+        going_on.set()
+        with pytest.raises(ModeForbids):
+            await asyncio.wait_for(running, 20)
+        assert rig.still()
+        assert all(twin.plant.position < 0.1 for twin in rig.twins.values())
 
 
 async def test_a_joint_that_is_held_back_aborts_the_trajectory_to_a_stop() -> None:

@@ -74,12 +74,14 @@ WAITS, UNKNOWN = ("adapter_unavailable", True), ("unknown_path", False)
 
 
 async def until(client: Client, type_: str, wanted: tuple[str, bool] | None) -> dict[str, Any]:
-    """Ask until the answer is as wanted; None: it is good."""
+    """Ask until the answer is as wanted; None: it is good. Until then it is to be tried again."""
     while True:
         reply = await client.ask(type=type_, path=LEVEL)
         error = reply.get("error")
-        if (error and (error["code"], error["retryable"])) == wanted:
+        answer = error and (error["code"], error["retryable"])
+        if answer == wanted:
             return reply
+        assert answer == WAITS, reply
         await asyncio.sleep(0.01)
 
 

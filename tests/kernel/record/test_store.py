@@ -14,7 +14,7 @@ import pytest
 from kernel.world import BOUND, kept_in, settled, until_trouble, world_of
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.file import opened
+from rcp_kernel.store.file import open_writable
 from rcp_kernel.store.store import Store
 
 pytestmark = pytest.mark.anyio
@@ -98,7 +98,7 @@ async def test_no_start_where_nothing_can_be_written(
     path, pragma = whole(tmp_path / "store.db"), "query_only = 1"
 
     def limited(_store: DiskStore) -> sqlite3.Connection:
-        base = opened(path)
+        base = open_writable(path)
         base.execute(f"PRAGMA {pragma}")
         return base
 
@@ -164,11 +164,11 @@ async def test_a_full_disk_is_waited_out(store: DiskStore, monkeypatch: pytest.M
     limited = True
 
     def small(path: Path) -> sqlite3.Connection:
-        base = opened(path)
+        base = open_writable(path)
         base.execute("PRAGMA max_page_count = 20" if limited else "PRAGMA max_page_count = 9999")
         return base
 
-    monkeypatch.setattr("rcp_kernel.store.disk_store.opened", small)
+    monkeypatch.setattr("rcp_kernel.store.disk_store.open_writable", small)
     store.put("things", "a", 1)
     async with asyncio.timeout(BOUND):
         for number in range(40):
