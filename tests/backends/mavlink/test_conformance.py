@@ -87,7 +87,9 @@ class MavlinkRig(StopRig):
             )
             return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
         if name == "actuator/cmd_vel":
-            own = await self.truth("actuator/velocity")
+            # The last turn ends while the velocity is repeated, which shows in its third decimal.
+            turned = await self.truth("actuator/velocity")
+            own = {axis: round(part, 2) + 0.0 for axis, part in turned.items()}
             return {
                 "linear": {axis: own[axis] for axis in "xyz"},
                 "angular": {"x": 0.0, "y": 0.0, "z": own["yaw_rate"]},
