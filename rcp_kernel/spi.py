@@ -22,11 +22,13 @@ __all__ = [
     "Backend",
     "BackendKind",
     "BaseBackend",
+    "Dimensions",
     "Host",
     "MotionState",
     "Native",
     "Progress",
     "Publication",
+    "RobotFacts",
     "StopPlan",
     "Watchdog",
     "check_fence",
@@ -101,6 +103,30 @@ class StopPlan(msgspec.Struct, frozen=True):
     later; None: until the guard's bound."""
 
 
+class Dimensions(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The size of a robot at rest, in m along its own axes, and its mass in kg."""
+
+    length: float | None = None
+    width: float | None = None
+    height: float | None = None
+    mass: float | None = None
+
+
+class RobotFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot is, as far as its backend knows; shown by the inventory."""
+
+    kind: str | None = None
+    """One word of the field: `rover`, `copter`, `plane`, `boat`, `arm`, `forklift`, `motor`."""
+    vendor: str | None = None
+    model: str | None = None
+    firmware: str | None = None
+    """Name and version, as the robot itself reports them."""
+    serial: str | None = None
+    dimensions: Dimensions | None = None
+    frames: tuple[str, ...] = ()
+    """The frames in which it takes goals and reports poses."""
+
+
 class Progress(Protocol):
     """Report feedback of a running command; newest wins for a slow client, none are reordered."""
 
@@ -163,6 +189,13 @@ class Host(Protocol):
         """Give the guard process what stops a part of the robot without the gateway.
 
         A plan of the same name is replaced; None takes it back.
+        """
+        ...
+
+    def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
+        """Say what one of the backend's robots is (None: the backend as a whole).
+
+        Called again when more is known, such as the firmware; it replaces what was said before.
         """
         ...
 

@@ -17,7 +17,15 @@ from rcp_kernel.errors import (
     InvalidValue,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog, check_fence
+from rcp_kernel.spi import (
+    BaseBackend,
+    Host,
+    MotionState,
+    Progress,
+    RobotFacts,
+    Watchdog,
+    check_fence,
+)
 from rcp_kernel.types import Point
 from rcp_sim import messages as m
 from rcp_sim.config import SimConfig
@@ -44,6 +52,7 @@ async def open_sim(config: SimConfig, host: Host) -> AsyncGenerator[SimBackend]:
     """
     device = Device(config, host)
     host.declare(*resources(config))
+    host.describe(RobotFacts(kind="rover", model="simulated rover", frames=(_FRAME,)))
     device.boot()
     try:
         async with anyio.create_task_group() as tasks:

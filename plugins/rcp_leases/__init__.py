@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.features.control import CONTROL
+from rcp_kernel.features.control import CONTROL, HOLDERS
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_leases.config import LeasesConfig, check, from_gateway
@@ -36,11 +36,12 @@ _RESOURCE = Resource(
 def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
     leases = Leases(config, host, changed=lambda: host.changed(PATH))
     requests = LeaseRequests(leases, host)
+    control = LeaseControl(leases)
     shown = SystemResource(resource=_RESOURCE, view=requests.view, execute=requests.request)
     return Feature(
         resources=(shown,),
         guard=LeaseGuard(leases),
-        services={CONTROL: LeaseControl(leases)},
+        services={CONTROL: control, HOLDERS: control},
         session_ended=leases.session_ended,
         rights_changed=leases.review,
         halted=leases.drop_on,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_kernel.features import Scope
+from rcp_kernel.features.control import Holder
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_leases.leases import Leases
@@ -14,10 +15,16 @@ __all__ = ["LeaseControl"]
 
 
 class LeaseControl:
-    """The `ControlService` of leases."""
+    """The `ControlService` and the `HolderService` of leases."""
 
     def __init__(self, leases: Leases) -> None:
+        self._leases = leases
         self.check = leases.check
+
+    def holder(self, entry: Entry) -> Holder | None:
+        """Return the holder of the lease that a resource is under."""
+        lease = self._leases.over(entry.path)
+        return None if lease is None else Holder(lease.holder, lease.scope, lease.expires)
 
     def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
         """Return the scope that a lease request would grant.

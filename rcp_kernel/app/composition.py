@@ -36,6 +36,7 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
+from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
@@ -264,6 +265,7 @@ def _features(
     active: Sequence[ActiveFeature],
 ) -> Features:
     """Make the features, and have the parts that they extend know them."""
+    services = FeatureServices()
     host = partial(
         GatewayFeatureHost,
         robots=partial(
@@ -282,10 +284,12 @@ def _features(
         scopes=base.scopes,
         shutdown=base.shutdown,
         turns=base.turns,
+        services=services,
         loop=base.loop,
         clock=base.clock,
     )
     made = make(active, host)
+    services.ask(made)
     records.events.on_event += made.event_listeners
     records.journal.on_step += made.command_listeners
     records.replies.demands += made.recorders
@@ -310,12 +314,14 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         note=records.safety_events.dead_man,
     )
     commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
+    latches = Latches(records.store)
+    latches.on_change.append(base.registry.state_changed)
     return _Motion(
         arming,
         partners,
         deadman,
         commands,
-        Latches(records.store),
+        latches,
         StopController(base.loop, records.safety_events.stop_step),
     )
 
@@ -472,6 +478,7 @@ def _handlers(
         base.turns,
         base.sights,
         views=system.branch.views,
+        pages=system.branch.pages,
         filters=system.branch.filters,
         settings=base.settings,
     )

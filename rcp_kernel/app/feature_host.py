@@ -17,6 +17,7 @@ from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
+from rcp_kernel.features.services import ServiceLookup
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.backpressure import shed, waiting_bytes
@@ -48,6 +49,7 @@ class GatewayFeatureHost:
         scopes: ScopeRights,
         shutdown: Shutdown,
         turns: Turns,
+        services: ServiceLookup,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
     ) -> None:
@@ -64,6 +66,8 @@ class GatewayFeatureHost:
         self._place = place
         self._shutdown = shutdown
         self._turns = turns
+        self.service = services.service
+        """Returns a service of another feature."""
         self.sessions = sessions
         self.control = control
         self.scopes = scopes

@@ -69,6 +69,10 @@ class GatewayRobots:
         self._hub.registry.on_added.append(added)
         self._hub.registry.on_removed.append(removed)
 
+    def follow_state(self, changed: Callable[[], None]) -> None:
+        """Tell of changes of state."""
+        self._hub.registry.on_state.append(changed)
+
     def watch(self, path: str, offer: Callable[[Sample], None]) -> Callable[[], None]:
         """Offer each sample of a path."""
         if not self._following:

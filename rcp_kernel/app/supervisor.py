@@ -31,9 +31,16 @@ from rcp_kernel.safety.loss import tell_cut_off
 from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.command import Command
-from rcp_kernel.spi import Backend, BackendKind, BaseBackend, Publication, StopPlan
+from rcp_kernel.spi import (
+    Backend,
+    BackendKind,
+    BaseBackend,
+    Publication,
+    RobotFacts,
+    StopPlan,
+)
 from rcp_kernel.streams.hub import Hub
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latch, Latches
 from rcp_kernel.tree.registry import Registry
 
@@ -48,7 +55,7 @@ _LAST_RETRY = 10.0  # s
 _FAULTS = 1.0  # s between log records of one backend's bad values
 _OPENS = ("declared", "opening")
 _WORKING = ("ready", "degraded", "closing")
-WIRE_STATE = {
+WIRE_STATE: dict[State, Availability] = {
     "declared": "starting",
     "opening": "starting",
     "ready": "ready",
@@ -133,6 +140,11 @@ class BackendSupervisor:
     def on_loss(self) -> str:
         """The policy for a robot whose command was lost with its link."""
         return self._on_loss
+
+    @property
+    def availability(self) -> Availability:
+        """Whether it can be used, in the words of the wire."""
+        return WIRE_STATE.get(self.state, "down")
 
     @property
     def units(self) -> list[StopGroup]:
@@ -280,6 +292,13 @@ class BackendSupervisor:
             self.plans[name] = plan
         self.plans_changed += 1
 
+    def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
+        """Note what a robot is."""
+        unit = self.unit(robot)
+        if unit.facts != facts:
+            unit.facts = facts
+            self._registry.state_changed()
+
     def discovering(self, *, active: bool) -> None:
         """Record whether an open backend is still discovering resources."""
         self._discovering = active
@@ -420,6 +439,7 @@ class BackendSupervisor:
         level("backend_state", backend=self.name, state=state, detail=detail)
         if not self._shutdown.begun:
             self._hub.demand.backend_changed(list(self.entries.values()))
+            self._registry.state_changed()
 
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
@@ -440,7 +460,7 @@ class BackendSupervisor:
             "plugin": self.config.use,
             "tenant": self.tenant,
             "robot": self.robot,
-            "state": WIRE_STATE.get(self.state, "down"),
+            "state": self.availability,
             "since": iso(self.since),
             "detail": self.detail,
             "latency": self.latency,

@@ -12,7 +12,7 @@ import msgspec
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.errors import RcpError, UnknownPath
-from rcp_kernel.features import Filter, Service, SystemResource, View
+from rcp_kernel.features import Filter, Pages, Service, SystemResource, View
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.requests.action_list import ActionList
@@ -23,7 +23,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import Backend, BaseBackend, Progress
 from rcp_kernel.streams.hub import Hub
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import Time
@@ -98,6 +98,8 @@ class System(BaseBackend):
         """Filters of resources of whose samples each reader sees only its own, by path; a filter
         returns
         None for a hidden sample."""
+        self.pages: dict[str, Pages] = {}
+        """Resources whose items can be searched and read in pages, by path."""
         self.services: dict[str, Service] = {}
         """Other executable resources of `/system`, by path."""
         for one in features:
@@ -126,6 +128,8 @@ class System(BaseBackend):
             self._hub.keep(entry)
         if own.execute is not None:
             self.services[own.path] = own.execute
+        if own.pages is not None:
+            self.pages[own.path] = own.pages
         view = own.view
         if own.action is not None:
             view = ActionList(own.path, own.action, self._access).view
@@ -158,6 +162,11 @@ class System(BaseBackend):
     def unit(self, robot: str | None) -> StopGroup:
         """Return what no e-stop holds."""
         return self._unit
+
+    @property
+    def availability(self) -> Availability:
+        """The gateway is always ready."""
+        return "ready"
 
     @property
     def units(self) -> list[StopGroup]:

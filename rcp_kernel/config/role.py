@@ -58,7 +58,7 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
-_HEALTH = Rule(_LOOK, ("/system/status",))
+_HEALTH = Rule(_LOOK, ("/system/status", "/system/robots"))
 _ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
 _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
 _LEASES = Rule((*_LOOK, "execute"), ("/system/leases", "/system/plans"))

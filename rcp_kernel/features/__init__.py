@@ -8,7 +8,7 @@ from rcp_kernel.features.durability import Durability
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
-from rcp_kernel.features.resource import Filter, Service, SystemResource, View
+from rcp_kernel.features.resource import Filter, Pages, Service, SystemResource, View
 from rcp_kernel.features.robots import RobotConditions, Robots
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
@@ -30,6 +30,7 @@ __all__ = [
     "FeatureKind",
     "Filter",
     "Guard",
+    "Pages",
     "RobotConditions",
     "Robots",
     "Scope",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.scope import Scope
 
-__all__ = ["CONTROL", "ControlService", "NoControl"]
+__all__ = ["CONTROL", "HOLDERS", "ControlService", "Holder", "HolderService", "NoControl"]
 
 
 class ControlService(Protocol):
@@ -42,3 +42,24 @@ class NoControl:
     def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
         """Return None."""
         return None
+
+
+class Holder(NamedTuple):
+    """Who has exclusive control of something."""
+
+    principal: str
+    """Its name."""
+    scope: Scope
+    expires: int
+    """When the control ends unless it is renewed, ns since the UNIX epoch."""
+
+
+class HolderService(Protocol):
+    """Who has exclusive control of what."""
+
+    def holder(self, entry: Entry) -> Holder | None:
+        """Return who has exclusive control of a resource; None if nobody has."""
+        ...
+
+
+HOLDERS: ServiceKey[HolderService] = ServiceKey("holders")

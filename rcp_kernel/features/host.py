@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
@@ -13,6 +13,7 @@ from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.features.robots import Robots
+from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
@@ -21,6 +22,8 @@ from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
 
 __all__ = ["FeatureHost"]
+
+T = TypeVar("T")
 
 
 class FeatureHost(Protocol):
@@ -54,6 +57,13 @@ class FeatureHost(Protocol):
     @property
     def scopes(self) -> ScopeRights:
         """Scopes of the tree: their contents and rights."""
+        ...
+
+    def service(self, key: ServiceKey[T]) -> T | None:
+        """Return a service of another feature; None if no feature provides it.
+
+        To be called whenever it is used: while features are being made, there are none.
+        """
         ...
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -10,13 +10,21 @@ from rcp_kernel.features.action import Action
 from rcp_kernel.model import Resource
 from rcp_kernel.sessions.session import Session
 
-__all__ = ["Filter", "Service", "SystemResource", "View", "ViewChanges"]
+__all__ = ["Filter", "Pages", "Service", "SystemResource", "View", "ViewChanges"]
 
 View = Callable[[Session], Any]
 """Returns the value of a resource for one reader."""
 
 Filter = Callable[[Session, Any], Any]
 """Returns the part of a sample that a session may see; None hides it."""
+
+
+class Pages(Protocol):
+    """The items of a list, for one reader; made in steps, so None stands between them."""
+
+    def __call__(self, session: Session, /, *, q: str, after: str) -> Iterator[Any]:
+        """Return the items that match the words `q`, ordered by `path`, after the path `after`."""
+        ...
 
 
 class Service(Protocol):
@@ -36,6 +44,9 @@ class SystemResource:
     view: View | None = None
     """Returns the value for each reader; the feature calls `FeatureHost.changed` when it may
     differ."""
+    pages: Pages | None = None
+    """Returns the items of the list that `view` shows, for a `read` with `q` or with a `cursor`; each
+    item is a dictionary with its `path`."""
     shows: Filter | None = None
     """Filters each sample for each session."""
     execute: Service | None = None

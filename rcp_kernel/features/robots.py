@@ -49,6 +49,13 @@ class Robots(Protocol):
         """Report each resource that is declared (or declared again) or withdrawn from now on."""
         ...
 
+    def follow_state(self, changed: Callable[[], None]) -> None:
+        """Report when the state of a robot may have changed.
+
+        That is its availability, an e-stop, or what its backend says of it.
+        """
+        ...
+
     def watch(self, path: str, offer: Callable[[Sample], None]) -> Callable[[], None]:
         """Receive each sample of a path, keep its source running; return the end function.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-__all__ = ["ServiceKey", "ServiceLookup"]
+__all__ = ["FeatureServices", "ServiceKey", "ServiceLookup"]
 
 T = TypeVar("T")
 
@@ -28,3 +28,18 @@ class ServiceLookup(Protocol):
     def service(self, key: ServiceKey[T]) -> T | None:
         """Return the service of a key; None if no feature provides it."""
         ...
+
+
+class FeatureServices:
+    """The services of features, for features: there are none until all features have been made."""
+
+    def __init__(self) -> None:
+        self._found: ServiceLookup | None = None
+
+    def ask(self, found: ServiceLookup) -> None:
+        """Set the features that have been made."""
+        self._found = found
+
+    def service(self, key: ServiceKey[T]) -> T | None:
+        """Return the service of a key; None if no feature provides it."""
+        return None if self._found is None else self._found.service(key)

@@ -50,6 +50,11 @@ class Parts(Body):
         """Bytes of all parts, and of the list itself."""
         self.cut = False
 
+    @property
+    def last(self) -> Any:
+        """The last part without further fields."""
+        return self._made[-1][1]
+
     def __len__(self) -> int:
         return len(self._pieces)
 
@@ -92,14 +97,16 @@ def is_listing(value: Any) -> TypeGuard[Iterator[Body | None]]:
 
 
 def listed(
-    items: Iterator[Body | None], encoding: Encoding, longest: int
+    items: Iterator[Any], encoding: Encoding, longest: int, most: int | None = None
 ) -> Generator[None, None, Parts]:
     """Encode a list in steps, as far as it fits; None stands for an item that is skipped."""
     page = Parts(encoding)
     for item in items:
-        if item is not None and not page.add(None, item, longest if len(page) else None):
-            page.cut = True
-            break
+        if item is not None:
+            full = len(page) == most
+            if full or not page.add(None, item, longest if len(page) else None):
+                page.cut = True
+                break
         yield
     return page
 

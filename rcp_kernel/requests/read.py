@@ -23,7 +23,7 @@ from rcp_kernel.errors import (
     RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.features.resource import Filter, View
+from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
@@ -58,8 +58,10 @@ class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Projection: only these fields of the value."""
     fresh: bool = False
     """Ask the robot, even where a sample is at hand."""
+    q: Annotated[str, Meta(max_length=200)] | None = None
+    """Words that must all occur in an item of a list, such as `/system/robots`."""
     limit: Annotated[int, Meta(ge=1, le=MOST)] = MOST
-    """Items of one page, where a pattern reads many."""
+    """Items of one page, where a pattern reads many, or of a list that can be searched."""
     cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
     """Of the last page."""
 
@@ -80,6 +82,7 @@ class ReadHandler:
         sights: Sights,
         *,
         views: Mapping[str, View],
+        pages: Mapping[str, Pages],
         filters: Mapping[str, Filter],
         settings: Settings,
     ) -> None:
@@ -92,6 +95,7 @@ class ReadHandler:
         self._turns = turns
         self._sights = sights
         self._views = views
+        self._pages = pages
         self._filters = filters
         self._settings = settings
 
@@ -194,6 +198,8 @@ class ReadHandler:
         """Answer from the latest sample where it will do, else from the backend."""
         options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
         if request.path is not None and "*" in request.path:
+            if options.q is not None:
+                raise _unsearchable(request.path)
             return self._read_many(session, request, answer, options)
         entry = self._entry(session, request, options)
         if entry.path in self._views or entry.path in self._filters:
@@ -217,7 +223,10 @@ class ReadHandler:
 
     def _entry(self, session: Session, request: Request, options: ReadOptions) -> Entry:
         entry = self._resolver.resolve(session, request.path, Operation.READ)
-        if options.cursor is not None:
+        pageable = entry.path in self._pages
+        if options.q is not None and not pageable:
+            raise _unsearchable(entry.path)
+        if options.cursor is not None and not pageable:
             raise FilterUnsupported(
                 "`cursor` needs a pattern, and this is a single path",
                 path=entry.path,
@@ -248,11 +257,30 @@ class ReadHandler:
             shown = partial(self._filters[entry.path], session)
             sample = yield from _last_shown(entry, shown)
             return _reply(request, entry, sample, options)
+        if (pages := self._pages.get(entry.path)) is not None:
+            return (yield from self._read_page(session, request, entry, options, pages))
         value = view(session)
         if is_listing(value):
             longest = room(self._settings.limits.message)
             value = yield from listed(value, expected(session, request), longest)
         return _viewed(request, entry, value, options)
+
+    def _read_page(
+        self,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        options: ReadOptions,
+        pages: Pages,
+    ) -> Generator[None, None, Reply]:
+        after = "" if options.cursor is None else place_of(options.cursor)
+        items = pages(session, q=options.q or "", after=after)
+        longest = room(self._settings.limits.message)
+        page = yield from listed(items, expected(session, request), longest, options.limit)
+        reply = _viewed(request, entry, page, options)
+        if page.cut:
+            reply.cursor = cursor_of(page.last["path"])
+        return reply
 
     def fetch(self, entry: Entry) -> Coroutine[Any, Any, Sample]:
         """Ask the backend for a value; take the next sample where it can only publish.
@@ -333,6 +361,10 @@ class ReadHandler:
                 continue
             if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
                 yield entry
+
+
+def _unsearchable(path: str) -> FilterUnsupported:
+    return FilterUnsupported(f"{path} cannot be searched", path=path, remedy="Omit `q`.")
 
 
 def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:

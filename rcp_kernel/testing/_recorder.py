@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Publication, StopPlan
+from rcp_kernel.spi import Host, Publication, RobotFacts, StopPlan
 
 __all__ = ["Recorder"]
 
@@ -104,6 +104,11 @@ class Recorder:
         if plan is not None:
             self.plans[name] = plan
         self._host.guard(name, plan)
+
+    def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
+        """Pass on."""
+        self._check("describe")
+        self._host.describe(facts, robot)
 
     def discovering(self, *, active: bool) -> None:
         """Pass on."""

@@ -9,18 +9,19 @@ import time
 from collections import deque
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
-from rcp_kernel.spi import Backend, MotionState
+from rcp_kernel.spi import Backend, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType, value_type
 
-__all__ = ["Entry", "Listener", "Owner", "StopGroup", "is_system"]
+__all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
+Availability = Literal["starting", "ready", "degraded", "down"]
 _IDLE_HISTORY = 16  # samples stored of a resource without subscribers
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
@@ -56,6 +57,11 @@ class Owner(Protocol):
     @property
     def on_loss(self) -> str:
         """The policy for a robot whose command was lost with its link: see `Backend.on_loss`."""
+        ...
+
+    @property
+    def availability(self) -> Availability:
+        """Whether the backend can be used."""
         ...
 
     @property
@@ -232,6 +238,7 @@ class StopGroup:
         "_released",
         "_stopped",
         "_stops",
+        "facts",
         "identity",
         "keys",
         "lost",
@@ -260,6 +267,8 @@ class StopGroup:
         self.lost: str | None = None
         """The path of a command that ended with the link, or with an earlier gateway, and that the
         robot may still carry out."""
+        self.facts = RobotFacts()
+        """What its backend says of it."""
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches

@@ -32,6 +32,8 @@ class Registry:
         """Rises with every change of the tree: the validator of caches and ETags."""
         self.on_added: list[Callable[[Entry], None]] = []
         self.on_removed: list[Callable[[Entry], None]] = []
+        self.on_state: list[Callable[[], None]] = []
+        """Called when the state of some robot, or what is known of it, may have changed."""
         self._growing: list[Owner] = []
         """Backends that have not declared all that they may have."""
         self._index: list[str] | None = None
@@ -83,6 +85,11 @@ class Registry:
         self._changed()
         for callback in self.on_removed:
             callback(entry)
+
+    def state_changed(self) -> None:
+        """Announce that the state of some robot, or what is known of it, may have changed."""
+        for callback in self.on_state:
+            callback()
 
     def grow(self, owner: Owner, *, growing: bool) -> None:
         """Record whether a backend may declare more resources: it is opening, or discovering."""

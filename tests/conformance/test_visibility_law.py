@@ -129,7 +129,7 @@ async def bench(request: pytest.FixtureRequest) -> AsyncGenerator[Bench]:
 
 texts = st.sampled_from(
     ["/**", "/sensor/**", "/*/arm/*", "/param/*", "/tenant/*/sensor/*", "/tenant/beta/**",
-     "/action/*", "/service/**", "/system/status"]
+     "/action/*", "/service/**", "/system/status", "/system/robots"]
 )  # fmt: skip
 operations = st.lists(st.sampled_from([*OPS, "*"]), min_size=1, max_size=3).map(tuple)
 paths = st.lists(texts, min_size=1, max_size=2).map(tuple)

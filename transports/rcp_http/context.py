@@ -91,7 +91,7 @@ class Context:
     async def read(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
         if asked.query:
-            asked.allow("fields", "fresh", "limit", "cursor")
+            asked.allow("fields", "fresh", "q", "limit", "cursor")
         request = asked.request("read", path)
         if asked.query:
             self._options(asked, request)
@@ -131,8 +131,9 @@ class Context:
             options["fresh"] = flag("fresh", fresh)
         if (limit := asked.one("limit")) is not None:
             options["limit"] = count("limit", limit)
-        if (cursor := asked.one("cursor")) is not None:
-            options["cursor"] = cursor
+        for name in ("q", "cursor"):
+            if (text := asked.one(name)) is not None:
+                options[name] = text
         if options:
             request.body = Raw(msgspec.json.encode(options))
 

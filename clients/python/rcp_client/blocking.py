@@ -131,6 +131,10 @@ class Robot:
         """See `Client.lease`; use it in a `with` statement."""
         return BlockingLease(self._do, self._client.lease(scope, **options))
 
+    def robots(self, q: str | None = None) -> list[dict[str, Any]]:
+        """See `Client.robots`."""
+        return self._do(self._client.robots, q)
+
     def leases(self) -> list[dict[str, Any]]:
         """See `Client.leases`."""
         return self._do(self._client.leases)

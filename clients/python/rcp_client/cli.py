@@ -306,6 +306,15 @@ def approve(ctx: click.Context, **arguments: Any) -> int:
     return _run(ctx, "approve", **arguments)
 
 
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("text", nargs=-1)
+@click.pass_context
+def robots(ctx: click.Context, **arguments: Any) -> int:
+    """List robots, or those that TEXT finds: by name, kind (drone), profile, vendor or model."""
+    return _run(ctx, "robots", **arguments)
+
+
 @rcpctl.group(context_settings=_CONTEXT)
 @_common
 def lease() -> None:

@@ -341,6 +341,16 @@ class Client:
         body = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
         return Lease(self.channel, kept(body))
 
+    async def robots(self, q: str | None = None) -> list[dict[str, Any]]:
+        """List the robots visible to this principal, or those that a text finds.
+
+        Each has `path`, `state`, `kind`, `profiles`, `control` and more, as far as known
+        (docs/inventory.md). All words of `q` must occur: `drone` finds copters and planes.
+        """
+        envelope = {"type": "read", "path": "/system/robots", "body": kept({"q": q or None})}
+        reply = await joined(self.channel.ask, envelope)
+        return reply.body
+
     async def leases(self) -> list[dict[str, Any]]:
         """List the leases on robots visible to this principal."""
         return await self.read("/system/leases")

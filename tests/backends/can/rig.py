@@ -16,7 +16,7 @@ import msgspec
 from rcp_can import CanConfig, open_can
 from rcp_can.sim import Bench, Twin, make_twin
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication, StopPlan
+from rcp_kernel.spi import Publication, RobotFacts, StopPlan
 from rcp_kernel.values import to_plain, value_type
 
 _NUMBERS = itertools.count()
@@ -35,6 +35,7 @@ class RecordingHost:
         self.robot: str | None = None
         self.resources: dict[str, Resource] = {}
         self.samples: dict[str, list[Any]] = {}
+        self.facts: dict[str | None, RobotFacts] = {}
         self.reports: list[str | None] = []
         self.latched = False
         self.restored: list[str | None] = []
@@ -48,6 +49,9 @@ class RecordingHost:
                 if type_ is not None:
                     assert value_type(type_).schema
             self.resources[resource.name] = resource
+
+    def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
+        self.facts[robot] = facts
 
     def withdraw(self, *names: str) -> None:
         for name in names:

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Native, Publication, StopPlan
+from rcp_kernel.spi import Native, Publication, RobotFacts, StopPlan
 from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
@@ -58,6 +58,7 @@ class Robot:
         self.latched: set[str | None] = set()
         self.restored: list[str | None] = []
         self.plans: dict[str, StopPlan] = {}
+        self.facts: dict[str | None, RobotFacts] = {}
         self.backend: Ros2Backend
         self._changed = asyncio.Event()
 
@@ -97,6 +98,9 @@ class Robot:
         self.plans.pop(name, None)
         if plan is not None:
             self.plans[name] = plan
+
+    def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
+        self.facts[robot] = facts
 
     def discovering(self, *, active: bool) -> None:
         pass

@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication, StopPlan
+from rcp_kernel.spi import Publication, RobotFacts, StopPlan
 from rcp_kernel.values import value_type
 from rcp_sim import SimBackend, SimConfig
 from rcp_sim.device import Device
@@ -31,12 +31,16 @@ class RecordingHost:
         self.resources: dict[str, Resource] = {}
         self.samples: dict[str, list[Any]] = {}
         self.stamps: dict[str, list[int | None]] = {}
+        self.facts: dict[str | None, RobotFacts] = {}
         self.reports: list[tuple[str | None, bool]] = []
         self.restored = 0
         self.published = anyio.Event()
 
     def declare(self, *declared: Resource) -> None:
         self.resources |= {resource.name: resource for resource in declared}
+
+    def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
+        self.facts[robot] = facts
 
     def withdraw(self, *names: str) -> None:
         for name in names:

@@ -179,6 +179,21 @@ def test_a_lease_is_acquired_for_all_that_the_principal_runs(run: Run) -> None:
     assert run("lease", "list", "--text").stderr == "No leases.\n"
 
 
+def test_robots_are_listed_and_searched(run: Run) -> None:
+    (rover,) = documents(run("robots"))
+    assert (rover["path"], rover["kind"], rover["state"]) == ("/tenant/alpha", "rover", "ready")
+    assert document(run("robots", "ugv", "alpha"))["path"] == "/tenant/alpha"
+    assert run("robots", "--text", "submarine").stderr == "No robots.\n"
+    assert document(run("lease", "acquire", "/tenant/alpha", "--ttl", "60"))
+    head, row = run("robots", "--text").stdout.splitlines()
+    columns = ["ROBOT", "KIND", "STATE", "MODE", "BATTERY", "CONTROL", "PROFILES"]
+    assert head.split() == columns
+    assert row.split()[:3] == ["/tenant/alpha", "rover", "ready"]
+    assert "operator (lease)" in row
+    assert "mobile/1.0" in row
+    assert run("lease", "release", "/tenant/alpha").returncode == 0
+
+
 def test_a_lease_is_held_until_somebody_takes_it(url: str, run: Run) -> None:
     with subprocess.Popen(
         [BIN / "rcpctl", "lease", "hold", "/actuator", "--json"],

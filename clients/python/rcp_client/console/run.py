@@ -213,6 +213,18 @@ async def _approve(client: Client, out: Output, args: Arguments) -> int:
     return 0
 
 
+async def _robots(client: Client, out: Output, args: Arguments) -> int:
+    listed = await client.robots(" ".join(args["text"]))
+    if out.json:
+        for robot in listed:
+            out.document(robot)
+    elif listed:
+        show.robots(out, listed)
+    else:
+        out.aside("No robots.")
+    return 0
+
+
 async def _lease_list(client: Client, out: Output, _: Arguments) -> int:
     listed = await client.leases()
     if out.json:
@@ -281,6 +293,7 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "hold": hold,
     "approvals": _approvals,
     "approve": _approve,
+    "robots": _robots,
     "lease list": _lease_list,
     "lease acquire": _lease_acquire,
     "lease release": _lease_release,

@@ -165,6 +165,43 @@ def commands(out: Output, listed: list[dict[str, Any]]) -> None:
     out.table(("COMMAND", "STATUS", "DONE", "CREATED", "BY", "PATH", "MESSAGE"), rows)
 
 
+def robots(out: Output, listed: list[dict[str, Any]]) -> None:
+    """Show robots as a table."""
+    rows = [
+        (
+            robot["path"],
+            robot.get("kind") or "",
+            _robot_state(robot),
+            robot.get("mode") or "",
+            _charge(robot),
+            _controller(robot),
+            " ".join(robot.get("profiles", ())),
+        )
+        for robot in listed
+    ]
+    out.table(("ROBOT", "KIND", "STATE", "MODE", "BATTERY", "CONTROL", "PROFILES"), rows)
+
+
+def _robot_state(robot: dict[str, Any]) -> str:
+    marks = [name for name in ("estop", "held") if robot.get(name)]
+    if marks and robot["state"] == "ready":
+        return ", ".join(marks)
+    return ", ".join((*marks, robot["state"]))
+
+
+def _charge(robot: dict[str, Any]) -> str:
+    battery = robot.get("battery") or {}
+    percentage = battery.get("value", {}).get("percentage")
+    if percentage is None:
+        return ""
+    return f"{percentage:.0%}" + (" (stale)" if battery.get("stale") else "")
+
+
+def _controller(robot: dict[str, Any]) -> str:
+    control = robot.get("control")
+    return "" if control is None else f"{control['principal']} ({control['by']})"
+
+
 def leases(out: Output, listed: list[dict[str, Any]]) -> None:
     """Show leases as a table."""
     rows = [
