@@ -85,7 +85,7 @@ class Gripper:
             self.stop("cancelled")
 
     def stop(self, reason: str) -> None:
-        """Do nothing: no state is kept across a reset."""
+        """End the motion."""
         if self.grip is not None:
             self.grip.failure = reason
             self.grip = None

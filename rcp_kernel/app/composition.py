@@ -1,7 +1,7 @@
-"""Builds every part of a gateway once, from the bottom up, and gives each what it uses.
+"""Builds every part of a gateway once, from the bottom up, with the parts that it uses.
 
-Nothing is set afterwards: a part that has to hear of another further up keeps a list of listeners,
-and whoever wants to hear adds itself when it is made.
+Nothing is set afterwards: a part that must notify one further up keeps a list of listeners, to
+which the other adds itself when it is created.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ __all__ = ["compose"]
 
 @dataclass(frozen=True, slots=True)
 class _Base:
-    """What is there for every other part."""
+    """Parts used by all others."""
 
     settings: Settings
     shutdown: Shutdown
@@ -110,7 +110,7 @@ class _Base:
 
 @dataclass(frozen=True, slots=True)
 class _Records:
-    """What survives the process, and who is told what happens."""
+    """The store, and the listeners to events."""
 
     store: Store
     events: EventBus
@@ -121,7 +121,7 @@ class _Records:
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """What moves robots, and what brings them to rest."""
+    """Motion and stops of robots."""
 
     arming: GuardArming
     partners: Partners
@@ -133,7 +133,7 @@ class _Motion:
 
 @dataclass(frozen=True, slots=True)
 class _Clients:
-    """Who is there, as whom, and what they hold."""
+    """Sessions, their principals, and their subscriptions and commands."""
 
     identities: Identities
     outbound: Outbound
@@ -145,7 +145,7 @@ class _Clients:
 
 @dataclass(frozen=True, slots=True)
 class _Requests:
-    """What a request passes before it is handled."""
+    """Checks of a request before its handler."""
 
     router: RequestRouter
     long_bodies: LongBodies
@@ -157,7 +157,7 @@ class _Requests:
 
 @dataclass(frozen=True, slots=True)
 class _System:
-    """The gateway's own branch, and what it is made of."""
+    """The gateway's own branch, and its sources."""
 
     estop: Estop
     guard: GuardLink
@@ -167,7 +167,7 @@ class _System:
 
 @dataclass(frozen=True, slots=True)
 class _Handlers:
-    """Those of the handlers that are called for more than their own requests."""
+    """Handlers that other parts call too."""
 
     read: ReadHandler
     subscribe: SubscribeHandler
@@ -182,7 +182,7 @@ def compose(
     clock: Clock,
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
-    """Build a gateway that serves nobody yet and has no backends."""
+    """Build a gateway without backends that does not serve yet."""
     base = _base(config, loop, clock)
     records = _records(base, store)
     motion = _motion(base, records)
@@ -264,7 +264,7 @@ def _features(
     clients: _Clients,
     active: Sequence[ActiveFeature],
 ) -> Features:
-    """Make the features, and have the parts that they extend know them."""
+    """Create the features, and connect them to the parts that they extend."""
     services = FeatureServices()
     host = partial(
         GatewayFeatureHost,
@@ -348,7 +348,7 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
         loop=loop,
         clock=base.clock,
     )
-    # What they see is found out in steps from now on, so that a stop need not wait for it.
+    # What they may see is computed in steps from now on, so that a stop need not wait for it.
     for heard in (sessions.on_begin, sessions.on_renewal):
         heard.append(lambda session: base.sights.look(session.rights))
     access = CommandAccess(records.journal, base.visibility, identities)
@@ -468,7 +468,7 @@ def _handlers(
     system: _System,
     features: Features,
 ) -> _Handlers:
-    """Make the handlers, and have the router send them their requests."""
+    """Create the handlers, and add them to the router."""
     router, inflight = requests.router, base.inflight
     read = ReadHandler(
         base.registry,
@@ -546,7 +546,7 @@ def _actions(
     system: _System,
     features: Features,
 ) -> dict[str, ActionHandler]:
-    """Make the gateway's own long-running actions, by path."""
+    """Create the gateway's own long-running actions, by path."""
     host = GatewayActionHost(
         handle=requests.router.handle,
         resolver=requests.resolver,

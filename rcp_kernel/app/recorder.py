@@ -1,4 +1,4 @@
-"""The listeners of one feature, whatever they raise; of one that keeps a record, the record's gaps."""
+"""The listeners of a feature, isolated from its errors; gaps in the record of one that keeps it."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Recorder(Listener):
             self.health.failed("on_event", error, what=gap.what)
 
     def missed_step(self, command: Command, step: Record) -> None:
-        """Do likewise for a step of a command, which is not confirmed any more."""
+        """Record the gap for a step of a command, which is then not confirmed."""
         command.unrecorded = True
         requester = command.asker
         self.missed(

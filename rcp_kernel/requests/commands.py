@@ -1,8 +1,8 @@
 """The life of an execute: accepted → pending → in_progress → completed | failed | rejected | cancelled.
 
-The kernel derives every status from the life of one coroutine, `Backend.execute`, so that no
-plugin can send an illegal sequence. A command has an id of the gateway's own, outlives its
-connection, and is remembered after its end.
+The kernel derives every status from the state of one coroutine, `Backend.execute`, so that no
+plugin can send an illegal sequence. The gateway gives each command an id; commands outlive their
+connection and are kept after their end.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from rcp_kernel.wire import NO_BODY, error_body
 __all__ = ["Commands"]
 
 Confirm = Callable[[Call], Backend]
-"""Returns the robot that takes a command, or refuses it by now."""
-_QUEUE = 16  # commands that wait for one path
-_CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
+"""Returns the backend of a command, or refuses the command under the current state."""
+_QUEUE = 16  # commands queued per path
+_CANCEL_GRACE = 5.0  # s for a backend to bring a cancelled command to rest
 
 
 class Commands:
-    """Has commands queued, started and cancelled; the journal has their steps."""
+    """Queues, starts and cancels commands; the journal records their steps."""
 
     def __init__(
         self,
@@ -55,31 +55,31 @@ class Commands:
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
     ) -> None:
-        """`began` is told before a command runs, and must cost nothing."""
+        """`began` is called before a command runs, and must be cheap."""
         self._journal = journal
         self._began = began
         self._turns = turns
         self._loop = loop
         self._now = clock.now
         self._active: dict[str, Command] = {}
-        """The command that holds each path, where the policy allows only one."""
+        """The command that occupies each path whose policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
         self._starts: dict[str, Callable[[], None]] = {}
 
     @property
     def running(self) -> Mapping[str, Command]:
-        """Those that have not ended, by id."""
+        """Commands that have not ended, by id."""
         return self._journal.running
 
     def every(self) -> list[Command]:
-        """Return all that are known, newest first."""
+        """Return all known commands, newest first."""
         return self._journal.every()
 
     def admit(self, entry: Entry) -> None:
-        """Refuse a command that the path's policy does not allow now.
+        """Check a command against the path's policy.
 
         :raises AlreadyRunning: one is running and the policy is `reject`.
-        :raises QueueFull: too many wait already.
+        :raises QueueFull: the queue of the path is full.
         """
         busy = self._active.get(entry.path)
         if busy is None or entry.resource.policy == "preempt":
@@ -97,10 +97,10 @@ class Commands:
         )
 
     def start(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
-        """Accept an admitted command and run it, now or when the path is free.
+        """Accept an admitted command and run it, now or when its path is free.
 
-        It has `timeout` seconds from then on, and the request's deadline from now on. `confirm` is
-        asked when its turn comes: the world may have changed while it waited.
+        `timeout` (s) counts from its start, the request's deadline from now. `confirm` is called
+        when its turn comes, because the state may have changed while it waited.
         """
         self._journal.open(command)
         entry = call.entry
@@ -114,7 +114,7 @@ class Commands:
             self._queue(command, call, busy)
 
     def _queue(self, command: Command, call: Call, busy: Command) -> None:
-        """Have a command wait for another one on its path, or take that one's place."""
+        """Queue a command behind another one on its path, or pre-empt that one."""
         path, deadline = command.path, call.request.deadline
         if call.entry.resource.policy == "preempt":
             for waiting in list(self._queues.get(path, ())):
@@ -175,7 +175,7 @@ class Commands:
         *,
         fraction: float | None = None,
     ) -> None:
-        """Tell how far a command has come: the `Progress` that its backend gets."""
+        """Report the progress of a command: the `Progress` passed to its backend."""
         if command.finished is not None:
             return
         body: Any = NO_BODY
@@ -190,7 +190,7 @@ class Commands:
         self._journal.write(command, Record("in_progress", self._now(), body, fraction))
 
     def _expire(self, command: Command, timeout: float) -> None:
-        """End a command in time for its client, whatever the backend makes of the cancel."""
+        """End a command at its deadline, regardless of how the backend handles the cancellation."""
         if command.final:
             return
         command.expired = True
@@ -207,7 +207,7 @@ class Commands:
         self._queues[command.path].remove(command)
 
     def cancel(self, command: Command, reason: str) -> None:
-        """Have a command cancelled: the robot is told at once, the final status follows."""
+        """Cancel a command: the robot is notified at once, the final status follows."""
         if command.final or command.cancelling is not None:
             return
         command.cancelling = reason
@@ -221,7 +221,7 @@ class Commands:
             self._loop.call_later(_CANCEL_GRACE, self._give_up, command)
 
     def withdraw(self, command: Command, error: Refused) -> None:
-        """End a command that has lost its ground: refused if it waits, else cancelled."""
+        """End a command that is no longer permitted: refused if queued, otherwise cancelled."""
         if command.id in self._starts:
             self._unqueue(command)
             self._end(command, error)
@@ -244,8 +244,8 @@ class Commands:
         if command.finished is None:
             self._end(command, outcome_of(command, task))
         elif not task.cancelled():
-            task.exception()  # looked at, so that asyncio does not report it as lost
-        command.task = None  # with all that it refers to; the command is remembered for long
+            task.exception()  # retrieved, so that asyncio does not report it
+        command.task = None  # and everything it refers to, because the command is kept for long
         path = command.path
         if self._active.get(path) is command:
             del self._active[path]
@@ -274,7 +274,7 @@ class Commands:
             self._journal.write(command, Record("completed", self._now(), body, message=text))
 
     def interrupt(self, path: str, error: RcpError) -> None:
-        """End what runs on a path whose backend is gone, with the reason."""
+        """End the commands on a path whose backend is gone, with the reason."""
         for command in [c for c in self._journal.running.values() if c.path == path]:
             if command.id in self._starts:
                 self._unqueue(command)
@@ -283,7 +283,7 @@ class Commands:
             self._end(command, error)
 
     async def close(self) -> None:
-        """Cancel everything that runs, and wait a bounded time for it."""
+        """Cancel all commands, and wait a limited time for their end."""
         tasks = [c.task for c in self._journal.running.values() if c.task is not None]
         for command in list(self._journal.running.values()):
             self.cancel(command, "the gateway is closing")
@@ -292,7 +292,7 @@ class Commands:
 
 
 def _shared(entry: Entry) -> bool:
-    """Tell whether a path runs any number at once: services do unless they say otherwise."""
+    """Return whether a path runs commands in parallel: the default of services."""
     policy = entry.resource.policy
     return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
 

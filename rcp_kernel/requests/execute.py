@@ -1,4 +1,4 @@
-"""`execute` and `cancel`: from an envelope to a command, whose replies answer the request."""
+"""`execute` and `cancel`: from an envelope to a command, whose steps are the replies."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
 
 
 class EstopLane(Protocol):
-    """The e-stop's own lane, past every queue and limit."""
+    """The e-stop, which bypasses every queue and limit."""
 
-    def names(self, session: Session, asked: Any, /) -> list[str]:
-        """Refuse what `request` would, or name the robots that it means; do nothing."""
+    def names(self, session: Session, value: Any, /) -> list[str]:
+        """Check an e-stop without executing it; return the names of the robots in its scope."""
         ...
 
-    def request(self, session: Session, asked: Any, sent: Request, /) -> Coroutine[Any, Any, Any]:
-        """Latch when called, not when awaited; return what waits for the robots."""
+    def request(self, session: Session, value: Any, sent: Request, /) -> Coroutine[Any, Any, Any]:
+        """Latch immediately; awaiting the result waits for the robots."""
         ...
 
 
@@ -112,7 +112,7 @@ class ExecuteHandler:
     def execute_in_steps(
         self, session: Session, request: Request, answer: Answer
     ) -> Generator[None, None, Reply | None]:
-        """Start a command; one of the gateway's own waits from now on, and is checked in steps."""
+        """Start a command; an action of the gateway queues from now on, and is checked in steps."""
         action = self._actions.get(request.path or "")
         if action is None:
             return self._execute_soon(session, request, answer)
@@ -152,9 +152,9 @@ class ExecuteHandler:
         answer: Answer,
         prepared: PreparedRun | None = None,
     ) -> Reply | None:
-        """Start a command, or follow the one that the same key started.
+        """Start a command, or follow the one started with the same idempotency key.
 
-        `prepared` is what was checked already of an action of the gateway's own.
+        `prepared` is the checked run of an action of the gateway.
         """
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
@@ -212,10 +212,10 @@ class ExecuteHandler:
     def _prepared(
         action: ActionHandler, session: Session, request: Request, prepared: PreparedRun | None
     ) -> PreparedRun:
-        """Return a checked run that may begin now.
+        """Return a checked run that may start now.
 
-        :raises EstopActive: a robot that it is about was stopped since it was sent.
-        :raises RcpError: something is wrong with it.
+        :raises EstopActive: one of its robots was stopped since it was sent.
+        :raises RcpError: the check failed.
         """
         if prepared is None:
             waiting = action.waiting.enter(session)
@@ -224,7 +224,7 @@ class ExecuteHandler:
         return prepared
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past accounts and all guards."""
+        """Start a hold, which bypasses quotas and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = _command(call)
         units = [entry.unit, *self._partners.of(entry)]
@@ -242,7 +242,7 @@ class ExecuteHandler:
         self._commands.start(command, call, timeout, self._admission.confirm)
 
     def stops(self, session: Session, request: Request) -> bool:
-        """Tell whether a request brings a robot to rest."""
+        """Return whether a request brings a robot to rest."""
         if request.type != "execute":
             return False
         action = self._actions.get(request.path or "")
@@ -263,9 +263,9 @@ class ExecuteHandler:
     def _estop(
         self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any
     ) -> Reply | None:
-        asked = value or entry.input_type.convert({})
+        scope = value or entry.input_type.convert({})
         if request.dry_run:
-            robots = self._estop_lane.names(session, asked)
+            robots = self._estop_lane.names(session, scope)
             return dry_run_reply(request, entry, {"execute": value, "robots": robots})
 
         def done(state: Any) -> Reply:
@@ -280,7 +280,7 @@ class ExecuteHandler:
                 timestamp=now_,
             )
 
-        work = self._estop_lane.request(session, asked, request)
+        work = self._estop_lane.request(session, scope, request)
         self._inflight.later(
             session,
             request,
@@ -302,7 +302,7 @@ class ExecuteHandler:
         value: Any,
         answer: Answer,
     ) -> None:
-        """Do what the gateway does itself, at once; the answer leaves when that is kept."""
+        """Execute a service of the gateway at once; the reply is sent once it is stored."""
         started = perf_counter()
         reply = self._served(service, session, request, entry, value)
         self._counts.conclude(session, reply, started)
@@ -311,7 +311,7 @@ class ExecuteHandler:
     def _served(
         self, service: Service, session: Session, request: Request, entry: Entry, value: Any
     ) -> Reply:
-        """Return the answer of a service; a repeat under the same key does nothing."""
+        """Return the reply of a service; a repetition with the same key is not executed."""
         known = self._keys.find(session, request, entry.path)
         if isinstance(known, asyncio.Future):
             again = copy(known.result())
@@ -344,22 +344,22 @@ class ExecuteHandler:
         return request.decode_body(entry.input_type, f"input of {entry.label}")
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        """Cancel a command by its id, or whatever runs on a path; the robot is told at once."""
+        """Cancel a command by its id, or everything running on a path; robots are notified at once."""
         body = request.decode_body(_CANCEL, "cancel")
-        wanted = request.command or (body.command if body is not None else None)
-        found = [self._access.to_cancel(session, wanted)] if wanted is not None else []
-        path = found[0].path if found else request.path
+        id_ = request.command or (body.command if body is not None else None)
+        targets = [self._access.to_cancel(session, id_)] if id_ is not None else []
+        path = targets[0].path if targets else request.path
         entry = self._resolver.resolve(session, path, Operation.EXECUTE, anyway=True)
-        if wanted is None:
+        if id_ is None:
             running = [c for c in self._journal.running.values() if c.path == entry.path]
-            found = [c for c in running if self._access.sees(session, c)]
-        action = self._actions.get(entry.path) if wanted is None else None
+            targets = [c for c in running if self._access.sees(session, c)]
+        action = self._actions.get(entry.path) if id_ is None else None
         waiting = None if action is None else action.waiting
-        own = found or (waiting is not None and waiting.own(session))
-        if not own or not all(is_own(session, command) for command in found):
-            # Whoever set something going may stop it, whatever has become of the conditions.
+        own = targets or (waiting is not None and waiting.own(session))
+        if not own or not all(is_own(session, command) for command in targets):
+            # The sender of a command may always cancel it, regardless of conditions.
             self._resolver.check(session, entry, Operation.EXECUTE)
-        live = [command for command in found if not command.final]
+        live = [command for command in targets if not command.final]
         for command in live:
             self._commands.cancel(command, f"requested by {session.principal.name}")
         ended = [command.id for command in live]
@@ -383,7 +383,7 @@ class ExecuteHandler:
 
 
 def _command(call: Call) -> Command:
-    """Return the command that a call to a robot becomes."""
+    """Return the command for a call."""
     session, request, entry = call.session, call.request, call.entry
     return Command(
         id="cmd-" + os.urandom(8).hex(),

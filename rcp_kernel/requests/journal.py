@@ -1,8 +1,8 @@
-"""The journal of commands: each step is written once, and told in one order.
+"""The journal of commands: each step is recorded once and reported in a fixed order.
 
-A step goes into the command's history, to the store, to those who hear of all commands (the audit
-log among them), and last to those who follow this one. So no client hears of a step before it is on
-record; whether its reply waits until the record is kept is for features to say (`ReplyGate`).
+A step is added to the command's history, then passed to the store, to the listeners of all commands
+(such as the audit log), and finally to the followers of the command. So no client sees a step before
+it is recorded; features decide whether its reply waits until the record is stored (`ReplyGate`).
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 __all__ = ["CommandJournal"]
 
 log = structlog.get_logger("rcp.commands")
-_HISTORY = 64  # steps kept of one command; first and last are always among them
-_FOLLOWED = 256  # commands that a session knows as its own
+_HISTORY = 64  # steps kept per command, always including the first and last
+_FOLLOWED = 256  # own commands remembered per session
 
 
 class CommandJournal:
-    """Every command of the gateway: running, waiting, and the recently finished."""
+    """All commands of the gateway: running, queued and recently finished."""
 
     def __init__(
         self,
@@ -43,18 +43,18 @@ class CommandJournal:
         replies: ReplyGate,
         clock: Clock,
     ) -> None:
-        """Take in the commands of earlier runs; those that were cut off are `failed` now."""
+        """Load the commands of earlier runs; interrupted ones become `failed`."""
         self._store = store
         self._inflight = inflight
         self._requests = counts
         self._replies = replies
         self._now = clock.now
         self.on_step: list[CommandListener] = []
-        """Who hears of each step of each command, before its followers do; they raise nothing."""
+        """Listeners of all commands, called before followers; they must not raise."""
         self.running: dict[str, Command] = {}
-        """Those that have not ended, by id."""
+        """Commands that have not ended, by id."""
         self.cut_off: list[Command] = []
-        """Those that the end of the earlier run cut off."""
+        """Commands interrupted by the end of the previous run."""
         self.counts: dict[tuple[str, str], int] = {}
         """Ended commands by path and final status."""
         self.seconds = Histogram()
@@ -74,16 +74,16 @@ class CommandJournal:
         return self.running.get(id_) or self._finished.get(id_)
 
     def every(self) -> list[Command]:
-        """Return all that are known, newest first."""
+        """Return all known commands, newest first."""
         return [*reversed(self.running.values()), *self._finished.newest_first()]
 
     def open(self, command: Command) -> None:
-        """Write a command down that is accepted."""
+        """Add an accepted command."""
         self.running[command.id] = command
         self.write(command, Record("accepted", self._now(), message="Command accepted."))
 
     def write(self, command: Command, step: Record) -> None:
-        """Write a step down, and tell of it; a final one closes the command."""
+        """Record and report a step; a final one closes the command."""
         status, history = step.status, command.history
         history.append(step)
         if len(history) > _HISTORY:
@@ -109,10 +109,10 @@ class CommandJournal:
         self.seconds.observe((last.time - command.created) / 1e9)
 
     def keep(self, command: Command) -> None:
-        """Have the store keep a command's present state."""
+        """Store a command's current state."""
         try:
             row = as_row(command)
-        except Exception:  # the command goes on, whether it can be written down or not
+        except Exception:  # the command continues whether or not it can be stored
             log.exception("store_failed", command=command.id, path=command.path)
             return
         self._store.put(TABLE, command.id, row)
@@ -121,7 +121,7 @@ class CommandJournal:
         self._store.put(TABLE, command.id, None)
 
     def tell_cut_off(self) -> None:
-        """Tell those who hear of all commands which ones the end of the earlier run cut off."""
+        """Report the interrupted commands to the listeners of all commands."""
         for command in self.cut_off:
             for hear in self.on_step:
                 hear(command, command.history[-1])
@@ -129,9 +129,9 @@ class CommandJournal:
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float
     ) -> None:
-        """Have a request answered by a command's steps, the latest of its past included.
+        """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: as `InFlight.claim` does.
+        :raises DuplicateRequest, QueueFull: see `InFlight.claim`.
         """
         key = self._inflight.claim(session, request)
         answer = self._replies.held(answer, request)
@@ -142,7 +142,7 @@ class CommandJournal:
 
         def on_step(command: Command, step: Record) -> None:
             reply = command.reply(step)
-            reply.id = request.id  # others may follow the same command under ids of theirs
+            reply.id = request.id  # others may follow the same command with their own request ids
             if step.status in FINAL:
                 session.inflight.pop(key, None)
                 self._requests.conclude(session, reply, started)

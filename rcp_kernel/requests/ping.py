@@ -1,4 +1,4 @@
-"""`ping`: the shortest request, by which clients tell that the gateway is there."""
+"""`ping`: the shortest request, to check that the gateway responds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class PingHandler:
         return Reply(type="ping", id=request.id, timestamp=iso(now()), custom=request.custom)
 
     def ping_at_once(self, session: Session, request: Request) -> PromptReply | None:
-        """Return the JSON reply to an ordinary ping, or None for any other: as `ping` answers."""
+        """Return the JSON reply to an ordinary ping, equal to that of `ping`; None for any other."""
         started = perf_counter()
         if request.custom is not None:
             return None

@@ -1,4 +1,4 @@
-"""`read`: from the latest sample at once, else from the robot, of fields, of patterns."""
+"""`read`: from the latest sample or the robot, with projections and patterns."""
 
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 
 _READ = int(Operation.READ)
 _to_json = msgspec.json.Encoder().encode
-_STEP = 16  # samples that are judged at once
+_STEP = 16  # samples checked per step
 _HEAD = b'{"type":"read",'
 _FRESH = b'fresh","timestamp":"'
 _STALE = b'stale","timestamp":"'
 
 
 class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The body of `read`; everything is optional."""
+    """The body of `read`; all fields are optional."""
 
     fields: tuple[str, ...] | None = None
     """Projection: only these fields of the value."""
     fresh: bool = False
-    """Ask the robot, even where a sample is at hand."""
+    """Read from the robot even if a sample is available."""
     q: Annotated[str, Meta(max_length=200)] | None = None
     """Words that must all occur in an item of a list, such as `/system/robots`."""
     limit: Annotated[int, Meta(ge=1, le=MOST)] = MOST
-    """Items of one page, where a pattern reads many, or of a list that can be searched."""
+    """Items per page of a pattern read, or of a searchable list."""
     cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
-    """Of the last page."""
+    """The cursor of the previous page."""
 
 
 READ_OPTIONS = value_type(ReadOptions | None)
@@ -100,7 +100,7 @@ class ReadHandler:
         self._settings = settings
 
     def read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        """Answer the read that nearly all reads are; leave any other to what takes longer."""
+        """Answer an ordinary read; leave others to the slower handlers."""
         path = request.path
         known = session.rights.masks.get(path, 0) & _READ
         entry = self._registry.entries.get(path) if known else None  # pyright: ignore[reportArgumentType]
@@ -121,7 +121,7 @@ class ReadHandler:
                 body=sample,
                 seq=sample.seq,
                 source_timestamp=sample.time,
-                # Its backend is there, so only its age can make it stale.
+                # The backend is open, so only age can make it stale.
                 state="stale" if entry.deadline is not None and entry.stale else "fresh",
                 timestamp=iso(now()),
                 custom=request.custom,
@@ -136,9 +136,9 @@ class ReadHandler:
         answer: Answer,
         options: ReadOptions,
     ) -> None:
-        """Answer from the latest sample when there is time for it: it may be long.
+        """Answer from a long latest sample when its turn has come.
 
-        :raises QueueFull: too much of the same client waits already.
+        :raises QueueFull: too many requests of the client are waiting.
         """
         started = perf_counter()
 
@@ -153,9 +153,9 @@ class ReadHandler:
         self._turns.run(session.principal.identity, work())
 
     def read_at_once(self, session: Session, request: Request) -> PromptReply | None:
-        """Return the JSON reply to the read that nearly all reads are, or None for any other.
+        """Return the JSON reply to an ordinary read; None for any other.
 
-        The same answer as `read` gives, spliced around what the sample has encoded already.
+        It equals the reply of `read`, spliced around the encoded sample.
         """
         started = perf_counter()
         path = request.path
@@ -195,7 +195,7 @@ class ReadHandler:
         return (yield from self.read_in_steps(session, request, answer))
 
     def _read_any(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        """Answer from the latest sample where it will do, else from the backend."""
+        """Answer from the latest sample if possible, otherwise from the backend."""
         options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
         if request.path is not None and "*" in request.path:
             if options.q is not None:
@@ -240,7 +240,7 @@ class ReadHandler:
     def read_in_steps(
         self, session: Session, request: Request, answer: Answer
     ) -> Generator[None, None, Reply | None]:
-        """Do as `read` does; what shows each reader its own is looked through in steps."""
+        """Like `read`, in steps for values that depend on the reader."""
         path = request.path
         if path not in self._views and path not in self._filters:
             return self.read(session, request, answer)
@@ -251,7 +251,7 @@ class ReadHandler:
     def _read_own(
         self, session: Session, request: Request, entry: Entry, options: ReadOptions
     ) -> Generator[None, None, Reply]:
-        yield from self._sights.catch_up(session.rights)  # what is shown depends on it
+        yield from self._sights.catch_up(session.rights)  # the visible part depends on it
         view = self._views.get(entry.path)
         if view is None:
             shown = partial(self._filters[entry.path], session)
@@ -283,9 +283,9 @@ class ReadHandler:
         return reply
 
     def fetch(self, entry: Entry) -> Coroutine[Any, Any, Sample]:
-        """Ask the backend for a value; take the next sample where it can only publish.
+        """Read a value from the backend; wait for the next sample if it can only publish.
 
-        Next is what comes after this call, not after the first turn of what it returns.
+        The next sample is the one after this call, not after the first step of the coroutine.
         """
         return self._fetch(entry, entry.latest)
 
@@ -355,7 +355,7 @@ class ReadHandler:
         return None
 
     def _readable(self, session: Session, pattern: Pattern, after: str) -> Iterator[Entry]:
-        """Find what a pattern reads, in order of path; not what shows each reader its own."""
+        """List the matches of a pattern by path, without values that depend on the reader."""
         for entry in self._registry.match(pattern, after):
             if entry.path in self._views or entry.path in self._filters:
                 continue
@@ -372,14 +372,14 @@ def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
         return None
     if entry.live or entry.listeners:
         return entry.latest
-    # An actuator's value is the last one commanded, which nobody knows better than the gateway.
+    # An actuator's value is the last one commanded, which the gateway itself has.
     return entry.latest if entry.kind == "actuator" else None
 
 
 def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Generator[None, None, Sample]:
     for number, sample in enumerate(reversed(tuple(entry.ring)), 1):
-        if (told := masked(sample, shown)) is not None:
-            return told
+        if (visible := masked(sample, shown)) is not None:
+            return visible
         if not number % _STEP:
             yield
     raise AdapterUnavailable(
@@ -434,7 +434,7 @@ class _Waiter:
 
 
 async def _first(entry: Entry, backend: Backend) -> Sample:
-    """Watch until the first sample comes; what is published unasked has to have come already."""
+    """Watch until the first sample arrives; sources that publish unasked must have published."""
     if not has_watch(backend):
         raise AdapterUnavailable(
             f"{entry.path} has no value yet",

@@ -56,7 +56,7 @@ class ReplyGate:
         return unrecorded(reply, "could not be written")
 
     def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
-        """Return what passes the replies to a request on when they may leave."""
+        """Return a callback that passes on the replies to a request when they may be sent."""
         if not self.demands:
             return answer
         limit = request.deadline or self._settings.limits.deadline
@@ -65,7 +65,7 @@ class ReplyGate:
         return self._until(answer, limit)
 
     def follower(self, answer: Answer) -> Answer:
-        """Return what passes the replies on that a further follower of a command gets."""
+        """Return a callback that passes on the replies to a further follower of a command."""
         return self._until(answer, self._settings.limits.deadline)
 
     def _until(self, answer: Answer, limit: float) -> Answer:
@@ -75,7 +75,7 @@ class ReplyGate:
         return answer
 
     def held_estop(self, answer: Answer) -> Answer:
-        """Return what passes the reply to an e-stop on, after a moment at most."""
+        """Return a callback that passes on the reply to an e-stop, after a short time at most."""
         for demand in self.demands:
             answer = partial(demand.hold_estop, answer)
         return answer

@@ -1,7 +1,7 @@
-"""The hot path: admit → resolve → check → call. Every request of every client passes here.
+"""The hot path of every request: admit → resolve → check → call.
 
-A handler returns its reply, or None when the answer comes later; whatever goes wrong in between
-becomes the one final reply of that request.
+A handler returns its reply, or None if the reply follows later; any error becomes the one final
+reply of the request.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ __all__ = ["RequestRouter", "Route", "SteppedRoute"]
 log = structlog.get_logger("rcp.requests")
 
 Route = Callable[[Session, Request, Answer], Reply | None]
-"""Handles a request at once; returns None if the answer comes later."""
+"""Handles a request at once; returns None if the reply follows later."""
 
 SteppedRoute = Callable[[Session, Request, Answer], Generator[None, None, Reply | None]]
-"""Handles a request that takes long, in steps between which others have their turn.
+"""Handles a long request in steps, between which other requests are handled.
 
-It is called when the request comes in, and the first step is done when its turn has come."""
+It is called when the request arrives; the first step runs when its turn has come."""
 
 
 class RequestRouter:
-    """Has each request handled by what was added for its type.
+    """Passes each request to the handler of its type.
 
-    It is there before the handlers are: some of them send requests themselves.
+    It is created before the handlers, because some of them send requests themselves.
     """
 
     def __init__(
@@ -71,9 +71,9 @@ class RequestRouter:
         stepped: SteppedRoute | None = None,
         stops: Callable[[Session, Request], bool] | None = None,
     ) -> None:
-        """Have requests of a type handled by `route`; by `stepped` those that take long.
+        """Add the handlers of a type: `route`, and `stepped` for requests that take long.
 
-        `stops` tells whether one brings something to rest, which no rate may keep it from.
+        `stops` returns whether a request brings a robot to rest, so that no rate limit may refuse it.
         """
         if route is not None:
             self._routes[type_] = route
@@ -83,25 +83,25 @@ class RequestRouter:
             self._stopping[type_] = stops
 
     def handle(self, session: Session, request: Request, answer: Answer) -> None:
-        """Have a request handled, and answered with exactly one final reply."""
+        """Handle a request, which gets exactly one final reply."""
         started = perf_counter()
         try:
             account = session.account
             if account is not None and not is_exempt(request):
                 try:
                     taken = account.take(session.monotonic())
-                except Exception:  # a feature has a bug: what stops a robot passes even so
+                except Exception:  # a fault in a feature must not refuse a stop
                     log.exception("account_failed", feature=type(account).__module__)
                     taken = False
                 if (
                     not taken
-                    # Its parts pay for themselves, and one may be a stop.
+                    # Its items are counted individually, and one of them may be a stop.
                     and request.type != "batch"
                     and not self._stops(session, request)
                 ):
                     raise account.refusal(session.monotonic())
             long = len(request.body) > LONG and self._long_bodies.takes(request)
-            if (long or self._dear(session, request)) and not self._stops(session, request):
+            if (long or self._takes_long(session, request)) and not self._stops(session, request):
                 stepped = None if long else self._stepped.get(request.type)
                 steps = None if stepped is None else stepped(session, request, answer)
                 work = self._slowly(session, request, answer, started, steps)
@@ -122,7 +122,7 @@ class RequestRouter:
         started: float,
         steps: Generator[None, None, Reply | None] | None,
     ) -> Generator[None]:
-        """Handle a request that takes long, when its turn has come."""
+        """Handle a long request when its turn has come."""
         try:
             if session.successor is not None:
                 raise Cancelled("a later `hello` replaced the session of this request")
@@ -141,19 +141,19 @@ class RequestRouter:
             answer(reply)
 
     def is_stop(self, session: Session, request: Request) -> bool:
-        """Tell whether a request stops something or lets go, which no feature keeps anybody from."""
+        """Return whether a request stops or releases something, so that no feature may refuse it."""
         return is_exempt(request) or self._stops(session, request)
 
     def _stops(self, session: Session, request: Request) -> bool:
-        """Tell whether a request brings something to rest, which no rate may keep it from."""
+        """Return whether a request brings something to rest, so that no rate limit may refuse it."""
         stops = self._stopping.get(request.type)
         return stops is not None and stops(session, request)
 
-    def _dear(self, session: Session, request: Request) -> bool:
-        """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
+    def _takes_long(self, session: Session, request: Request) -> bool:
+        """Return whether a request may take longer than a fraction of a millisecond."""
         path = request.path
         if len(request.body) > LONG and session.connection is None:
-            return True  # a connection has waited with a long message until it was its turn
+            return True  # connections have already waited for the turn of a long message
         match request.type:
             case "discover" | "batch" | "subscribe" | "unsubscribe" | "status":
                 return True
@@ -167,13 +167,13 @@ class RequestRouter:
     def _refuse(
         self, session: Session, request: Request, answer: Answer, error: Exception
     ) -> tuple[Reply, Answer]:
-        """Make a refusal's reply, in a frame that the error's traceback does not lead to.
+        """Make the reply of a refusal, in a frame outside the error's traceback.
 
-        One that kept the error would be a cycle: for a flood of refusals, garbage without end.
+        A frame that refers to the error would form a reference cycle for each refusal of a flood.
         """
-        told = to_internal_error(error, type=request.type, path=request.path)
-        path = told.path or _full(request.path, session.tenant)
-        reply = failure(told, request.type, request.id, path)
+        refusal = to_internal_error(error, type=request.type, path=request.path)
+        path = refusal.path or _full(request.path, session.tenant)
+        reply = failure(refusal, request.type, request.id, path)
         reply.custom = request.custom
         hide = (request.path or "") in self._actions
         return reply, self._events.refused(session, request, reply, answer, hide=hide)
@@ -187,7 +187,7 @@ def _hello(_session: Session, _request: Request, _answer: Answer) -> Reply:
 
 
 def _full(path: str | None, tenant: str | None) -> str | None:
-    """Return the full path or pattern that a refusal is about; what is none, as it came."""
+    """Return the full path or pattern of a refusal; an invalid one unchanged."""
     if path is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""`write`: check the value, the age and the e-stop, bring it into force, arm the dead-man."""
+"""`write`: checks the value, its age and the e-stop, sends the value, and arms the dead-man."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from rcp_kernel.wire import Body, Reply, Request
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
 
 DryRun = Callable[[Call], Mapping[str, Any]]
-"""Returns what features tell of a dry run."""
+"""Returns the features' part of the reply to a dry run."""
 
 _UNCHANGED = (Refused, DeviceRejected)
-"""Errors by which a backend says that its robot goes on as before."""
+"""Errors that mean that the robot's state is unchanged."""
 
 
 class WriteHandler:
@@ -74,7 +74,7 @@ class WriteHandler:
         self._loop = loop
 
     def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        """Start a write; a repeat under the same key waits for the first one's outcome."""
+        """Start a write; a repetition with the same idempotency key waits for the first outcome."""
         entry = self._resolver.resolve(session, request.path, Operation.WRITE)
         value = request.decode_body(entry.value_type, entry.label)
         keyed = request.idempotency_key is not None
@@ -110,7 +110,7 @@ class WriteHandler:
         return None
 
     def stops(self, session: Session, request: Request) -> bool:
-        """Tell whether a request brings an actuator to rest, which no rate may keep it from."""
+        """Return whether a request brings an actuator to rest, so that no rate limit may refuse it."""
         if request.type != "write" or len(request.body) > LONG:
             return False
         try:
@@ -137,12 +137,12 @@ class WriteHandler:
                 raise EstopActive(text, path=entry.path)
             sample = await self._send(backend, entry, value, window)
         except BaseException:
-            # An e-stop or a loss of control is why, whatever came of the write.
+            # Report an e-stop or a loss of control as the cause, whatever the outcome of the write.
             self._admission.check_control(call)
             raise
         finally:
             self._deadman.arrived(entry, task)
-            del task  # it keeps an error whose traceback would keep it
+            del task  # avoids a reference cycle through the traceback of its error
         if isinstance(request, Prepared):
             owner = call.session.principal.identity
             await self._turns.finish(owner, sample.encode_in_steps())
@@ -154,7 +154,7 @@ class WriteHandler:
         deadman, events = self._deadman, self._events
         started = perf_counter()
         superseded = deadman.begin(entry)
-        # Nobody knows what a robot makes of a write that it does not answer.
+        # The effect of an unanswered write is unknown.
         guard = None if window is None else deadman.arm(entry, window + ANSWER)
         try:
             actual = await backend.write(entry.name, value)
@@ -180,7 +180,7 @@ class WriteHandler:
         return entry.publish(actual, None)
 
     def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
-        """Remember a write under its key from now on, so that a repeat of it runs nothing."""
+        """Store a write under its idempotency key, so that a repetition is not executed."""
         outcome: asyncio.Future[Reply] = self._loop.create_future()
         self._keys.note(session, request, entry.path, outcome)
 
@@ -214,7 +214,7 @@ async def _outcome(first: asyncio.Future[Reply]) -> Reply:
 
 def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
     body: Body = sample
-    if isinstance(request, Prepared):  # a newer sample would make this one forget what is written
+    if isinstance(request, Prepared):  # a newer sample would drop the encodings of this one
         body = LongValue(sample.value, sample.encoded(Encoding.JSON))
     return Reply(
         type="write",
@@ -229,7 +229,7 @@ def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
 
 
 def dry_run_reply(request: Request, entry: Entry, what: dict[str, Any]) -> Reply:
-    """Answer a dry run: everything was checked, nothing was changed."""
+    """Return the reply to a dry run."""
     return Reply(
         type=request.type,
         id=request.id,

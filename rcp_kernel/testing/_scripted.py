@@ -1,4 +1,4 @@
-"""A robot that does as a test says, and is never kinder than a device."""
+"""A robot whose behaviour a test defines, as unforgiving as a real device."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress
 __all__ = ["Behaviour", "ScriptedRobot", "Take", "scripted"]
 
 Behaviour = Callable[[Any, Progress], Awaitable[Any]]
-"""What a command does: takes its input, returns its output when the robot has done it."""
+"""The behaviour of a command: takes its input, returns its output when it is completed."""
 Take = Callable[[Any], Awaitable[Any]]
-"""What a write does: returns the value now in force, None if it is the one written."""
+"""The behaviour of a write: returns the value now in force; None if it is the written one."""
 
 
 class NoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A scripted robot has nothing to configure."""
+    """A scripted robot has no configuration."""
 
 
 class ScriptedRobot(BaseBackend):
-    """Has the resources that a test gives it, and does what the test says; notes what reaches it.
+    """Has the resources and behaviours that a test gives it, and records what reaches it.
 
     A command without a behaviour of its own runs until `release` is set, and returns its input.
     As with a device, every answer takes at least a turn of the loop; what moves goes on until it
@@ -43,36 +43,36 @@ class ScriptedRobot(BaseBackend):
     ) -> None:
         self.host = host
         self.values = dict(values or {})
-        """What it answers when it is read; a write changes it."""
+        """Values that reads return; a write changes them."""
         self.behaviours = dict(behaviours or {})
         self.takes: dict[str, Take] = {}
-        """What a write does beyond being noted, by name."""
+        """Behaviours of writes, by name."""
         self.lazy: dict[str, Any] = {}
-        """What it publishes only once somebody watches."""
+        """Values that it publishes only while watched."""
         self.delay = 0.0
-        """Seconds that each answer takes."""
+        """Delay of each response, in seconds."""
         self.lost = ""
-        """Why nothing gets through to it; empty while it is reached."""
+        """Why the link is lost; empty while it is up."""
         self.obeys = True
-        """Whether it comes to rest when it is told to."""
+        """Whether it comes to rest when commanded to."""
         self.fail_writes = 0
-        """How many of the next writes it refuses."""
+        """Number of writes that it refuses next."""
         self.fail_halts = 0
-        """How many of the next stops it does not hear."""
+        """Number of stops that it does not receive next."""
         self.release = asyncio.Event()
-        """Lets commands without a behaviour come to their end."""
+        """Lets commands without a behaviour complete."""
         self.started: asyncio.Queue[Any] = asyncio.Queue()
-        """The inputs of the actions that began, for tests that wait for one."""
+        """The inputs of started actions, for tests that wait for them."""
         self.stopped: asyncio.Queue[str] = asyncio.Queue()
-        """The names of those whose cancellation reached it."""
+        """The names of actions whose cancellation reached it."""
         self.writes: list[tuple[str, Any]] = []
         self.ran: list[tuple[str, Any]] = []
-        """The commands that reached it, refused ones too."""
+        """The commands that reached it, including refused ones."""
         self.watched: list[tuple[str, float | None]] = []
         self.left: list[tuple[str, float | None]] = []
         self.halts = 0
         self.moving: set[str] = set()
-        """Names of what moves it: actuators, and actions under way."""
+        """Names of actuators and running actions that move it."""
         self._resources: dict[str, Resource] = {}
         self._runs: list[_Run] = []
         self.add(*resources)
@@ -83,25 +83,25 @@ class ScriptedRobot(BaseBackend):
         self.host.declare(*resources)
 
     def remove(self, *names: str) -> None:
-        """Take resources out of the tree."""
+        """Remove resources from the tree."""
         self.host.withdraw(*names)
         for name in names:
             self._resources.pop(name, None)
             self.moving.discard(name)
 
     def measure(self, name: str, value: Any, timestamp: int | None = None) -> None:
-        """Publish a value, and keep it for those who read."""
+        """Publish a value, and return it to reads."""
         self.values[name] = value
         self.host.publish(name, value, timestamp)
 
     def lose(self, why: str = "no message received for 4.2 s") -> None:
-        """Cut the link: what runs ends, and nobody knows whether the robot moves."""
+        """Cut the link: running commands end, and the robot's motion is unknown."""
         self.lost = why
         for run in self._runs:
             run.end(AdapterUnavailable(why))
 
     def find(self) -> None:
-        """Mend the link."""
+        """Restore the link."""
         self.lost = ""
         for robot in dict.fromkeys(one.robot for one in self._resources.values()):
             self.host.link_restored(robot)
@@ -130,7 +130,7 @@ class ScriptedRobot(BaseBackend):
         return force
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Do as the behaviour says, until it is done, cancelled, stopped or out of reach."""
+        """Run the behaviour until it is completed, cancelled, stopped or the link is lost."""
         await self.reach()
         check_fence()
         self.ran.append((name, value))
@@ -159,12 +159,12 @@ class ScriptedRobot(BaseBackend):
         return result if resource is None or resource.output is not None else None
 
     async def wait(self, value: Any, progress: Progress) -> Any:
-        """Go on until released, as a command does that has no behaviour of its own."""
+        """Run until released: the behaviour of a command without one of its own."""
         await self.release.wait()
         return value
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[None]:
-        """Note who watches what."""
+        """Record which resources are watched."""
         return self._watching(name, rate)
 
     @asynccontextmanager
@@ -176,22 +176,22 @@ class ScriptedRobot(BaseBackend):
         self.left.append((name, rate))
 
     async def halt(self) -> None:
-        """Come to rest, if it hears the stop and obeys it."""
+        """Come to rest, if the stop reaches it and it obeys."""
         await self._halt(None)
 
     async def halt_robot(self, robot: str) -> None:
-        """Bring one of several to rest."""
+        """Bring one of several robots to rest."""
         await self._halt(robot)
 
     def motion(self, robot: str | None) -> MotionState | None:
-        """Tell what moves; nothing is known while the link is lost."""
+        """Report the motion; unknown while the link is lost."""
         if self.lost:
             return MotionState(None, self.lost)
         moving = sorted(self._moving(robot))
         return MotionState(not moving, f"{', '.join(moving)}: under way" if moving else "")
 
     async def reach(self) -> None:
-        """Take the time that an answer takes, and refuse while the link is lost."""
+        """Wait for the response delay, and refuse while the link is lost."""
         await asyncio.sleep(self.delay)
         if self.lost:
             raise AdapterUnavailable(self.lost)
@@ -217,7 +217,7 @@ class ScriptedRobot(BaseBackend):
 
 
 class _Run:
-    """A command under way, which the robot itself may end: it was stopped, or lost its link."""
+    """A running command, which the robot may end itself because of a stop or a lost link."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -225,17 +225,17 @@ class _Run:
         self._task = asyncio.current_task()
 
     def end(self, why: Exception) -> None:
-        """Have it fail."""
+        """Let it fail."""
         if self.why is None and self._task is not None:
             self.why = why
             self._task.cancel()
 
     def ended_itself(self) -> bool:
-        """Tell whether nobody else cancelled it."""
+        """Return whether the robot ended it, not a cancellation."""
         return self.why is not None and self._task is not None and not self._task.uncancel()
 
     def forget(self) -> None:
-        """Let go of the task, which keeps an error whose traceback would keep it."""
+        """Drop the task, to avoid a reference cycle through the traceback of its error."""
         self._task = self.why = None
 
 

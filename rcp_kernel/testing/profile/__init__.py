@@ -1,4 +1,4 @@
-"""The profile suite: a robot that claims a profile does what it means, as its device shows."""
+"""The profile suite: tests that a robot behaves as its profiles define, measured at its device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`drive` and `mobile`: it goes where it is told, as fast as it is told, and stops."""
+"""`drive` and `mobile`: the robot drives to its goals at the commanded velocity, and stops."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["DriveTests", "MobileTests"]
 
 _WAY = 0.3  # m to drive before its direction is judged
 _ANGLE = 0.4  # rad to turn before its direction is judged
-_SHARE = 0.2  # of a speed, by which it may be off
-_FIRST = 0.5  # m that it may have gone before its first feedback
-_SLACK = 0.03  # m/s or rad/s, by which it may be off besides
+_SHARE = 0.2  # relative tolerance of a speed
+_FIRST = 0.5  # m that it may have moved before its first feedback
+_SLACK = 0.03  # m/s or rad/s, additional absolute tolerance
 
 
 def _close(found: float, wanted: float, slack: float = _SLACK) -> bool:
@@ -27,7 +27,7 @@ class DriveTests(ProfileRig):
     """A commanded velocity is the velocity of the body."""
 
     async def _travels(self, start: Body) -> tuple[float, float]:
-        """Wait until it has gone some way; return how far ahead and to the left."""
+        """Wait until it has moved some distance; return how far ahead and to the left."""
         found = (0.0, 0.0)
 
         async def gone() -> bool:
@@ -39,7 +39,7 @@ class DriveTests(ProfileRig):
         return found
 
     async def _reaches(self, what: str, wanted: float, field: str) -> None:
-        """Wait until the device has a speed."""
+        """Wait until the device reaches a speed."""
         found = math.nan
 
         async def has() -> bool:
@@ -137,18 +137,18 @@ class DriveTests(ProfileRig):
         await eventually(moves, "it moves", self.complete_within)
         await self.do("execute", "service/hold")
         body = await self.body()
-        assert not body.moves, f"the hold is completed, and it moves: {body}"
+        assert not body.moves, f"the hold is completed, but the robot moves: {body}"
 
     async def test_its_velocity_is_told_as_it_is(self, robot: Robot) -> None:
         self.needs("actuator/cmd_vel", "sensor/velocity")
         async with self.driven(self.speed, turn=self.turn):
-            told: Any = None
+            reported: Any = None
             body: Body | None = None
 
             async def is_true() -> bool:
-                nonlocal told, body
-                told, body = await self.fresh("sensor/velocity"), await self.body()
-                linear, angular = told["linear"], told["angular"]
+                nonlocal reported, body
+                reported, body = await self.fresh("sensor/velocity"), await self.body()
+                linear, angular = reported["linear"], reported["angular"]
                 return (
                     _close(linear["x"], body.forward)
                     and _close(linear["y"], body.left)
@@ -160,7 +160,7 @@ class DriveTests(ProfileRig):
             try:
                 await eventually(is_true, "sensor/velocity", self.cancel_within)
             except AssertionError:
-                raise AssertionError(f"sensor/velocity tells {told}, and it is {body}") from None
+                raise AssertionError(f"sensor/velocity is {reported}, not {body}") from None
 
     async def test_its_pose_is_told_as_it_is(self, robot: Robot) -> None:
         self.needs("actuator/cmd_vel", "sensor/pose")
@@ -186,14 +186,14 @@ class DriveTests(ProfileRig):
         try:
             await eventually(is_true, "sensor/pose", self.cancel_within)
         except AssertionError:
-            raise AssertionError(f"sensor/pose tells {pose}, and it is {body}") from None
+            raise AssertionError(f"sensor/pose is {pose}, not {body}") from None
 
 
 class MobileTests(DriveTests):
-    """A goal is a place in the frame that it names."""
+    """A goal is a pose in the frame that it names."""
 
     async def _goes(self, x: float, y: float, **goal: Any) -> list[Any]:
-        """Send it to a place relative to where it is; see it there, and return the feedback."""
+        """Send it to a goal relative to its pose, check that it arrives, and return the feedback."""
         await self.make_ready()
         start = await self.body()
         at = {"x": start.x + x, "y": start.y + y, "z": start.z}
@@ -203,8 +203,8 @@ class MobileTests(DriveTests):
         off = math.hypot(body.x - at["x"], body.y - at["y"])
         assert off <= self.near, f"sent ({x:g}, {y:g}) m, it went {_way(start, body)}"
         assert abs(result["error"] - off) <= self.near, f"it is {off:g} m off, and tells {result}"
-        told = result["pose"]["position"]
-        assert math.hypot(told["x"] - body.x, told["y"] - body.y) <= self.near, (told, body)
+        end = result["pose"]["position"]
+        assert math.hypot(end["x"] - body.x, end["y"] - body.y) <= self.near, (end, body)
         return feedback
 
     async def test_it_goes_one_metre_along_x(self, robot: Robot) -> None:
@@ -221,7 +221,8 @@ class MobileTests(DriveTests):
         left = [one["distance_remaining"] for one in feedback]
         assert left, "no feedback came"
         slack = max(_FIRST, self.near)
-        assert abs(left[0] - self.hop) <= slack, f"{self.hop:g} m was left, told {left[0]:g}"
+        what = f"{self.hop:g} m was left, but {left[0]:g} m reported"
+        assert abs(left[0] - self.hop) <= slack, what
         assert left[-1] <= left[0], f"the distance grew: {left}"
         rises = [b - a for a, b in itertools.pairwise(left)]
         assert all(rise < self.near for rise in rises), f"the distance rises: {left}"

@@ -1,4 +1,4 @@
-"""`aerial`: it arms, climbs to the height that it is told, and lands."""
+"""`aerial`: arming, take-off to the commanded height, and landing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GNSS = 5.0  # m by which a position by satellites may be off
 
 
 class FlyingTests(ProfileRig):
-    """What aircraft do."""
+    """Take-off, flight and landing."""
 
     height: ClassVar[float] = 5.0
     """How high to take off, m."""
@@ -23,7 +23,7 @@ class FlyingTests(ProfileRig):
     """By how much its height may be off, m."""
 
     async def land(self) -> None:
-        """Bring it to the ground, ready to be armed; the tests of flight begin there."""
+        """Bring it to the ground, ready to be armed; flight tests start there."""
         raise NotImplementedError
 
     async def geographic(self) -> tuple[float, float]:
@@ -83,10 +83,10 @@ class FlyingTests(ProfileRig):
     async def test_its_orientation_is_told_as_it_is(self, robot: Robot) -> None:
         self.needs("sensor/orientation")
         await self.make_ready()
-        told = (await self.fresh("sensor/orientation"))["orientation"]
+        turn = (await self.fresh("sensor/orientation"))["orientation"]
         yaw = math.atan2(
-            2 * (told["w"] * told["z"] + told["x"] * told["y"]),
-            1 - 2 * (told["y"] ** 2 + told["z"] ** 2),
+            2 * (turn["w"] * turn["z"] + turn["x"] * turn["y"]),
+            1 - 2 * (turn["y"] ** 2 + turn["z"] ** 2),
         )
         found = (await self.body()).yaw
         assert abs(math.remainder(yaw - found, math.tau)) < 0.1, f"tells {yaw:g}, is {found:g} rad"

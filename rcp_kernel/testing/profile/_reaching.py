@@ -13,23 +13,23 @@ from rcp_kernel.testing.profile._rig import ProfileRig
 
 __all__ = ["ReachingTests"]
 
-_JOINT = 0.05  # rad or m by which a joint may be off
+_JOINT = 0.05  # rad or m, tolerance of a joint
 _FINGER = 0.005  # m
 _STEP = 1.0  # s between two waypoints
 
 
 class ReachingTests(ProfileRig):
-    """What arms and grippers do."""
+    """Motions of arms and grippers."""
 
     async def _first_joint(self) -> tuple[str, Mapping[str, float]]:
         await self.make_ready()
         joints = await self.joints()
         return next(iter(joints)), joints
 
-    async def _are_at(self, wanted: Mapping[str, float]) -> None:
+    async def _are_at(self, goal: Mapping[str, float]) -> None:
         joints = await self.joints()
-        off = {name: joints[name] for name in wanted if abs(joints[name] - wanted[name]) > _JOINT}
-        assert not off, f"joints at {off}, not at {dict(wanted)}"
+        off = {name: joints[name] for name in goal if abs(joints[name] - goal[name]) > _JOINT}
+        assert not off, f"joints at {off}, not at {dict(goal)}"
 
     async def test_joints_go_where_they_are_sent_and_others_stay(self, robot: Robot) -> None:
         self.needs("action/move_joints")
@@ -46,19 +46,19 @@ class ReachingTests(ProfileRig):
         self.needs("sensor/joint_states", "action/move_joints")
         first, before = await self._first_joint()
         await self.run("action/move_joints", {"positions": {first: before[first] + self.reach}})
-        told: Any = None
+        reported: Any = None
 
         async def is_true() -> bool:
-            nonlocal told
+            nonlocal reported
             states, joints = await self.fresh("sensor/joint_states"), await self.joints()
-            told = dict(zip(states["name"], states["position"], strict=True))
-            return all(abs(told[name] - joints[name]) <= _JOINT for name in joints)
+            reported = dict(zip(states["name"], states["position"], strict=True))
+            return all(abs(reported[name] - joints[name]) <= _JOINT for name in joints)
 
         try:
             await eventually(is_true, "sensor/joint_states", self.cancel_within)
         except AssertionError:
-            found = dict(await self.joints())
-            raise AssertionError(f"sensor/joint_states tells {told}, and it is {found}") from None
+            actual = dict(await self.joints())
+            raise AssertionError(f"sensor/joint_states is {reported}, not {actual}") from None
 
     async def test_a_joint_that_there_is_not_is_refused(self, robot: Robot) -> None:
         self.needs("action/move_joints")
@@ -99,15 +99,15 @@ class ReachingTests(ProfileRig):
         position = dict(zip("xyz", goal, strict=True))
         result, _ = await self.run("action/move_tool", {"position": position})
         off = math.dist(await self.tool(), goal)
-        assert off <= self.near / 4, f"the tool is {off:g} m off, and tells {result['error']:g}"
+        assert off <= self.near / 4, f"the tool is {off:g} m off, but reports {result['error']:g}"
 
     async def test_the_tools_pose_is_told_as_it_is(self, robot: Robot) -> None:
         self.needs("sensor/tool_pose")
         await self.make_ready()
-        told = (await self.fresh("sensor/tool_pose"))["position"]
-        found = await self.tool()
-        off = math.dist((told["x"], told["y"], told["z"]), found)
-        assert off <= _JOINT, f"sensor/tool_pose tells {told}, and it is {found}"
+        reported = (await self.fresh("sensor/tool_pose"))["position"]
+        actual = await self.tool()
+        off = math.dist((reported["x"], reported["y"], reported["z"]), actual)
+        assert off <= _JOINT, f"sensor/tool_pose is {reported}, not {actual}"
 
     async def test_the_gripper_opens_and_closes(self, robot: Robot) -> None:
         self.needs("action/move_gripper", "sensor/gripper")
@@ -115,7 +115,8 @@ class ReachingTests(ProfileRig):
         wide = await self.opening()
         for width in (wide / 2, wide) if wide > _FINGER else (0.02, 0.0):
             await self.run("action/move_gripper", {"width": width})
-            found = await self.opening()
-            assert abs(found - width) <= _FINGER, f"sent to {width:g} m, it is open {found:g} m"
-            told = (await self.fresh("sensor/gripper"))["width"]
-            assert abs(told - found) <= _FINGER, f"sensor/gripper tells {told:g}, it is {found:g}"
+            actual = await self.opening()
+            assert abs(actual - width) <= _FINGER, f"the opening is {actual:g} m, not {width:g} m"
+            reported = (await self.fresh("sensor/gripper"))["width"]
+            off = abs(reported - actual)
+            assert off <= _FINGER, f"sensor/gripper is {reported:g} m, not {actual:g} m"

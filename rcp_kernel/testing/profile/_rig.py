@@ -1,4 +1,4 @@
-"""What the author of a backend gives the profile suite: how its device really is."""
+"""The probes that a backend's author gives the profile suite: the actual state of the device."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rcp_kernel.testing.backend._base import BackendTests
 
 __all__ = ["Body", "ProfileRig"]
 
-_LASTING = 600.0  # s: a velocity that no dead-man ends during a test
+_LASTING = 600.0  # s: long enough that no dead-man ends a velocity during a test
 
 
 class Body(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a robot is and how it moves, as its device has it: metres, radians, seconds.
+    """Pose and velocity of a robot, as measured at its device: metres, radians, seconds.
 
-    The place is in the frame of its goals and of `sensor/pose` (`frame`), x and y level and z up; velocities are
-    those of the body: forward, left, up, and turning left.
+    The position is in the frame of its goals and of `sensor/pose` (`frame`), x and y level and z up; velocities
+    are in the body's frame: forward, left, up, and turning left.
     """
 
     x: float
@@ -40,7 +40,7 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def speed(self) -> float:
-        """How fast it moves over the ground."""
+        """Its speed over the ground, m/s."""
         return math.hypot(self.forward, self.left)
 
     @property
@@ -49,7 +49,7 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
         return max(self.speed, abs(self.up), abs(self.yaw_rate)) > self.still
 
     def ahead_of(self, other: Body) -> tuple[float, float]:
-        """Return how far it is ahead of another place and to its left, as seen from there."""
+        """Return its position relative to another pose: ahead and to the left, m."""
         x, y = self.x - other.x, self.y - other.y
         cos, sin = math.cos(other.yaw), math.sin(other.yaw)
         return x * cos + y * sin, y * cos - x * sin
@@ -60,7 +60,7 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProfileRig(BackendTests):
-    """The probes of a device. A probe asks the device itself, never what the gateway is told.
+    """The probes of a device. A probe measures at the device itself, never through the gateway.
 
     Give those of the profiles that the backend claims; a test says which one is missing.
     """
@@ -80,25 +80,25 @@ class ProfileRig(BackendTests):
     hop: ClassVar[float] = 1.0
     """How far to send it, m; more than `near`."""
     near: ClassVar[float] = 0.2
-    """How far from its goal it may stop, m."""
+    """Maximum distance from its goal at the end, m."""
     reach: ClassVar[float] = 0.2
     """How far a joint is moved, rad."""
 
-    # What the author gives
+    # Given by the author
 
     async def make_ready(self) -> None:
-        """Bring the device where it can move `hop`, or 2 m, in each direction: armed and flying, say."""
+        """Prepare the device to move `hop`, at least 2 m, in each direction; for example armed and flying."""
 
     async def body(self) -> Body:
-        """Return where it is and how it moves."""
+        """Return its pose and velocity."""
         raise NotImplementedError
 
     async def charge(self) -> float:
-        """Return the charge that the battery has left, 0…1."""
+        """Return the charge of the battery, 0…1."""
         raise NotImplementedError
 
     async def obstacle(self, bearing: float) -> float | None:
-        """Return the distance in metres that a range finder has to measure, None: out of its range.
+        """Return the distance in metres that a range finder should measure; None: out of range.
 
         The bearing is in radians, 0 is ahead and positive is left, in the frame of the scan.
         """
@@ -124,10 +124,10 @@ class ProfileRig(BackendTests):
         """Return whether the motors are armed."""
         raise NotImplementedError
 
-    # What the tests stand on
+    # Used by the tests
 
     def full(self, name: str) -> str:
-        """Return a profile's name with the place of the robot in it.
+        """Return a name of a profile with the robot's segment inserted.
 
         The gateway's `service/hold` is that of what an e-stop can stop alone.
         """
@@ -151,7 +151,7 @@ class ProfileRig(BackendTests):
         return {id_.partition("/")[0] for id_ in ids}
 
     def needs(self, *names: str) -> None:
-        """Skip a test of what the robot does not offer under its profiles."""
+        """Skip a test of resources that the robot does not offer under its profiles."""
         for name in names:
             resource = self.running.resources.get(self.full(name))
             if resource is None or not resource.profiles:
@@ -197,7 +197,7 @@ class ProfileRig(BackendTests):
     async def driven(
         self, forward: float = 0.0, left: float = 0.0, turn: float = 0.0
     ) -> AsyncGenerator[Body]:
-        """Command a velocity while entered; yield how the robot was before, and bring it to rest."""
+        """Command a velocity while entered; yield the earlier state, and bring the robot to rest at the end."""
         await self.make_ready()
         start = await self.body()
         await self.drive(forward, left, turn)

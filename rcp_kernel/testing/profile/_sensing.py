@@ -1,4 +1,4 @@
-"""`battery`, `camera`, `lidar`, `power`: what they tell is so, in the units that they name."""
+"""`battery`, `camera`, `lidar`, `power`: reported values are correct, in the declared units."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ __all__ = ["PowerTests", "SensingTests"]
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
-_BEAM = 0.15  # m by which a range may be off
-_CHARGE = 0.03  # of the charge
+_BEAM = 0.15  # m, tolerance of a range
+_CHARGE = 0.03  # tolerance of the charge, 0…1
 _SIDES = (0.0, math.pi / 2, -math.pi / 2)  # ahead, left, right
 
 
 class SensingTests(ProfileRig):
-    """What is measured."""
+    """Measured values."""
 
     async def test_the_battery_tells_what_is_left(self, robot: Robot) -> None:
         self.needs("sensor/battery")
-        told: Any = None
+        reported: Any = None
 
         async def is_true() -> bool:
-            nonlocal told
-            told = (await self.fresh("sensor/battery"))["percentage"]
-            return told is not None and abs(told - await self.charge()) <= _CHARGE
+            nonlocal reported
+            reported = (await self.fresh("sensor/battery"))["percentage"]
+            return reported is not None and abs(reported - await self.charge()) <= _CHARGE
 
         try:
             await eventually(is_true, "sensor/battery", self.cancel_within)
         except AssertionError:
-            left = await self.charge()
-            raise AssertionError(f"{left:g} of the charge is left, and told is {told}") from None
+            actual = await self.charge()
+            raise AssertionError(f"the charge is {actual:g}, but reported as {reported}") from None
 
     async def test_the_camera_sends_images_of_the_size_it_tells(self, robot: Robot) -> None:
         self.needs("sensor/camera")
@@ -53,15 +53,16 @@ class SensingTests(ProfileRig):
             if not 0 <= number < len(scan["ranges"]):
                 continue
             exact = scan["angle_min"] + number * scan["angle_increment"]
-            told, wanted = float(scan["ranges"][number]), await self.obstacle(exact)
-            if wanted is None:
-                assert not math.isfinite(told), f"nothing is at {exact:g} rad, and told is {told}"
+            measured, actual = float(scan["ranges"][number]), await self.obstacle(exact)
+            if actual is None:
+                assert not math.isfinite(measured), f"{measured} m at {exact:g} rad, not infinity"
             else:
-                assert abs(told - wanted) <= _BEAM, f"at {exact:g} rad: {told}, not {wanted:g} m"
+                off = abs(measured - actual)
+                assert off <= _BEAM, f"{measured} m at {exact:g} rad, not {actual:g} m"
 
 
 class PowerTests(ProfileRig):
-    """What is switched."""
+    """Switching of the motors, and resets."""
 
     async def test_a_reset_leaves_it_at_rest_and_at_work(self, robot: Robot) -> None:
         self.needs("service/reset_system")
