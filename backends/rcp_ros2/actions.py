@@ -83,7 +83,13 @@ class Run(Binding):
         :raises DeviceRejected: the server refused the goal or aborted it.
         :raises DeviceTimeout: the server stopped responding.
         """
-        goal = Goal(self, self.action.Goal() if value is None else self._fill(value), progress)
+        return await self.follow(
+            self.action.Goal() if value is None else self._fill(value), progress
+        )
+
+    async def follow(self, message: Any, progress: Progress) -> Any:
+        """Send a goal message and wait for its result; raises as `execute`."""
+        goal = Goal(self, message, progress)
         self._goals.add(goal)
         try:
             return await goal.run()
@@ -231,6 +237,7 @@ class Goal:
                 f"the server of {self._name} rejected the goal",
                 remedy="Send a goal that the robot can reach from its current position.",
             )
+        self._progress()  # the robot may move from now on: what fails later was not refused
         await self._ros.call(self._request_result, handle)
 
     async def _follow(self) -> Any:

@@ -35,6 +35,8 @@ class Binding:
         self.mapping = mapping
         self.feedback: Feedback | None = None
         """Feedback of the motion that the resource causes, if mapped."""
+        self.standard: str | None = None
+        """The name of the profiles' resource that it is."""
 
     @property
     def is_barred(self) -> bool:
@@ -123,6 +125,8 @@ class Offer(NamedTuple):
     """Target of the path."""
     make: Callable[[], Binding]
     """Creates the binding; called in the ROS thread, raises `MissingType`."""
+    key: str = ""
+    """What it is made of: a binding of another key is replaced."""
 
 
 class Construct(Protocol):

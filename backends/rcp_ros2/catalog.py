@@ -21,6 +21,7 @@ from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
 from rcp_ros2.config import Mapping
+from rcp_ros2.conventions import LIMITS
 from rcp_ros2.diagnostics import Diagnostics
 from rcp_ros2.goals import Goals, goals_of
 from rcp_ros2.graph import Graph
@@ -31,8 +32,10 @@ from rcp_ros2.log import Log
 from rcp_ros2.names import is_internal_parameter, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.pictures import Pictures
+from rcp_ros2.profiles import Profiles
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
+from rcp_ros2.standard import SpeedLimit
 from rcp_ros2.transforms import Transforms
 from rcp_ros2.view import GraphView
 from rcp_ros2.wanted import Wanted, type_of
@@ -45,6 +48,7 @@ _LINGER = 5.0  # s for which an exposed name may be missing before its path is r
 _AGAIN = 5.0  # s before parameters of a node are requested again after a failure
 _SOON = 0.5  # s before a type is requested again while nodes are still being discovered
 _QUIET = 0.5  # s without a new path, after which discovery counts as complete
+_DOUBLE = 3  # in rcl_interfaces/msg/ParameterType
 _AT_ONCE = 4  # nodes queried concurrently
 
 
@@ -54,7 +58,7 @@ class Catalog:
     def __init__(self, shared: Shared) -> None:
         config = shared.config
         self._shared = shared
-        self._exposes = bool(config.expose or config.robots)
+        self._exposes = bool(config.expose or config.robots or not config.map)
         """Whether the paths depend on the graph."""
         self.bindings: dict[str, Binding] = {}
         self.rates: dict[str, list[float]] = {}
@@ -67,6 +71,8 @@ class Catalog:
         clock = Clock(shared)
         self._actions: set[str] = set()
         self._services: set[str] = set()
+        transforms = Transforms(shared, wanted.exposes, clock.on_jump)
+        self._profiles = Profiles(shared, wanted, self.bindings, self._events, transforms.known)
         self._constructs: tuple[Construct, ...] = (
             Goals(shared, self._actions),
             Calls(shared, self._services),
@@ -74,10 +80,11 @@ class Catalog:
             Diagnostics(shared, wanted.exposes),
             clock,
             GraphView(shared),
-            Transforms(shared, wanted.exposes, clock.on_jump),
+            transforms,
             Log(shared, wanted.exposes_log),
             Pictures(shared, self.bindings),
             Assets(shared, wanted.matters),
+            self._profiles,
         )
         shared.refresh = lambda: self.update(shared.graph)
 
@@ -85,6 +92,8 @@ class Catalog:
         """Exposed names no longer in the graph, with the time this was noticed."""
         self._types: dict[str, str] = {}
         """The type for which each binding was created."""
+        self._keys: dict[str, str] = {}
+        """What each binding of a construct was made of."""
         self._made_of: dict[str, Mapping] = {}
         """The mapping for which each binding was created."""
         self._later: dict[str, float] = {}
@@ -103,25 +112,30 @@ class Catalog:
         self._shared.graph = graph
         for name, mapping in self._mapped.items():
             self._want(name, mapping, graph, mapped=True)
-        found = self._wanted.found(graph)
-        for name, mapping in found.items():
-            self._want(name, mapping, graph, mapped=False)
-        _note(self._actions, "action", found.values())
-        _note(self._services, "service", found.values())
         brought = {
             name: offer
             for construct in self._constructs
             for name, offer in construct.find(graph).items()
             if name not in self._mapped
         }
+        reserved = self._profiles.reserved
+        found = self._wanted.found(graph, reserved.keys(), self._limited(reserved))
+        for name, mapping in found.items():
+            self._want(name, mapping, graph, mapped=False)
+        _note(self._actions, "action", found.values())
+        _note(self._services, "service", found.values())
         for name, offer in brought.items():
             self._gone.pop(name, None)
-            if name not in self.bindings and time.monotonic() >= self._later.get(name, 0.0):
+            is_made = name in self.bindings and self._keys.get(name, "") == offer.key
+            if not is_made and time.monotonic() >= self._later.get(name, 0.0):
                 self._start(name, self._bring(name, offer))
         for node in graph.nodes:
             if self._wanted.exposes(node) and self._is_due(f"node {node}"):
                 self._start(f"node {node}", self._expose_parameters(node))
+            if self._wanted.is_conventional(node) and self._is_due(f"limit {node}"):
+                self._start(f"limit {node}", self._find_limit(node))
         self._sweep(found.keys() | brought.keys(), graph)
+        self._tag()
         self._report(graph)
         if self._is_complete():
             self.complete.set()
@@ -220,11 +234,16 @@ class Catalog:
         try:
             binding = await self._shared.ros.call(offer.make)
         except MissingType as error:
+            self._shared.trouble(name, f"{name} is not available: {error}. {error.remedy}")
             binding = self._absent(name, offer.mapping, str(error), error.remedy)
+        self._keys[name] = offer.key
+        self._types.pop(name, None)
         self._place(name, binding)
 
     def _make(self, name: str, mapping: Mapping, type_: str) -> Binding:
         kind = kind_of(name)
+        if mapping.profile:
+            return self._profiles.make(name, self._standard(name, mapping), mapping, type_)
         match mapping.noun:
             case "service" if kind is Kind.EVENT:
                 return calls_of(self._shared, name, mapping, type_)
@@ -239,6 +258,35 @@ class Catalog:
                 return Called(self._shared, name, mapping, load(type_, "srv"))
             case _:
                 return Run(self._shared, name, mapping, load(type_, "action"))
+
+    def _standard(self, name: str, mapping: Mapping) -> str:
+        """Return the name of a mapping's resource without the robot."""
+        robot = self._shared.naming.split(mapping.target)[0]
+        branch, _, rest = name.partition("/")
+        return f"{branch}/{rest.removeprefix(f'{robot}/')}" if robot else name
+
+    def _limited(self, reserved: dict[str, Mapping]) -> set[str]:
+        """Return the topics that a second path would command past the configured limits."""
+        if self._shared.config.limits is None:
+            return set()
+        return {m.topic for path, m in reserved.items() if m.topic and path.startswith("actuator/")}
+
+    async def _find_limit(self, name: str) -> None:
+        """Look for a speed limit among the parameters of a node."""
+        key = f"limit {name}"
+        try:
+            async with self._queries:
+                node = await self._node(name)
+                own = set(await node.names())
+                first = next((limit for limit in LIMITS if limit in own), None)
+                described = await node.describe([first]) if first else []
+        except RcpError as error:
+            self._later[key] = time.monotonic() + _AGAIN
+            log.warning("ros_parameters_unknown", node=name, detail=error.message)
+            return
+        if described and described[0].kind == _DOUBLE:
+            self._profiles.limits[name] = (node, described[0])
+        self._types[key] = "parameters"
 
     async def _bind_parameter(self, name: str, mapping: Mapping) -> Binding:
         node = await self._node(mapping.target)
@@ -256,6 +304,9 @@ class Catalog:
         if mapping.parameters:
             settable = [one for one in found if not one.read_only]
             return AtomicParameters(self._shared, name, mapping, node, settable)
+        if mapping.profile:
+            standard = self._standard(name, mapping)
+            return SpeedLimit(self._shared, name, standard, mapping, node, found[0], self._events)
         return Setting(self._shared, name, mapping, node, found[0], self._events)
 
     async def _node(self, name: str) -> NodeParameters:
@@ -293,7 +344,8 @@ class Catalog:
 
     def _changed(self, node: str, kinds: dict[str, int]) -> None:
         """Query a node again after it has declared parameters or changed the type of one."""
-        settings = [b for b in self.bindings.values() if isinstance(b, Setting)]
+        own = self.bindings.values()
+        settings = [b for b in own if isinstance(b, Setting) and b.standard is None]
         known = {b.described.name: b for b in settings if b.mapping.node == node}
         for name, kind in kinds.items():
             setting = known.get(name)
@@ -340,6 +392,11 @@ class Catalog:
         if name in self.rates:
             binding.watched(max(self.rates[name]))
 
+    def _tag(self) -> None:
+        """Tell what the robots claim with what they offer now."""
+        for binding in self._profiles.tag():
+            self._shared.host.declare(binding.resource)
+
     def _sweep(self, found: AbstractSet[str], graph: Graph) -> None:
         now = time.monotonic()
         for name, binding in list(self.bindings.items()):
@@ -356,9 +413,12 @@ class Catalog:
         self._gone.pop(name, None)
         self._types.pop(name, None)
         self._made_of.pop(name, None)
+        self._keys.pop(name, None)
         node = binding.mapping.node
         if node is not None and node not in self._shared.graph.nodes:
             self._types.pop(f"node {node}", None)
+            self._types.pop(f"limit {node}", None)
+            self._profiles.limits.pop(node, None)
             self._events.leave(node)
         self._shared.outbox.forget(name)
         self._shared.host.withdraw(name)
@@ -371,6 +431,7 @@ class Catalog:
         )
         text = f"nobody offers {', '.join(missing)}" if missing else None
         self._shared.trouble("missing", text)
+        self._shared.trouble("profiles", self._profiles.missing(graph))
         words = "; ".join(graph.disputed[name] for name in sorted(graph.disputed))
         self._shared.trouble("types", words or None)
         self._shared.report()

@@ -8,12 +8,14 @@ from msgspec import Meta, Struct, field
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
+from rcp_ros2.conventions import may_be
 from rcp_ros2.definitions import parse
 
 __all__ = [
     "Assets",
     "Diagnostics",
     "Jpeg",
+    "Limits",
     "Log",
     "Mapping",
     "Qos",
@@ -99,6 +101,8 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     refused."""
     feedback_timeout: Seconds | None = None
     """Maximum age of that feedback; None uses `stop.max_age`."""
+    profile: bool = False
+    """Offer it as the resource of this name that profiles have, with their type: `sensor/pose`, …."""
 
     def __post_init__(self) -> None:
         if self.feedback_timeout is not None and self.feedback is None:
@@ -195,6 +199,19 @@ class StopTopic(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Message published when the e-stop is reset; None publishes none."""
 
 
+class Limits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Highest velocities that `actuator/cmd_vel` accepts; without any it accepts all.
+
+    With any, a velocity that is not given is zero: the robot cannot do it.
+    """
+
+    speed: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "m/s"})]
+    """Ahead and back."""
+    sideways: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "m/s"})] = 0.0
+    turn: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "rad/s"})] = 0.0
+    """Rate of turn."""
+
+
 class Stop(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How a robot is stopped and confirmed at rest. Relative names apply to each robot."""
 
@@ -244,7 +261,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Namespaces that each contain one robot: `/fleet/*`. Their paths are below the part that `*`
     matches, or the last segment: `sensor/<robot>/…`."""
     nice_names: bool = True
-    """Give well-known topics of well-known types conventional paths."""
+    """Give well-known topics of well-known types conventional paths, those of the profiles included."""
     expose: tuple[RosPattern, ...] = ()
     """Names of topics, services, actions and nodes to offer under their own names; `*` is one
     segment,
@@ -252,6 +269,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     hide: tuple[RosPattern, ...] = ()
     """Names to exclude from `expose`."""
     map: dict[str, Mapping] = {}
+    limits: Limits | None = None
     types: dict[MessageName, str] = {}
     """The `.msg` text of types that are not installed."""
     diagnostics: Diagnostics = Diagnostics()
@@ -294,5 +312,9 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 raise ValueError(f"{path!r} is a {kind} and cannot be a {mapping.noun}")
             if mapping.feedback is not None and kind not in (Kind.ACTUATOR, Kind.ACTION):
                 raise ValueError(f"{path!r}: `feedback` is for actuators and actions")
+            if mapping.profile and (
+                mapping.field is not None or not may_be(path.removeprefix("/"))
+            ):
+                raise ValueError(f"{path!r}: no profile's resource can be made of this mapping")
             if mapping.field is not None and kind not in (Kind.SENSOR, Kind.EVENT):
                 raise ValueError(f"{path!r}: `field` is for sensors and events")

@@ -20,8 +20,12 @@ Hearing = Literal["heard", "nobody", "silent"]
 class Outlet:
     """One publisher; recreated if a subscriber requests latched values."""
 
-    def __init__(self, link: RosLink, topic: str, cls: Any, wanted: Qos) -> None:
+    def __init__(
+        self, link: RosLink, topic: str, cls: Any, wanted: Qos, *, stamped: bool = False
+    ) -> None:
+        """With `stamped`, each message gets the time at which it is sent, repeated ones too."""
         self._node = lambda: link.ros.node
+        self._stamped = stamped
         self._pulses = link.pulses
         self._complain = link.complain
         self._topic = topic
@@ -76,6 +80,8 @@ class Outlet:
         assert self._publisher is not None
         hearing = self._hearing()
         if hearing == "heard" or anyhow:
+            if self._stamped:
+                message.header.stamp = self._node().get_clock().now().to_msg()
             self._publisher.publish(message)
         return hearing
 

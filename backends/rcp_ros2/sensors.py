@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -25,7 +26,7 @@ from rcp_ros2.topics import Tap
 from rcp_ros2.types import example_of, framed, inward, part_of
 from rcp_ros2.writer import writer
 
-__all__ = ["Commanded", "Observed"]
+__all__ = ["Commanded", "Form", "Observed"]
 
 _VELOCITY = {
     "geometry_msgs/msg/Twist",
@@ -157,14 +158,26 @@ def _suffix(comment: str) -> str:
     return f": {sentence[0].lower()}{sentence[1:]}" if sentence else ""
 
 
+class Form(NamedTuple):
+    """The values of an actuator, and how each becomes a message."""
+
+    type: Any
+    fill: Callable[[Any], Any]
+    stamped: bool = False
+    """Whether each message gets the time at which it is sent."""
+
+
 class Commanded(Binding):
     """An actuator: written values are published."""
 
-    def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
+    def __init__(
+        self, shared: Shared, name: str, mapping: Mapping, cls: Any, form: Form | None = None
+    ) -> None:
+        """Accept values of the message's type, or those of a `form`."""
         self.topic = mapping.target
-        self._type = inward(cls, mapping.unit)
-        self._fill = writer(cls) if is_made(cls) else filler(cls)
-        self._outlet = Outlet(shared, self.topic, cls, mapping.qos)
+        own = form or Form(inward(cls, mapping.unit), writer(cls) if is_made(cls) else filler(cls))
+        self._type, self._fill = own.type, own.fill
+        self._outlet = Outlet(shared, self.topic, cls, mapping.qos, stamped=own.stamped)
         self._written: Any = None
         type_name = full_name(cls)
         velocity = type_name in _VELOCITY

@@ -71,6 +71,14 @@ class Transforms:
         for tree in list(self.trees.values()):
             tree.frames.forget_moving()
 
+    def known(self, space: str) -> frozenset[str]:
+        """Return the frames of a namespace; none if its tree is not exposed."""
+        tree = self.trees.get(space) or self.trees.get("")
+        if tree is None:
+            return frozenset()
+        parents = tree.frames.tree()
+        return frozenset(parents.keys()) | frozenset(parents.values())
+
     def find(self, graph: Graph) -> dict[str, Offer]:
         """Return the sensors and the lookup of each tree."""
         found: dict[str, Offer] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from typing import NamedTuple
 
@@ -41,6 +41,11 @@ class Wanted:
         exposed, hidden = allows(each), allows(not_)
         self.exposes = lambda n: exposed(n) and not hidden(n) and not is_internal(n)
         """Whether a name is exposed."""
+        every = config.nice_names and not config.expose and not config.map
+        self.is_conventional = lambda n: (
+            config.nice_names and (every or exposed(n)) and not hidden(n) and not is_internal(n)
+        )
+        """Whether a name may be a profile's: exposed, or any if the configuration names none."""
         self.exposes_log = lambda n: exposed(n) and not hidden(n)
         self._each: dict[str, Mapping] = {}
         """Mappings that apply to each robot."""
@@ -54,6 +59,7 @@ class Wanted:
                 self.mapped[path.removeprefix("/")] = _within(mapping, config.namespace)
         self._targets = {m.target for m in self.mapped.values()}
         self._rests = {f"/{m.target}" for m in self._each.values()}
+        self._transforms = {path.removeprefix("/") for path in config.tf.names}
         self._spoken: set[str] = set()
         """Topics that have been actuators: they remain so when other nodes publish too."""
         self._commanded: set[tuple[str, ...]] = set()
@@ -67,17 +73,38 @@ class Wanted:
         """Return whether a name is mapped or exposed; called in the ROS thread."""
         if name in self._targets or name in _NEEDED or name in self._needed or self.exposes(name):
             return True
+        if self.is_conventional(name):
+            return True
         return bool(self._rests) and self._naming.split(name)[2] in self._rests
 
-    def found(self, graph: Graph) -> dict[str, Mapping]:
-        """Return the paths that depend on the graph, besides the fixed ones of the map."""
+    def free(self, graph: Graph) -> Callable[[str, Mapping], bool]:
+        """Return whether a path of a convention takes no other's name, and is no second command path."""
+        mapped = self.mapped | self._of_robots(graph)
+        commanded = set(filter(None, map(_command, mapped.items())))
+        named = {one.path: one.mapping for one in self._exposed(graph) if one.path == one.own}
+
+        def is_free(path: str, mapping: Mapping) -> bool:
+            other = named.get(path, mapping)
+            own = path in mapped or path in self._transforms or other.target != mapping.target
+            return not own and _command((path, mapping)) not in commanded
+
+        return is_free
+
+    def found(
+        self, graph: Graph, reserved: AbstractSet[str], limited: AbstractSet[str]
+    ) -> dict[str, Mapping]:
+        """Return the paths that depend on the graph, besides the fixed ones of the map.
+
+        Those in `reserved` are made by others; what commands the topics in `limited` is left out.
+        """
         of_robots = self._of_robots(graph)
         self._commanded = set(filter(None, map(_command, (self.mapped | of_robots).items())))
+        self._commanded |= {("actuator", topic) for topic in limited}
         taken = of_robots.keys() | self.mapped.keys()
         found: dict[str, Mapping] = {}
         rivals: list[_Found] = []
         for one in self._exposed(graph):
-            if _command((one.path, one.mapping)) in self._commanded:
+            if one.path in reserved or _command((one.path, one.mapping)) in self._commanded:
                 continue
             if one.path == one.own:
                 found.setdefault(one.path, one.mapping)

@@ -276,3 +276,9 @@ class Commander(RobotNodes):
     """Somebody else who commands the base."""
 
     script = "commander.py"
+
+
+class Wheels(RobotNodes):
+    """A rover with the names that ROS 2 robots have in common."""
+
+    script = "wheels.py"

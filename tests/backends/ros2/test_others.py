@@ -116,7 +116,8 @@ async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
 
         first = await client.send(type="execute", path="/action/go", body=go(400))
         running = await client.until(
-            lambda m: m.get("id") == first and m.get("status") == "in_progress", BOUND
+            lambda m: m.get("id") == first and "body" in m and m.get("status") == "in_progress",
+            BOUND,
         )
         assert running["body"]["nested_field"]["int32_value"] > 300
         second = await client.request("execute", "/action/go", body=go(2), within=BOUND)

@@ -57,11 +57,20 @@ async def test_every_robot_has_all_its_paths_below_its_name(both: Robot) -> None
     assert not extra
 
 
+async def test_each_robot_claims_its_profiles(both: Robot) -> None:
+    for name in ("r1", "r2"):
+        cmd_vel, battery = f"actuator/{name}/cmd_vel", f"sensor/{name}/battery"
+        await both.until(lambda: "drive/1.0" in both.resources[cmd_vel].profiles)  # noqa: B023 - awaited
+        await both.until(lambda: both.resources[battery].profiles == ("battery/1.0",))  # noqa: B023 - awaited
+        assert both.resources[cmd_vel].robot == name
+
+
 async def test_nice_names_are_parts_of_the_same_topics(both: Robot) -> None:
     pose = await both.backend.read("sensor/r1/pose")
     whole = await both.backend.read("sensor/r1/odom")
     where = await both.backend.read("sensor/r1/where")
-    assert pose.position == whole.pose.pose.position == where
+    assert msgspec.to_builtins(pose.position) == msgspec.to_builtins(where)
+    assert whole.pose.pose.position == where
     assert (await both.backend.read("sensor/r1/battery")).percentage == 0.5
     assert list((await both.backend.read("sensor/r2/scan")).ranges) == [1.0]
     assert value_type(both.resources["sensor/r1/velocity"].value).schema
