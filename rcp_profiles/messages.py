@@ -127,7 +127,12 @@ class TwistStamped(Struct, frozen=True, forbid_unknown_fields=True):
 class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     """A place to go to; the same for whatever drives, flies or swims."""
 
-    position: Annotated[Point, Meta(description="A robot that keeps to the ground ignores `z`.")]
+    position: Annotated[
+        Point,
+        Meta(
+            description="A robot that keeps to the ground ignores `z`; an aircraft without it keeps its height."
+        ),
+    ]
     frame: _GoalFrame = "map"
     yaw: (
         Annotated[

@@ -61,7 +61,8 @@ _POSE = Definition(
 _MOVE_TO = Definition(
     resource=Resource(
         name="action/move_to",
-        description="Go to a position, and turn to a heading if one is given; completed when the robot is there.",
+        description="Go to a position, and turn to a heading if one is given; completed when the robot is there. "
+        "An aeroplane circles around the position. A robot that always faces its direction of travel refuses a heading.",
         input=m.MoveTo,
         output=m.MoveResult,
         feedback=m.MoveFeedback,
@@ -73,7 +74,7 @@ _MOVE_TO = Definition(
 _SPEED_LIMIT = Definition(
     resource=Resource(
         name="param/speed_limit",
-        description="Maximum speed of the robot over the ground, for every command.",
+        description="Maximum speed of the robot over the ground, for every command; of an aeroplane its airspeed.",
         value=_SpeedLimit,
         examples=(0.5,),
     ),
@@ -151,6 +152,7 @@ _LAND = Definition(
         feedback=m.Height,
         max_age=_GOAL,
     ),
+    required=False,  # an aeroplane lands only where an approach was planned
 )
 _RETURN_HOME = Definition(
     resource=Resource(
@@ -204,7 +206,7 @@ MOBILE = Profile(
 AERIAL = Profile(
     name="aerial",
     version="1.0",
-    description="An aircraft: what a mobile robot has, and take-off, landing and return.",
+    description="An aircraft: what a mobile robot has, and take-off, landing where it can, and return.",
     # Not `includes=(MOBILE,)`: an aeroplane cannot fly a velocity, and a copter claims both.
     resources=(
         _POSE,

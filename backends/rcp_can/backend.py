@@ -34,7 +34,7 @@ from rcp_kernel.errors import (
     RcpError,
     UnknownPath,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotFacts, Watchdog
 
 __all__ = ["CanBackend", "open_buses"]
 
@@ -145,6 +145,16 @@ class CanBackend(BaseBackend):
         raise DeviceTimeout(text, details=errors[0].details)
 
 
+def _kind(
+    drives: Sequence[DiffDrivePart], groups: Sequence[JointGroupPart], axes: dict[str, Axis]
+) -> str | None:
+    if drives:
+        return "mobile_manipulator" if groups else "differential_drive"
+    if groups:
+        return "arm"
+    return "motor" if axes else None
+
+
 @asynccontextmanager
 async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend]:
     """Open every configured bus and its devices; close them on exit.
@@ -177,6 +187,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     motors = map(MotorPart, axes.values())
     for part in (*lines, *motors, *devices, *nodes, *drives, *groups, *powers):
         backend.add(part)
+    host.describe(RobotFacts(kind=_kind(drives, groups, axes)))
     try:
         async with anyio.create_task_group() as tasks:
             await _start(tasks, buses.values())

@@ -15,6 +15,7 @@ from rcp_mavlink.journeys import Journeys, holding
 from rcp_mavlink.motion import Motion, unanswered
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.places import fix_of, located, part, reach
+from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["Flights"]
@@ -26,11 +27,16 @@ class Flights:
     """Flights of one vehicle."""
 
     def __init__(
-        self, vehicle: Vehicle, commands: Commands, motion: Motion, parameters: Parameters
+        self,
+        vehicle: Vehicle,
+        commands: Commands,
+        motion: Motion,
+        parameters: Parameters,
+        limit: SpeedLimit,
     ) -> None:
         self._vehicle, self._commands = vehicle, commands
         self._motion, self._parameters = motion, parameters
-        self._journeys = Journeys(vehicle, commands, motion, parameters)
+        self._journeys = Journeys(vehicle, commands, motion, parameters, limit)
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path."""
@@ -38,6 +44,7 @@ class Flights:
             "action/takeoff": self.take_off,
             "action/land": self.land,
             "action/rtl": self.rtl,
+            "action/return_home": self.rtl,
             "action/move_to": self._journeys.move_to,
         }
 

@@ -8,6 +8,8 @@ import time
 from collections.abc import AsyncGenerator, Callable, Generator
 from contextlib import asynccontextmanager, contextmanager, suppress
 
+from msgspec.structs import replace
+
 from rcp_kernel.errors import (
     DeviceRejected,
     DeviceTimeout,
@@ -24,7 +26,17 @@ from rcp_mavlink.geo import distance
 from rcp_mavlink.motion import Motion, unanswered
 from rcp_mavlink.pace import Pace
 from rcp_mavlink.parameters import Parameters
-from rcp_mavlink.places import away, fix_of, located, part, place_of, reach
+from rcp_mavlink.places import (
+    away,
+    fix_of,
+    located,
+    native_goal,
+    part,
+    place_of,
+    pose_of,
+    reach,
+)
+from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["Journeys", "holding"]
@@ -34,32 +46,34 @@ _RELATIVE, _ABSOLUTE = 6, 5
 _REPOSITION, _CHANGE_SPEED, _CONDITION_YAW = 192, 178, 115
 _AIRSPEED, _GROUNDSPEED = 0.0, 1.0
 _LEVEL = 10.0  # m of height tolerance, for a plane
-_USUAL = {
-    "rover": (("WP_SPEED", 1.0), ("CRUISE_SPEED", 1.0)),
-    "boat": (("WP_SPEED", 1.0), ("CRUISE_SPEED", 1.0)),
-    "plane": (("AIRSPEED_CRUISE", 1.0), ("TRIM_ARSPD_CM", 0.01)),
-    "vtol": (("AIRSPEED_CRUISE", 1.0), ("TRIM_ARSPD_CM", 0.01)),
-}
-_USUAL_HOVERING = (("WPNAV_SPEED", 0.01), ("WP_SPD", 1.0))
-"""Parameters with the travel speed, and the factor to m/s."""
-_LEAST = ("AIRSPEED_MIN", "ARSPD_FBW_MIN")
-_MOST = ("AIRSPEED_MAX", "ARSPD_FBW_MAX")
+_STANDING = 0.2  # m/s below which the time left is unknown
+_HOME_TIMEOUT = 3.0  # s
 
 
 class Journeys:
     """Flights of one vehicle to targets."""
 
     def __init__(
-        self, vehicle: Vehicle, commands: Commands, motion: Motion, parameters: Parameters
+        self,
+        vehicle: Vehicle,
+        commands: Commands,
+        motion: Motion,
+        parameters: Parameters,
+        limit: SpeedLimit,
     ) -> None:
         self._vehicle, self._commands = vehicle, commands
-        self._motion, self._parameters = motion, parameters
+        self._motion, self._parameters, self._limit = motion, parameters, limit
         self._paced = False
         """Whether the speed of an earlier flight may still be in effect."""
 
     async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
         """Go to a target and stay there; a plane circles around it."""
-        vehicle, fix, family = self._vehicle, await located(self._vehicle), self._vehicle.family
+        vehicle, family = self._vehicle, self._vehicle.family
+        profiled = goal.position is not None
+        goal = native_goal(vehicle, goal)
+        fix = await located(vehicle)
+        if not await vehicle.until(lambda: vehicle.home is not None, _HOME_TIMEOUT):
+            raise PreconditionFailed("move_to: home is not known yet")
         if family.flies and vehicle.landed is not False:
             raise PreconditionFailed(
                 "move_to: the vehicle is not in the air", remedy="Arm it and take off first."
@@ -70,29 +84,35 @@ class Journeys:
         lat, lon = place_of(vehicle, goal, fix)
         altitude = fix.height if goal.altitude is None or family.drives else goal.altitude
         distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
+        if goal.speed is not None:
+            goal = replace(goal, speed=self._limit.kept(goal.speed, strictly=profiled))
         pace = Pace(vehicle, goal.speed, goal.yaw)
+        near = goal.tolerance or 0.0
 
         def report() -> bool:
             now = fix_of(vehicle)
             left = away(vehicle, now, lat, lon, altitude)
-            progress(
-                m.OnItsWay(left, now.height, vehicle.mode), fraction=part(distance - left, distance)
-            )
+            eta = left / now.speed if now.speed > _STANDING else None
+            feedback = m.Underway(left, now.height, vehicle.mode, left, eta)
+            progress(feedback, fraction=part(distance - left, distance))
             fresh = vehicle.received_at["GLOBAL_POSITION_INT"] > since
-            there = fresh and self._arrived(now, lat, lon, altitude, goal.tolerance)
+            there = fresh and self._arrived(now, lat, lon, altitude, near)
             return pace.update(there=there)
 
         async with holding(self._motion):
-            await self._prepare(goal, fix)
+            with unanswered(progress):
+                await self._prepare(goal, fix)
             since = time.monotonic()
             async with self._stopping(DeviceTimeout):  # it may have been accepted
                 with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
+            report()  # it moves from here on, so a lost link no longer means a refusal
             async with self._stopping(RcpError):
                 await self._follow(goal, pace, report)
         now = fix_of(vehicle)
         error = away(vehicle, now, lat, lon, altitude)
-        return m.Arrived(now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
+        pose = pose_of(vehicle, now, pace.heading)
+        return m.Arrived(pose, now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
 
     async def _follow(self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool]) -> None:
         """Wait until it arrives; abort if it deviates from the request."""
@@ -122,16 +142,12 @@ class Journeys:
                 details={"pointer": "/yaw"},
             )
         if goal.speed is not None and family.circles and not family.px4:
-            least, most = self._value(_LEAST) or 0.0, self._value(_MOST) or math.inf
+            least, most = self._limit.airspeeds
             if not least <= goal.speed <= most:
                 raise OutOfRange(
                     f"move_to: its airspeed range is {least:g} to {most:g} m/s, not {goal.speed:g}",
                     details={"pointer": "/speed"},
                 )
-
-    def _value(self, names: tuple[str, ...]) -> float | None:
-        known = (self._parameters.known.get(name) for name in names)
-        return next((parameter.value for parameter in known if parameter is not None), None)
 
     # Commands
 
@@ -145,7 +161,9 @@ class Journeys:
         if family.px4:
             return
         self._paced = self._paced and vehicle.mode == family.guided
-        speed = self._usual() if goal.speed is None and self._paced else goal.speed
+        # A new limit in the parameters may not apply to the present mode.
+        own = self._paced or self._limit.was_set
+        speed = self._limit.usual if goal.speed is None and own else goal.speed
         if speed is None and goal.yaw is None:
             return
         if family.circles:
@@ -161,13 +179,6 @@ class Journeys:
             self._paced = goal.speed is not None
         if goal.yaw is not None:
             await self._turn(goal.yaw)
-
-    def _usual(self) -> float | None:
-        """Return the speed set in its parameters, m/s; None if unknown."""
-        for name, factor in _USUAL.get(self._vehicle.family.kind, _USUAL_HOVERING):
-            if value := self._value((name,)):
-                return value * factor
-        return None
 
     async def _turn(self, yaw: float) -> None:
         """Turn to a heading, rad clockwise from north; the command takes 0 to 360 deg."""

@@ -6,13 +6,16 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, defstruct
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Prearm", "Reached", "ReadParam", "SetMode", "StatusText", "TakeOff", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
+from rcp_kernel.types import PoseStamped
+
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
 Over = Annotated[float, Meta(ge=-500, le=10_000, extra_json_schema={"unit": "m"})]
 Count = Annotated[int, Meta(extra_json_schema={"unit": "1"})]
 Length = Annotated[float, Meta(extra_json_schema={"unit": "m"})]
+Left = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "m"})]
 Degrees = Annotated[float, Meta(extra_json_schema={"unit": "deg"})]
 Level = Annotated[float, Meta(ge=-500, le=20_000, extra_json_schema={"unit": "m"})]
 Metres = Annotated[float, Meta(ge=-100_000, le=100_000, extra_json_schema={"unit": "m"})]
@@ -49,9 +52,24 @@ class Height(Struct, frozen=True):
     """Above home, m."""
 
 
-class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
-    """Target of a flight: latitude and longitude, or metres from home."""
+class Place(Struct, frozen=True, forbid_unknown_fields=True):
+    """A position in the map, in metres from home."""
 
+    x: Metres
+    """East."""
+    y: Metres
+    """North."""
+    z: Over | None = None
+    """Above home; default: the present height. A ground vehicle ignores it."""
+
+
+class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
+    """Target: a position in the map, or latitude and longitude, or metres north and east."""
+
+    position: Place | None = None
+    """As in the profiles: x east, y north, z up from home; `yaw` then counts from east."""
+    frame: Annotated[str, Meta(min_length=1, max_length=64)] = "map"
+    """The frame of `position`: `map`."""
     latitude: Latitude | None = None
     longitude: Longitude | None = None
     north: Metres | None = None
@@ -60,10 +78,12 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     altitude: Over | None = None
     """Above home, m; default: the present height."""
     yaw: Angle | None = None
-    """Heading, clockwise from north; default: free. Not for ground vehicles or planes."""
+    """Heading; default: free. Counter-clockwise from east with `position`, otherwise clockwise from
+    north. Not for ground vehicles or planes."""
     speed: Annotated[float, Meta(gt=0, le=50, extra_json_schema={"unit": "m/s"})] | None = None
     """Ground speed on the way, of a plane its airspeed; default: the autopilot's own."""
-    tolerance: Annotated[float, Meta(ge=0.2, le=50, extra_json_schema={"unit": "m"})] = 1.0
+    tolerance: Annotated[float, Meta(ge=0.2, le=50, extra_json_schema={"unit": "m"})] | None = None
+    """Distance that counts as arrived; default: 1 m, of an aircraft with `position` 0.5 m."""
 
 
 class OnItsWay(Struct, frozen=True):
@@ -75,14 +95,24 @@ class OnItsWay(Struct, frozen=True):
     mode: str
 
 
+class Underway(OnItsWay, frozen=True):
+    """Remaining distance and time, and present height."""
+
+    distance_remaining: Left
+    """The same as `distance`."""
+    eta: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] | None
+    """Time left at the present speed; null while it hardly moves."""
+
+
 class Arrived(Struct, frozen=True):
     """Where the vehicle arrived."""
 
+    pose: PoseStamped
     latitude: Degrees
     longitude: Degrees
     altitude: Length
     """Above home, m."""
-    error: Length
+    error: Left
     """Distance from the target, m."""
     speed: Annotated[float, Meta(extra_json_schema={"unit": "m/s"})]
     """Maximum ground speed on the way, m/s."""

@@ -187,7 +187,7 @@ class Motion:
         """
         task = asyncio.ensure_future(do())
         self.parting.add(task)
-        task.add_done_callback(self.parting.discard)
+        task.add_done_callback(self._parted)
         try:
             async with asyncio.timeout(_HOLDING):
                 await asyncio.shield(task)
@@ -197,6 +197,11 @@ class Motion:
             if isinstance(error, DeviceTimeout):
                 raise
             raise DeviceTimeout("the vehicle did not confirm that it holds") from None
+
+    def _parted(self, task: asyncio.Future[Any]) -> None:
+        self.parting.discard(task)
+        if not task.cancelled():
+            task.exception()  # a stop that outlived its caller: the caller has reported the failure
 
 
 def _ignore_progress(feedback: Any = None, *, fraction: float | None = None) -> None:

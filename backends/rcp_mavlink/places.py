@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import math
 
+from msgspec.structs import replace
+
 from rcp_kernel.errors import InvalidValue, PreconditionFailed
+from rcp_kernel.types import PoseStamped
+from rcp_mavlink import enu
 from rcp_mavlink import messages as m
 from rcp_mavlink.geo import distance, shifted
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.vehicle import Fix, Vehicle
 
-__all__ = ["away", "fix_of", "located", "part", "place_of", "reach"]
+__all__ = ["away", "fix_of", "located", "native_goal", "part", "place_of", "pose_of", "reach"]
 
 _POSITION_TIMEOUT = 3.0  # s
 _CIRCLE = 80.0  # m, radius assumed for a plane that does not report one
 _RADII = ("WP_LOITER_RAD", "NAV_LOITER_RAD")
+_FRAME = "map"
+_NEAR, _NEAR_ALOFT = 1.0, 0.5  # m from the target that count as arrived; a rover stops farther off
 _ROUND = 1.5  # radii from the centre of the circle that count as arrived
 
 
@@ -53,6 +59,47 @@ def place_of(vehicle: Vehicle, goal: m.MoveTo, fix: Fix) -> tuple[float, float]:
     if home is None:
         raise PreconditionFailed("move_to: home is not known yet")
     return shifted(goal.north or 0.0, goal.east or 0.0, home[:2])
+
+
+def native_goal(vehicle: Vehicle, goal: m.MoveTo) -> m.MoveTo:
+    """Return a goal in the map as metres north and east with a heading from north.
+
+    :raises InvalidValue: its frame is not the map, or it names another target as well.
+    """
+    tolerance = goal.tolerance
+    if goal.position is None:
+        return replace(goal, tolerance=_NEAR if tolerance is None else tolerance)
+    if goal.frame != _FRAME:
+        raise InvalidValue(
+            f"move_to: the vehicle has no frame '{goal.frame}'",
+            remedy="Give the position in `map`: metres east, north and up from home.",
+            details={"pointer": "/frame"},
+        )
+    others = (goal.latitude, goal.longitude, goal.north, goal.east, goal.altitude)
+    if any(other is not None for other in others):
+        raise InvalidValue("give `position`, or another target, not both")
+    if tolerance is None:
+        tolerance = _NEAR if vehicle.family.drives else _NEAR_ALOFT
+    return m.MoveTo(
+        north=goal.position.y,
+        east=goal.position.x,
+        altitude=goal.position.z,
+        yaw=None if goal.yaw is None else enu.heading(goal.yaw),
+        speed=goal.speed,
+        tolerance=tolerance,
+    )
+
+
+def pose_of(vehicle: Vehicle, fix: Fix, heading: float | None) -> PoseStamped:
+    """Return the position and heading in the map.
+
+    :raises PreconditionFailed: home is not known.
+    """
+    home = vehicle.home
+    if home is None:
+        raise PreconditionFailed("home is not known yet")
+    where = enu.place(fix.lat, fix.lon, fix.height, home[:2])
+    return PoseStamped(where, enu.flat(heading or 0.0), _FRAME)
 
 
 def away(vehicle: Vehicle, fix: Fix, lat: float, lon: float, altitude: float) -> float:

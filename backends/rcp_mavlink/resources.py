@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any
 
-from msgspec import Meta, structs
+from msgspec import Meta
 
 from rcp_kernel.model import Resource
 from rcp_mavlink import messages as m
+from rcp_mavlink.derived import Derived
 from rcp_mavlink.files import (
     Check,
     Entry,
@@ -25,8 +26,10 @@ from rcp_mavlink.hub import Hub
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import About, about
 from rcp_mavlink.paramcoding import bounds
+from rcp_mavlink.profiles import claimed, offers
 from rcp_mavlink.sensors import Sensor
 from rcp_mavlink.vehicle import Vehicle
+from rcp_profiles import Offer
 
 __all__ = ["parameter", "resources"]
 
@@ -56,10 +59,10 @@ _RALLY = {
 
 
 def resources(
-    hub: Hub, vehicle: Vehicle, sensors: list[Sensor], name: Callable[[str], str]
+    hub: Hub, vehicle: Vehicle, sensors: list[Sensor], derived: list[Derived], robot: str | None
 ) -> list[Resource]:
-    """List the resources of a vehicle except its parameters."""
-    found = [
+    """List the resources of a vehicle except its parameters, under the profiles that it claims."""
+    found: list[Resource | Offer] = [
         Resource(
             name=sensor.name,
             description=sensor.description,
@@ -71,13 +74,22 @@ def resources(
         )
         for sensor in sensors
     ]
+    found += [
+        Resource(
+            name=one.name,
+            description=one.description,
+            value=one.type,
+            live=one.live,
+            deadline=_STALE if one.live else None,
+            native=one.messages[0],
+            meta={"message": one.messages[0], "system": vehicle.system},
+        )
+        for one in derived
+    ]
     family = vehicle.family
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
-    return [
-        structs.replace(resource, name=name(resource.name))
-        for resource in found
-        if resource.name not in family.without
-    ]
+    found += offers(family, hub.config.max_speed)
+    return claimed(family, [one for one in found if one.name not in family.without], robot)
 
 
 def parameter(path: str, name: str, type_: int, published: Mapping[str, About]) -> Resource:
@@ -147,7 +159,7 @@ def _actions() -> list[Resource]:
         _action("takeoff", "Climb to a height above home; the vehicle must be armed.", 180, input=m.TakeOff | None, output=m.Height, feedback=m.Height, examples=({"altitude": 10.0},)),
         _action("land", "Land at the current position and disarm.", 600, output=m.Height, feedback=m.OnItsWay),
         _action("rtl", "Return home: a copter lands and disarms, a plane circles there, a rover stops.", 1800, output=m.Height, feedback=m.OnItsWay),
-        _action("move_to", "Go to a position, given by latitude and longitude or in metres from home; a plane circles around it.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.OnItsWay, examples=({"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
+        _action("move_to", "Go to a position, in the map or by latitude and longitude or in metres from home; a plane circles around it.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.Underway, examples=({"position": {"x": 5.0, "y": 20.0, "z": 15.0}}, {"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
         _action("set_mode", "Change the flight mode.", 15, input=m.SetMode, output=m.SetMode, examples=({"mode": "GUIDED"},)),
         _action("mission/upload", "Replace the mission.", 300, input=m.Items, output=m.Uploaded, examples=(_WAYPOINTS,)),
         _action("mission/run", "Run the mission to its end; the vehicle must be armed.", 7200, output=m.MissionProgress, feedback=m.MissionProgress),

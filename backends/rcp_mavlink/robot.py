@@ -15,16 +15,18 @@ from msgspec.structs import replace
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceTimeout,
+    PreconditionFailed,
     RcpError,
     UnsupportedOperation,
 )
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import Host, Progress, RobotFacts
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.cameras import Cameras
 from rcp_mavlink.clock import Clock
 from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.derived import Derived, DerivedFrame, deriveds
 from rcp_mavlink.described import Described
 from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
@@ -43,6 +45,7 @@ from rcp_mavlink.recovery import Recovery
 from rcp_mavlink.resources import parameter, resources
 from rcp_mavlink.sensors import BASE, ESTIMATOR, sensors
 from rcp_mavlink.setpoints import Setpoints
+from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.stop import Stop
 from rcp_mavlink.stop_plan import GuardPlan
 from rcp_mavlink.telemetry_events import TelemetryEvents
@@ -61,7 +64,8 @@ _TIMED_AT_FIRST, _TIMED = (
     10,
 )  # polls: the time is requested at each of the first, then at every so many
 _FIRST_POSITION = 3.0  # s
-_ALLOWED_BLIND = ("action/land", "action/rtl")
+_ALLOWED_BLIND = ("action/land", "action/rtl", "action/return_home")
+_RESTING = 5.0  # s to come to rest before the motors are stopped
 _COMING_BACK = 30.0  # s for a reboot
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
@@ -95,12 +99,17 @@ class Robot:
             sensor.name: sensor
             for sensor in sensors(hub.dialect, config.messages, px4=vehicle.family.px4)
         }
+        self._deriveds = {one.name: one for one in deriveds(hub.dialect)}
         self._watched: dict[str, int] = {}
         """Number of subscribers by message name."""
         self._paths: dict[int, list[tuple[str, bool]]] = {}
         for sensor in self._sensors.values():
             number = hub.dialect.by_name[sensor.message].id
             self._paths.setdefault(number, []).append((self.name(sensor.name), sensor.live))
+        self._derived_paths: dict[int, list[tuple[str, Derived]]] = {}
+        for one in self._deriveds.values():
+            number = hub.dialect.by_name[one.messages[0]].id
+            self._derived_paths.setdefault(number, []).append((self.name(one.name), one))
         self._declared: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
@@ -118,7 +127,8 @@ class Robot:
             32: self._positioned,  # LOCAL_POSITION_NED
             33: self._positioned,  # GLOBAL_POSITION_INT
         }
-        flights = Flights(vehicle, self._commands, self.motion, self.parameters)
+        self.speed_limit = SpeedLimit(vehicle, self.parameters)
+        flights = Flights(vehicle, self._commands, self.motion, self.parameters, self.speed_limit)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
         leading = {**flights.verbs(), "action/mission/run": missions.run}
         logs, files = Logs(hub, vehicle), Files(hub, vehicle)
@@ -145,6 +155,9 @@ class Robot:
             "service/param/read": self._read_parameter,
             "service/param/save": self._save,
             "service/reboot": self._reboot,
+            "service/reset_system": self._reset,
+            "service/enable": self.motion.arm,
+            "service/disable": self.motion.disarm,
         }
 
     @property
@@ -168,8 +181,12 @@ class Robot:
 
     def begin(self) -> None:
         """Declare its resources; request its messages and parameters."""
-        found = resources(self._hub, self.vehicle, list(self._sensors.values()), self.name)
-        self._declare(found)
+        sensors, derived = list(self._sensors.values()), list(self._deriveds.values())
+        self._declare(resources(self._hub, self.vehicle, sensors, derived, self.scope))
+        family = self.vehicle.family
+        kind = "submarine" if family.kind == "sub" else family.kind
+        firmware = None if family.autopilot == "unknown" else family.autopilot
+        self._host.describe(RobotFacts(kind=kind, firmware=firmware), self.scope)
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telemetry_events.text)
         self.telemetry_events.begin()
@@ -229,9 +246,19 @@ class Robot:
             for name, live in paths:
                 if live or watched:
                     self._host.publish(name, frame, at)
+        if number in self._derived_paths:
+            self._derive(frame)
         heed = self._heeded.get(number)
         if heed is not None:
             heed(frame)
+
+    def _derive(self, frame: Frame) -> None:
+        """Publish what is made of a message and the latest of others."""
+        latest, watched = self.vehicle.latest, frame.definition.name in self._watched
+        for name, one in self._derived_paths[frame.definition.id]:
+            if (one.live or watched) and latest.keys() >= set(one.messages):
+                at = self._clock.of(frame)
+                self._host.publish(name, DerivedFrame(one, latest, at), at)
 
     def _heartbeat(self, frame: Frame) -> None:
         self.telemetry_events.frame(frame)
@@ -343,6 +370,21 @@ class Robot:
             raise DeviceTimeout("reboot: accepted, but the vehicle has not come back")
         self.intervals.begin()
 
+    async def _reset(self, _: None, progress: Progress) -> None:
+        """Stop, disarm and reboot the vehicle.
+
+        :raises PreconditionFailed: it may be in the air, where a reboot would make it fall.
+        """
+        vehicle = self.vehicle
+        if vehicle.family.flies and vehicle.armed and vehicle.landed is not True:
+            raise PreconditionFailed("reset: the vehicle is in the air", remedy="Land it first.")
+        self.setpoints.end()
+        if vehicle.armed:
+            await self.motion.hold()
+            await vehicle.until(lambda: self.motion.rests, _RESTING)
+            await self.motion.disarm(None, progress)
+        await self._reboot(None, progress)
+
     async def _set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
         family = self.vehicle.family
         if given.mode.upper() == family.auto:
@@ -378,17 +420,16 @@ class Robot:
         """Return the present value of one of its own paths."""
         vehicle = self.vehicle
         vehicle.check()
-        sensor = self._sensors.get(name)
+        sensor, derived = self._sensors.get(name), self._deriveds.get(name)
         if sensor is not None:
-            since = time.monotonic()
-            await self.intervals.request(sensor.message)
-            fresh = await vehicle.until(
-                lambda: vehicle.received_at.get(sensor.message, 0.0) >= since,
-                self._hub.config.timeout,
-            )
-            if not fresh:
-                raise DeviceTimeout(f"the vehicle did not send {sensor.message}")
+            await self._fresh((sensor.message,))
             return vehicle.latest[sensor.message].decode()
+        if derived is not None:
+            await self._fresh(derived.messages)
+            at = self._clock.of(vehicle.latest[derived.messages[0]])
+            return DerivedFrame(derived, vehicle.latest, at).decode()
+        if name == "param/speed_limit":
+            return await self.speed_limit.read()
         if name.startswith("param/"):
             own = name.removeprefix("param/")
             await self.parameters.read(own)
@@ -398,18 +439,47 @@ class Robot:
             raise AdapterUnavailable(f"no value for '{name}' received yet")
         return value
 
+    async def _fresh(self, messages: tuple[str, ...]) -> None:
+        """Have the vehicle send messages now.
+
+        :raises DeviceTimeout: one does not come.
+        """
+        since = time.monotonic()
+        for message in messages:
+            await self.intervals.request(message)
+        for message in messages:
+            fresh = await self.vehicle.until(
+                lambda message=message: self.vehicle.received_at.get(message, 0.0) >= since,
+                self._hub.config.timeout,
+            )
+            if not fresh:
+                raise DeviceTimeout(f"the vehicle did not send {message}")
+
     async def write(self, name: str, value: Any) -> Any:
         """Apply a value."""
+        if name == "param/speed_limit":
+            return await self.speed_limit.write(value)
         if name.startswith("param/"):
             own = name.removeprefix("param/")
             await self.parameters.write(own, value)
             return self._value(own)
         self.vehicle.check()
         if name == "actuator/velocity":
-            await self.setpoints.velocity(value)
+            await self.setpoints.velocity(self._limited(value, strictly=False))
+        elif name == "actuator/cmd_vel":
+            linear = value.linear
+            own = m.Velocity(linear.x, linear.y, linear.z, value.angular.z)
+            await self.setpoints.velocity(self._limited(own, strictly=True))
         else:
             await self.setpoints.attitude(value)
         return None
+
+    def _limited(self, value: Any, *, strictly: bool) -> m.Velocity:
+        """Return a velocity of the same direction within the speed limit over the ground."""
+        x, y = value.x, getattr(value, "y", 0.0)
+        speed = math.hypot(x, y)
+        share = self.speed_limit.kept(speed, strictly=strictly) / speed if speed else 1.0
+        return m.Velocity(x * share, y * share, getattr(value, "z", 0.0), value.yaw_rate)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service."""
@@ -425,21 +495,23 @@ class Robot:
 
     @asynccontextmanager
     async def _watch(self, name: str, rate: float) -> AsyncGenerator[None]:
-        sensor = self._sensors.get(name)
-        if sensor is None:
-            yield
-            return
-        message = sensor.message
-        self._watched[message] = self._watched.get(message, 0) + 1
-        unwant = self.intervals.want(message, rate)
-        self._start(self._first(message))
+        sensor, derived = self._sensors.get(name), self._deriveds.get(name)
+        messages = () if derived is None else derived.messages
+        if sensor is not None:
+            messages = (sensor.message,)
+        unwants: list[Callable[[], None]] = []
+        for message in messages:
+            self._watched[message] = self._watched.get(message, 0) + 1
+            unwants.append(self.intervals.want(message, rate))
+            self._start(self._first(message))
         try:
             yield
         finally:
-            unwant()
-            self._watched[message] -= 1
-            if not self._watched[message]:
-                del self._watched[message]
+            for message, unwant in zip(messages, unwants, strict=True):
+                unwant()
+                self._watched[message] -= 1
+                if not self._watched[message]:
+                    del self._watched[message]
 
     async def _first(self, message: str) -> None:
         """Request the first value at once, for messages that are rare."""

@@ -1,4 +1,4 @@
-"""The message behind each path, by the kind of autopilot."""
+"""The message behind each path, by the kind of autopilot; `derived` has those of the profiles."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ _SENSORS = (
     Sensor("sensor/attitude", "ATTITUDE", "Roll, pitch and yaw with their rates; forward, right, down."),
     Sensor("sensor/position/global", "GLOBAL_POSITION_INT", "Estimated position: degrees, height above sea level and above home, velocity north, east, down.", live=True),
     Sensor("sensor/position/local", "LOCAL_POSITION_NED", "Estimated position in metres and velocity, north, east and down from the estimator's origin."),
-    Sensor("sensor/velocity", "VFR_HUD", "Ground speed, airspeed, climb rate, heading and throttle."),
     Sensor("sensor/gps", "GPS_RAW_INT", "GPS receiver: fix, satellites, accuracy."),
-    Sensor("sensor/battery", "BATTERY_STATUS", "Cell voltages, current, remaining charge."),
     Sensor("sensor/rc", "RC_CHANNELS", "Sticks and switches of the transmitter, as pulse widths."),
     Sensor("sensor/rangefinder", "DISTANCE_SENSOR", "Distance measured by the range finder."),
     Sensor("sensor/health", "SYS_STATUS", "Sensors present, enabled and healthy as bits; load, battery.", live=True),

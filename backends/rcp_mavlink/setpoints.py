@@ -46,9 +46,9 @@ class Setpoints:
         self._message: Any = None
         self._left: int | None = None
 
-    async def velocity(self, value: Any) -> None:
+    async def velocity(self, value: m.Velocity) -> None:
         """Send a velocity in the body frame; all zeros is rest."""
-        x, y, z = value.x, getattr(value, "y", 0.0), getattr(value, "z", 0.0)
+        x, y, z = value.x, value.y, value.z
         resting = not (x or y or z or value.yaw_rate)
         if resting and (self._task is None or not self._leads()):
             self.end()

@@ -14,7 +14,7 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotFacts, Watchdog
 from rcp_kernel.values import value_type
 from rcp_mujoco.actions import Actions
 from rcp_mujoco.config import MujocoConfig
@@ -27,6 +27,12 @@ from rcp_mujoco.robot import Robot
 __all__ = ["MujocoBackend", "open_robot"]
 
 _HALT = 5.0  # s for the brakes to bring a robot to rest
+
+
+def _kind(robot: Robot) -> str | None:
+    if robot.arm is not None:
+        return "arm" if robot.wheels is None else "mobile_manipulator"
+    return None if robot.wheels is None else "rover"
 
 
 @asynccontextmanager
@@ -43,6 +49,7 @@ async def open_robot(config: MujocoConfig, host: Host) -> AsyncGenerator[MujocoB
         safe["cmd_vel"] = value_type(offered.type_of("actuator/cmd_vel")).convert({})
     device = Device(robot, host, safe)
     host.declare(*offered.resources)
+    host.describe(RobotFacts(kind=_kind(robot)))
     cameras = camera_resources(robot) if config.cameras else {}
     backend = MujocoBackend(device, offered, {r.name: name for name, r in cameras.items()})
     device.publish(backend.settings())

@@ -13,11 +13,10 @@ from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
-import msgspec
-
 from rcp_conditions import CLOCK, Condition, Ref, size_of
-from rcp_kernel._plain import is_index, is_map, is_sequence
+from rcp_kernel._plain import is_map
 from rcp_kernel.clock import Clock
+from rcp_kernel.contract.fields import inner
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain
@@ -154,7 +153,7 @@ class Conditions:
     def _look(values: dict[Ref, Any], ref: Ref, entry: Entry, field: Ref) -> None:
         assert entry.latest is not None
         try:
-            raw = _inner(entry.latest.value, field)
+            raw = inner(entry.latest.value, field)
             if size_of(raw) is None:  # before it is copied
                 return
             value = to_plain(raw)
@@ -167,7 +166,7 @@ class Conditions:
 def _too_large(entry: Entry, field: Ref) -> bool:
     assert entry.latest is not None
     try:
-        return size_of(_inner(entry.latest.value, field)) is None
+        return size_of(inner(entry.latest.value, field)) is None
     except LookupError:
         return False
 
@@ -175,25 +174,6 @@ def _too_large(entry: Entry, field: Ref) -> bool:
 def _candidates(ref: Ref) -> list[str]:
     """List the resources that a name may mean, the longest first."""
     return ["/".join(ref[:length]) for length in range(len(ref), 1, -1)]
-
-
-def _inner(value: Any, field: Ref) -> Any:
-    """Go into a value.
-
-    :raises LookupError: there is no such field.
-    """
-    for name in field:
-        if isinstance(value, msgspec.Struct):
-            if name not in value.__struct_fields__:
-                raise LookupError(name)
-            value = getattr(value, name)
-        elif is_map(value):
-            value = value[name]
-        elif is_sequence(value) and is_index(name):
-            value = value[int(name)]
-        else:
-            raise LookupError(name)
-    return value
 
 
 def _finite(value: Any) -> bool:

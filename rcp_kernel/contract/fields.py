@@ -16,7 +16,7 @@ from msgspec import inspect as mi
 from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_protocol.shape import children, facts_of
 
-__all__ = ["Field", "Leaf"]
+__all__ = ["Field", "Leaf", "inner"]
 
 _NUMBERS = (mi.IntType, mi.FloatType, mi.AnyType)
 _WORDS = (mi.StrType, mi.EnumType, mi.LiteralType, mi.BoolType, mi.IntType, mi.AnyType)
@@ -44,9 +44,10 @@ class Field:
 
     def one(self, value: Any) -> Any:
         """Return the value of a field without `*`; None if it is missing."""
-        for step in self._steps:
-            value = _into(value, step)
-        return value
+        try:
+            return inner(value, self._steps)
+        except LookupError:
+            return None
 
     def every(self, value: Any) -> Iterable[tuple[str, Any]]:
         """Yield every position that the field matches with its value, None if missing."""
@@ -69,13 +70,26 @@ class Field:
         )
 
 
+def inner(value: Any, steps: Iterable[str]) -> Any:
+    """Go into a value, a name or an index at a time.
+
+    :raises LookupError: there is no such field.
+    """
+    for step in steps:
+        value = _into(value, step)
+    return value
+
+
 def _walk(value: Any, steps: tuple[str, ...], done: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
     for at, step in enumerate(steps):
         if step == "*":
             for name, item in _elements(value):
                 yield from _walk(item, steps[at + 1 :], (*done, *steps[:at], name))
             return
-        value = _into(value, step)
+        try:
+            value = _into(value, step)
+        except LookupError:
+            value = None
     yield ".".join((*done, *steps)), value
 
 
@@ -89,15 +103,15 @@ def _elements(value: Any) -> Iterable[tuple[str, Any]]:
 
 def _into(value: Any, step: str) -> Any:
     if isinstance(value, msgspec.Struct) or dataclasses.is_dataclass(value):
-        name = _attributes(type(value)).get(step)
-        return None if name is None else getattr(value, name)
+        return getattr(value, _attributes(type(value))[step])
     if is_map(value):
-        return value.get(step)
+        return value[step]
     if is_sequence(value):
         if step in getattr(value, "_fields", ()):
             return getattr(value, step)
-        return value[int(step)] if is_index(step) and int(step) < len(value) else None
-    return None
+        if is_index(step):
+            return value[int(step)]
+    raise LookupError(step)
 
 
 @lru_cache(maxsize=4096)

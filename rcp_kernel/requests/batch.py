@@ -19,8 +19,9 @@ from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpErro
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.pages import MOST_BATCH, shared_room
 from rcp_kernel.requests.parts import Parts, Written, expected
+from rcp_kernel.safety.estop import EstopRequest
 from rcp_kernel.sessions.session import Answer, Handler, Session
-from rcp_kernel.values import Encoding
+from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import (
     NO_BODY,
     Reply,
@@ -37,6 +38,7 @@ __all__ = ["BatchHandler"]
 _ESTOP = "/system/estop"
 _LOOKS = frozenset(("read", "discover", "status"))
 """Requests that change nothing and can be repeated individually."""
+_ESTOP_INPUT = value_type(EstopRequest | None)
 
 
 class BatchHandler:
@@ -163,9 +165,14 @@ class _Batch:
 
 
 def _is_stop(request: Request) -> bool:
-    return (
-        request.type == "execute" and request.path == _ESTOP and b"reset" not in bytes(request.body)
-    )
+    """Tell an e-stop from its reset, which keeps its place."""
+    if request.type != "execute" or request.path != _ESTOP:
+        return False
+    try:
+        asked = request.decode_body(_ESTOP_INPUT, "input")
+    except RcpError:  # it will be refused
+        return False
+    return asked is None or not asked.reset
 
 
 def _without_body(reply: Reply, size: int, limit: int) -> Reply:

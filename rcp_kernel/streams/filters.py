@@ -11,9 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel._plain import is_list, is_map
+from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import FilterUnsupported, InvalidValue
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.samples import getter
 from rcp_kernel.values import Encoding
 
 __all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
@@ -189,7 +189,7 @@ def _term(key: str, item: Any, node: dict[str, Any], budget: list[int]) -> Predi
     field = node.get("field", "")
     if not isinstance(field, str):
         raise _bad("`field` is a text")
-    return _comparison(getter(field) if field else lambda value: value, compare, item)
+    return _comparison(Field(field).one, compare, item)
 
 
 def _comparison(
@@ -233,7 +233,7 @@ class Change:
         elif deadband is not None:
             self._bands = {field: _band(size) for field, size in deadband.items()}
         looked_at = tuple(self._bands) if self._bands is not None else fields
-        gets = [getter(f) if f else _whole for f in looked_at] if looked_at else None
+        gets = [Field(f).one for f in looked_at] if looked_at else None
         self._get = gets
         self._last: Any = None
 
@@ -251,10 +251,6 @@ class Change:
             return last != seen
         pairs = zip(self._bands.values(), last, seen, strict=True)
         return any(_apart(band, old, new) for band, old, new in pairs)
-
-
-def _whole(value: Any) -> Any:
-    return value
 
 
 def _apart(band: Callable[[float, float], bool], old: Any, new: Any) -> bool:

@@ -8,14 +8,15 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel._plain import is_index, is_map, is_sequence
+from rcp_kernel._plain import is_map
 from rcp_kernel.clock import iso
+from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
 from rcp_kernel.spi import Native
 from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value_type
 from rcp_kernel.wire import Body, encode_frame
 
-__all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "masked", "project"]
+__all__ = ["NATIVE", "READ_PIECE", "Sample", "masked", "project"]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
@@ -252,30 +253,11 @@ def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:
     return Sample(sample.entry, masked, sample.timestamp, sample.received, sample.seq)
 
 
-def getter(dotted: str) -> Any:
-    """Return a function that gets `position.x` of a value, or None if it is missing."""
-    names = dotted.split(".")
-
-    def get(value: Any) -> Any:
-        for name in names:
-            if isinstance(value, msgspec.Struct):
-                value = getattr(value, name, None)
-            elif is_map(value):
-                value = value.get(name)
-            elif is_sequence(value) and is_index(name) and int(name) < len(value):
-                value = value[int(name)]
-            else:
-                return None
-        return value
-
-    return get
-
-
 def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
     """Keep only some fields, nested as they were: `position.x` gives `{"position": {"x": …}}`."""
     out: dict[str, Any] = {}
     for dotted in fields:
-        found = getter(dotted)(value)
+        found = Field(dotted).one(value)
         names = dotted.split(".")
         place = out
         for name in names[:-1]:

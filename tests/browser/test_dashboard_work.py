@@ -209,10 +209,10 @@ async def test_a_rover_out_of_reach_is_named_until_it_is_at_rest(
     assert (await robot.post(path, json=fault)).is_success
     await page.get_by_test_id("estop").click()
     await expect(page.get_by_test_id("stop-missing")).to_contain_text("Not confirmed: rover-beta")
-    await expect(page.get_by_test_id("stop-progress")).to_have_text("3 of 4 robots at rest.")
+    await expect(page.get_by_test_id("stop-progress")).to_have_text("5 of 6 robots at rest.")
     await expect(page.locator('[data-robot="rover-beta"]')).not_to_contain_text("stopped")
     await tab.shoot("estop-unreachable")
-    await expect(page.get_by_test_id("stop-progress")).to_have_text("All 4 robots are at rest.")
+    await expect(page.get_by_test_id("stop-progress")).to_have_text("All 6 robots are at rest.")
     await expect(page.locator('[data-robot="rover-beta"]')).to_contain_text("stopped, at rest")
     admin = {"authorization": f"Bearer {running.admin}"}
     body = {"type": "execute", "path": "/system/estop", "body": {"reset": True}}

@@ -18,7 +18,7 @@ from installed.fresh import importable, said, venv, wheels
 
 pytestmark = pytest.mark.timeout(900)
 
-OF_EXTRAS = "a2a starlette mcp pymavlink fastcrc can canopen cantools simplejpeg numpy rclpy"
+OF_EXTRAS = "a2a starlette mcp pymavlink fastcrc can canopen cantools simplejpeg mujoco numpy rclpy"
 
 ADAPTERS = """
 [transports.asgi]
@@ -38,8 +38,13 @@ buses.can0.interface = "virtual"
 use = "mavlink"
 tenant = "b"
 links = ["sim:copter"]
+
+[[backends]]
+use = "mujoco"
+tenant = "c"
+model = "rover"
 """
-WANTED = ["a2a", "mcp", "can", "mavlink"]
+WANTED = ["a2a", "mcp", "can", "mavlink", "mujoco"]
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import BaseBackend, Host, Progress
 from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import Pose, quantity
 
@@ -72,9 +72,15 @@ RESOURCES = (
 )
 
 
+class PublishingRobot(ScriptedRobot):
+    """A robot that publishes without being watched: what it has not published has no value."""
+
+    watch = BaseBackend.watch
+
+
 def robot(host: Host) -> ScriptedRobot:
-    """Make a robot of few words."""
-    made = ScriptedRobot(host, *RESOURCES)
+    """Make a robot with a value of each kind."""
+    made = PublishingRobot(host, *RESOURCES)
     made.measure("sensor/pose", {"position": {"x": 1.0, "y": 2.0}})
     made.measure("sensor/text", "x")
     made.measure("sensor/blob", b"0123456789")

@@ -55,7 +55,9 @@ class PlaneFlight(Flight):
             if vehicle.body.landed and not self.taking_off:
                 self.lift(vehicle.params["TKOFF_ALT"])
             elif self.taking_off and self.risen():
+                height = pilot.depth
                 pilot.hold()
+                pilot.depth = height  # it climbs the last metres while it circles
         elif vehicle.kind.by_hand(self.mode):
             self._by_stick(self.mode)
         pilot.spinning = pilot.spinning or not vehicle.body.landed

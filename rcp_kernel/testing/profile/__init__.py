@@ -25,6 +25,7 @@ _PROBES = {
     "action/move_tool": ("tool",),
     "action/move_gripper": ("opening",),
     "action/arm": ("armed", "land"),
+    "sensor/gnss": ("geographic",),
 }
 
 

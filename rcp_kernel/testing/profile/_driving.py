@@ -15,8 +15,8 @@ __all__ = ["DriveTests", "MobileTests"]
 _WAY = 0.3  # m to drive before its direction is judged
 _ANGLE = 0.4  # rad to turn before its direction is judged
 _SHARE = 0.2  # relative tolerance of a speed
+_FIRST = 0.5  # m that it may have moved before its first feedback
 _SLACK = 0.03  # m/s or rad/s, additional absolute tolerance
-_METRE = 1.0
 
 
 def _close(found: float, wanted: float, slack: float = _SLACK) -> bool:
@@ -209,18 +209,20 @@ class MobileTests(DriveTests):
 
     async def test_it_goes_one_metre_along_x(self, robot: Robot) -> None:
         self.needs("action/move_to")
-        await self._goes(_METRE, 0.0)
+        await self._goes(self.hop, 0.0)
 
     async def test_it_goes_one_metre_along_y(self, robot: Robot) -> None:
         self.needs("action/move_to")
-        await self._goes(0.0, _METRE)
+        await self._goes(0.0, self.hop)
 
     async def test_its_feedback_tells_the_metres_and_seconds_left(self, robot: Robot) -> None:
         self.needs("action/move_to")
-        feedback = await self._goes(_METRE, 0.0)
+        feedback = await self._goes(self.hop, 0.0)
         left = [one["distance_remaining"] for one in feedback]
         assert left, "no feedback came"
-        assert abs(left[0] - _METRE) <= 0.5, f"1 m was left, but {left[0]:g} m reported"
+        slack = max(_FIRST, self.near)
+        what = f"{self.hop:g} m was left, but {left[0]:g} m reported"
+        assert abs(left[0] - self.hop) <= slack, what
         assert left[-1] <= left[0], f"the distance grew: {left}"
         rises = [b - a for a, b in itertools.pairwise(left)]
         assert all(rise < self.near for rise in rises), f"the distance rises: {left}"
@@ -232,8 +234,16 @@ class MobileTests(DriveTests):
     async def test_it_turns_to_the_heading_of_its_goal(self, robot: Robot) -> None:
         self.needs("action/move_to")
         await self.make_ready()
-        yaw = math.remainder((await self.body()).yaw + 1.0, math.tau)
-        await self._goes(_METRE, 0.0, yaw=yaw)
+        start = await self.body()
+        yaw = math.remainder(start.yaw + 1.0, math.tau)
+        at = {"x": start.x + self.hop, "y": start.y, "z": start.z}
+        goal = {"position": at, "frame": self.frame, "yaw": yaw}
+        reply = await self.ask("execute", "action/move_to", body=goal)
+        if reply["status"] == "rejected":  # it faces its direction of travel
+            assert reply["error"]["details"]["pointer"] == "/yaw", reply
+            assert math.hypot(*(await self.body()).ahead_of(start)) <= self.near
+            return
+        assert reply["status"] == "completed", reply
         found = (await self.body()).yaw
         assert abs(math.remainder(found - yaw, math.tau)) < 0.2, f"heads {found:g}, not {yaw:g}"
 
@@ -244,31 +254,34 @@ class MobileTests(DriveTests):
         goal = {"position": {"x": start.x + 1.0, "y": start.y}, "frame": "no_such_frame"}
         reply = await self.ask("execute", "action/move_to", body=goal)
         assert reply["status"] == "rejected", f"a goal in a frame that there is not: {reply}"
-        assert _way(start, await self.body()) == _way(start, start)
+        assert math.hypot(*(await self.body()).ahead_of(start)) <= self.near
 
     async def test_it_keeps_to_the_speed_limit(self, robot: Robot) -> None:
         self.needs("action/move_to", "param/speed_limit")
         await self.make_ready()
         before = await self.fresh("param/speed_limit")
-        limit = await self.do("write", "param/speed_limit", body=self.speed)
+        limit = await self.do("write", "param/speed_limit", body=self.limit or self.speed)
         assert _close(await self.fresh("param/speed_limit"), limit)
+        most = limit * (1 + _SHARE) + _SLACK
         start = await self.body()
-        at = {"x": start.x + _METRE, "y": start.y, "z": start.z}
+        at = {"x": start.x + self.hop, "y": start.y, "z": start.z}
         goal = {"position": at, "frame": self.frame}
         path = self.running.path(self.full("action/move_to"))
         id_ = await self.running.client.send(type="execute", path=path, body=goal)
-        fastest = 0.0
+        fastest, slowed = 0.0, False
 
         async def there() -> bool:
-            nonlocal fastest
+            nonlocal fastest, slowed
             body = await self.body()
-            fastest = max(fastest, body.speed)
-            return math.hypot(body.x - start.x - _METRE, body.y - start.y) <= self.near
+            slowed = slowed or body.speed <= most  # an aeroplane may fly faster at first
+            fastest = max(fastest, body.speed) if slowed else fastest
+            return math.hypot(body.x - start.x - self.hop, body.y - start.y) <= self.near
 
         await eventually(there, "it arrives under a speed limit", self.complete_within)
         final = await self.running.client.final(id_, self.complete_within)
         assert final["status"] == "completed", final
-        assert fastest <= limit * (1 + _SHARE) + _SLACK, f"limit {limit:g} m/s, driven {fastest:g}"
+        assert slowed, f"limit {limit:g} m/s, and it was never that slow"
+        assert fastest <= most, f"limit {limit:g} m/s, driven {fastest:g}"
         await self.do("write", "param/speed_limit", body=before)
 
 

@@ -35,6 +35,8 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
     left: float = 0.0
     up: float = 0.0
     yaw_rate: float = 0.0
+    still: float = 0.02
+    """The velocity, m/s or rad/s, up to which it counts as at rest."""
 
     @property
     def speed(self) -> float:
@@ -44,7 +46,7 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def moves(self) -> bool:
         """Whether it moves or turns."""
-        return max(self.speed, abs(self.up), abs(self.yaw_rate)) > 0.02
+        return max(self.speed, abs(self.up), abs(self.yaw_rate)) > self.still
 
     def ahead_of(self, other: Body) -> tuple[float, float]:
         """Return its position relative to another pose: ahead and to the left, m."""
@@ -73,6 +75,10 @@ class ProfileRig(BackendTests):
     """A moderate yaw rate, rad/s; 0: it cannot turn."""
     turn_speed: ClassVar[float] = 0.0
     """The speed that it needs in order to turn, m/s; 0: it turns on the spot."""
+    limit: ClassVar[float] = 0.0
+    """A speed limit that it can keep to, m/s; 0: `speed`."""
+    hop: ClassVar[float] = 1.0
+    """How far to send it, m; more than `near`."""
     near: ClassVar[float] = 0.2
     """Maximum distance from its goal at the end, m."""
     reach: ClassVar[float] = 0.2
@@ -81,7 +87,7 @@ class ProfileRig(BackendTests):
     # Given by the author
 
     async def make_ready(self) -> None:
-        """Prepare the device to move 2 m in each direction; for example armed and flying."""
+        """Prepare the device to move `hop`, at least 2 m, in each direction; for example armed and flying."""
 
     async def body(self) -> Body:
         """Return its pose and velocity."""

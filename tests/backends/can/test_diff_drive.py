@@ -34,6 +34,11 @@ async def settled(rig: Rig, left: float, right: float) -> None:
     )
 
 
+async def test_it_says_what_it_is() -> None:
+    async with rover() as rig:
+        assert rig.host.facts[None].kind == "differential_drive"
+
+
 async def test_a_twist_turns_the_wheels_by_track_and_radius() -> None:
     async with rover() as rig:
         for name in ("l", "r"):

@@ -34,6 +34,9 @@ HEADING, KEPT = 90.0, 0.05  # deg that it looks to at first, rad by which it may
 GUIDED = 4
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
+ON_THE_GROUND = (
+    "action/arm", "action/calibrate", "service/reboot", "service/reset_system", "service/enable",
+)  # fmt: skip
 SCRIPT, MOVED, MADE = "/APM/scripts/a.lua", "/APM/scripts/b.lua", "/APM/made"
 LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
 
@@ -71,6 +74,8 @@ class MavlinkRig(StopRig):
 
     async def truth(self, name: str) -> Any:
         pilot = self.vehicle.pilot
+        if name == "param/speed_limit":
+            return self.vehicle.params["WPNAV_SPEED"] / 100
         if name.startswith("param/"):
             value = self.vehicle.params[name.removeprefix("param/")]
             return int(value) if name == "param/RTL_ALT" else value
@@ -81,6 +86,14 @@ class MavlinkRig(StopRig):
                 ve * math.cos(yaw) - vn * math.sin(yaw),
             )
             return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
+        if name == "actuator/cmd_vel":
+            # The last turn ends while the velocity is repeated, which shows in its third decimal.
+            turned = await self.truth("actuator/velocity")
+            own = {axis: round(part, 2) + 0.0 for axis, part in turned.items()}
+            return {
+                "linear": {axis: own[axis] for axis in "xyz"},
+                "angular": {"x": 0.0, "y": 0.0, "z": own["yaw_rate"]},
+            }
         if pilot.lean is None:
             return {}
         (roll, pitch), limits = pilot.lean, pilot.limits
@@ -95,6 +108,11 @@ class MavlinkRig(StopRig):
             "param/WPNAV_SPEED": (500.0, 800.0),
             "param/RTL_ALT": (2000, 3000),
             "param/GUID_TIMEOUT": (2.0, 3.0),
+            "param/speed_limit": (5.0, 8.0),
+            "actuator/cmd_vel": (
+                {"linear": {"x": 2.0}},
+                {"linear": {"z": 1.0}, "angular": {"z": 0.25}},
+            ),
             "actuator/velocity": ({"x": 2.0}, {"x": 0.0, "z": 1.0}),
             "actuator/attitude": ({"pitch": -0.125, "thrust": 0.5}, {"roll": 0.125, "thrust": 0.5}),
         }[name]
@@ -111,6 +129,7 @@ class MavlinkRig(StopRig):
             "action/takeoff": Goal(good={"altitude": 10.0}, long={"altitude": 100.0}),
             "action/land": Goal(good=None),
             "action/rtl": Goal(good=None),
+            "action/return_home": Goal(good=None),
             "action/arm": Goal(good=None),
             "action/disarm": Goal(good=None),
             "action/set_mode": Goal(good={"mode": "LOITER"}, bad={"mode": "FLY"}),
@@ -124,6 +143,9 @@ class MavlinkRig(StopRig):
             **_files(),
             "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "service/reboot": Goal(good=None),
+            "service/reset_system": Goal(good=None),
+            "service/enable": Goal(good=None),
+            "service/disable": Goal(good=None),
         }
 
     async def prepare(self, name: str) -> None:
@@ -133,9 +155,9 @@ class MavlinkRig(StopRig):
         if name.startswith("service/ftp/"):
             await self._tidy()
         mission = vehicle.flight.mission
-        if name in ("action/arm", "action/calibrate", "service/reboot"):
+        if name in ON_THE_GROUND:
             on_the_ground(vehicle)
-        elif name in ("action/disarm", "action/takeoff"):
+        elif name in ("action/disarm", "action/takeoff", "service/disable"):
             armed(vehicle)
         else:
             airborne(vehicle)
@@ -165,9 +187,16 @@ class MavlinkRig(StopRig):
         vehicle = self.vehicle
         flight = vehicle.flight
         match name:
-            case "action/arm":
+            case "action/arm" | "service/enable":
                 return vehicle.armed
-            case "action/disarm" | "action/land" | "action/rtl":
+            case (
+                "action/disarm"
+                | "action/land"
+                | "action/rtl"
+                | "action/return_home"
+                | "service/disable"
+                | "service/reset_system"
+            ):
                 return not vehicle.armed
             case "action/takeoff":
                 return abs(-vehicle.body.d - result["altitude"]) < 1

@@ -105,6 +105,11 @@ async def test_a_kind_has_what_makes_sense_for_it(
 ) -> None:
     async with vehicle(type_) as (found, _):
         assert (await found.read("sensor/vehicle"))["kind"] == kind
+        (listed,) = (await found.client.request("read", "/system/robots"))["body"]
+        assert (listed["kind"], listed["firmware"]) == (
+            {"sub": "submarine"}.get(kind, kind),
+            "ardupilot",
+        )
         names = await offered(found)
         assert not without & names
         assert has <= names

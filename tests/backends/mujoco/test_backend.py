@@ -405,3 +405,10 @@ async def test_without_opengl_there_is_no_camera_and_the_status_says_why(
         missing = await robot.ask("read", "sensor/camera")
         assert missing["error"]["code"] == "unknown_path"
         await robot.step()  # and all else works
+
+
+@pytest.mark.parametrize(("model", "kind"), [("rover", "rover"), ("arm", "arm")])
+async def test_the_inventory_tells_what_it_is(model: str, kind: str) -> None:
+    async with gateway(model) as gate:
+        (listed,) = (await gate.operator.request("read", "/system/robots"))["body"]
+        assert listed["kind"] == kind

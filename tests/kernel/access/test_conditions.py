@@ -26,6 +26,10 @@ from rcp_kernel.types import quantity
 pytestmark = pytest.mark.anyio
 
 
+class Gauge(msgspec.Struct, rename="camel"):
+    fill_level: float = 0.0
+
+
 class Battery(msgspec.Struct):
     percentage: Any = 80.0
     cells: list[float] = []
@@ -108,6 +112,14 @@ def test_what_is_wrong_with_a_condition_is_told_with_its_text(text: str, why: st
         Condition(text)
     assert why in str(caught.value)
     assert f"`{text}`" in str(caught.value)
+
+
+async def test_a_field_has_the_name_that_clients_read(world: World, entry: Entry) -> None:
+    host = world.robot.host
+    host.declare(Resource(name="sensor/tank", description="A.", value=Gauge, live=True))
+    host.publish("sensor/tank", Gauge(0.5))
+    assert conditions(world).holds(Condition("sensor.tank.fillLevel > 0.4"), entry) is True
+    assert conditions(world).holds(Condition("sensor.tank.fill_level > 0.4"), entry) is None
 
 
 async def test_the_clock_is_the_gateways_own(world: World, entry: Entry) -> None:

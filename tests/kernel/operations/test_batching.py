@@ -54,11 +54,12 @@ async def test_what_has_happened_is_never_told_as_a_failure_for_want_of_room() -
         assert all("body" not in part and "command" in part for part in reply["body"][7:])
 
 
-async def test_an_estop_goes_before_whatever_stands_with_it() -> None:
+@pytest.mark.parametrize("body", [{}, {"reason": "reset the arm first"}])
+async def test_an_estop_goes_before_the_rest_of_its_batch(body: dict[str, Any]) -> None:
     async with world_of() as world:
         parts: list[dict[str, Any]] = [
             {"type": "write", "path": "/actuator/drive", "body": {"linear": {"x": 0.5}}},
-            {"type": "execute", "path": "/system/estop", "body": {}},
+            {"type": "execute", "path": "/system/estop", "body": body},
         ]
         reply = await world.client().ask(type="batch", body=parts)
         write, stop = reply["body"]

@@ -6,6 +6,7 @@ import itertools
 import time
 from typing import Any
 
+import msgspec
 import pytest
 
 from kernel.world import Client, World
@@ -107,6 +108,23 @@ async def test_an_edge_fires_on_becoming_true_only(world: World) -> None:
     id_ = await subscribed(client, where=where, qos={"depth": 10})
     publish(world, 10.0, 9.0, 12.0, 10.5)
     assert await bodies(client, id_, 2) == [10.0, 10.5]
+
+
+class Gauge(msgspec.Struct, rename="camel"):
+    fill_level: float
+    tank_number: int = 7
+
+
+async def test_fields_have_the_names_that_clients_read(world: World) -> None:
+    world.robot.add(Resource(name="sensor/tank", description="A.", value=Gauge, live=True))
+    client, fields = world.client(), ["fillLevel"]
+    where, qos = {"field": "fillLevel", "gt": 1}, {"depth": 10}
+    id_ = await subscribed(client, "/sensor/tank", where=where, fields=fields, qos=qos)
+    for level in (0.5, 1.5, 0.7, 2.5):
+        world.robot.host.publish("sensor/tank", Gauge(level))
+    assert await bodies(client, id_, 2) == [{"fillLevel": 1.5}, {"fillLevel": 2.5}]
+    read = await client.ask(type="read", path="/sensor/tank", body={"fields": fields})
+    assert read["body"] == {"fillLevel": 2.5}
 
 
 async def test_conditions_join_by_and_or_not(world: World) -> None:
