@@ -152,10 +152,10 @@ class MoveFeedback(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MoveResult(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where it arrived."""
+    """Where it arrived, as measured; null if the robot has no measurement in the frame of the goal."""
 
-    pose: PoseStamped
-    error: _Error
+    pose: PoseStamped | None
+    error: _Error | None
 
 
 class Attitude(Struct, frozen=True, forbid_unknown_fields=True):

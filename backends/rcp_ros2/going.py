@@ -116,16 +116,17 @@ class Going(Run):
         pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
         return goal
 
-    async def _arrived(self, goal: Any, last: Any) -> tuple[PoseStamped, float]:
-        """Return where it is after a goal, and how far from it."""
+    async def _arrived(self, goal: Any, last: Any) -> tuple[PoseStamped | None, float | None]:
+        """Return the measured pose after a goal, and its distance from the goal; None if unknown."""
         frame, at = goal.header.frame_id, goal.pose.position
         found = await self._locate()
         if (found is None or found.frame_id != frame) and hasattr(last, "current_pose"):
             found = stamped_pose(last.current_pose)
-        if found is None:  # all that is known is that the navigator counts it as reached
-            return PoseStamped(Point(at.x, at.y), frame_id=frame), 0.0
+        if found is None:
+            return None, None
         if found.frame_id != frame:
-            return found, max(0.0, float(getattr(last, "distance_remaining", 0.0)))
+            left = getattr(last, "distance_remaining", None)
+            return found, None if left is None else max(0.0, float(left))
         return found, math.hypot(found.position.x - at.x, found.position.y - at.y)
 
 

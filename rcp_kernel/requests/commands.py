@@ -29,7 +29,7 @@ from rcp_kernel.features import Call
 from rcp_kernel.model import Kind
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.safety.loss import tell_loss
-from rcp_kernel.sessions.command import Command, Record, outcome_of, status_of
+from rcp_kernel.sessions.command import Command, Record, has_begun, outcome_of, status_of
 from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -306,5 +306,8 @@ def _failed(command: Command, error: RcpError, moment: int) -> Record:
         if command.task is not None:
             tell_loss(entry, error)
     body = NO_BODY if command.work is None else command.work.report(over=True)
+    facts = error_body(error)
+    if has_begun(command):
+        facts["retryable"] = False  # a repeat would act on top of what is done already
     status = status_of(command, error)
-    return Record(status, moment, body, message=error.message, error=error_body(error))
+    return Record(status, moment, body, message=error.message, error=facts)

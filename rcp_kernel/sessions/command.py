@@ -35,8 +35,10 @@ __all__ = [
     "Command",
     "CommandListener",
     "CommandTable",
+    "LinkLost",
     "Record",
     "Work",
+    "has_begun",
     "outcome_of",
     "status_of",
 ]
@@ -262,6 +264,14 @@ CommandListener = Callable[[Command, Record], None]
 """Hears of a step of a command when it is in its history."""
 
 
+class LinkLost(AdapterUnavailable):
+    """The link failed while a command was with the robot, which may have begun to act."""
+
+    status = "failed"
+    retryable = False
+    default_remedy = "Check the state of the robot before you send it again."
+
+
 def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     """Return what a command's task came to: its result, or the error that is told."""
     error = None if task.cancelled() else task.exception()
@@ -274,7 +284,7 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     if isinstance(error, RcpError):
         return error
     if isinstance(error, (ConnectionError, TimeoutError)):
-        return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
+        return LinkLost(f"the link to the robot failed: {error or type(error).__name__}")
     trace = secrets.token_hex(8)
     log.error(
         "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
@@ -284,11 +294,19 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     return failure
 
 
+def has_begun(command: Command) -> bool:
+    """Return whether the robot is known to have acted on a command."""
+    return any(step.status == "in_progress" for step in command.history)
+
+
 def status_of(command: Command, error: RcpError) -> Status:
     """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
     if isinstance(error, Cancelled):
         return "cancelled"
-    moved = any(record.status == "in_progress" for record in command.history)
-    refused = isinstance(error, (DeviceRejected, Refused))
+    refused = isinstance(error, (DeviceRejected, Refused)) and not isinstance(error, LinkLost)
     # A cancel that fails is no refusal: the robot may have begun, and may go on.
-    return "rejected" if refused and not moved and command.cancelling is None else "failed"
+    return (
+        "rejected"
+        if refused and not has_begun(command) and command.cancelling is None
+        else "failed"
+    )

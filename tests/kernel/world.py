@@ -92,6 +92,11 @@ class Robot(ScriptedRobot):
                 raise DeviceRejected("stumbled")
             case 15:
                 raise ZeroDivisionError("a bug")
+            case 16:
+                progress(1.0)
+                raise ConnectionError("cut")
+            case 17:
+                raise ConnectionError("cut")
             case _:
                 progress(value / 2, fraction=0.5)
                 return await self.wait(value, progress)

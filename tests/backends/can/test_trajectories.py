@@ -252,7 +252,9 @@ async def test_what_is_refused_moves_nothing() -> None:
                 await rig.execute(FOLLOW, goal)
             assert all(axis.owner is None for axis in rig.axes.values())
             for name, twin in rig.twins.items():
-                assert all(abs(value) < 1e-3 for _, value in twin.commands[taken[name] :])
+                sent = twin.commands[taken[name] :]
+                # 0.016 rad/s is as near to zero as the 12 bits of an MIT frame get
+                assert not [value for _, value in sent if abs(value) >= 0.02], (name, sent)
         await rig.ran("service/tilt/disable")
         with pytest.raises(ModeForbids, match="'tilt' is disabled"):
             await rig.execute(FOLLOW, WAVE)

@@ -197,6 +197,7 @@ async def test_a_goal_that_loses_its_link_on_the_way_has_failed() -> None:
         pilot.twin.muted = True
         final = await pilot.client.final(id_, 30.0)
         assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
+        assert not final["error"]["retryable"]
 
 
 async def test_a_goal_whose_link_is_lost_with_the_acknowledgement_has_failed() -> None:
@@ -210,7 +211,7 @@ async def test_a_goal_whose_link_is_lost_with_the_acknowledgement_has_failed() -
         pilot.vehicle.flight.aim = aim  # type: ignore[method-assign]
         final = await pilot.do("action/move_to", far())
         assert speed(pilot.vehicle) > 1.0
-        assert final["status"] == "failed", final
+        assert (final["status"], final["error"]["retryable"]) == ("failed", False), final
 
 
 async def test_a_goal_that_a_second_ground_station_ends_has_failed_with_its_mode() -> None:

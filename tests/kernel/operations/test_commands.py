@@ -45,6 +45,15 @@ async def test_what_the_robot_makes_of_it_decides_the_final_status(
     assert "ZeroDivision" not in str(final)
 
 
+@pytest.mark.parametrize("value", [16, 17])
+async def test_a_command_whose_link_is_lost_has_failed_and_is_not_to_be_repeated(
+    world: World, value: int
+) -> None:
+    final = await world.client().ask(type="execute", path=GO, body=value)
+    assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
+    assert final["error"]["retryable"] is False
+
+
 async def test_a_second_execute_is_rejected_while_the_first_runs(world: World) -> None:
     client = world.client()
     client.send(type="execute", path=GO, body=1)
