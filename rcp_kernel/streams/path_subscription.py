@@ -12,8 +12,8 @@ from weakref import WeakValueDictionary
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.filters import Options, Where
-from rcp_kernel.streams.frames import first_native, shortened, spliced
 from rcp_kernel.streams.outbox import Framing, Outbox, Wrap
+from rcp_kernel.streams.special_updates import first_native, shortened, spliced
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import NATIVE, Sample
 from rcp_kernel.values import Encoding
