@@ -261,7 +261,7 @@ async def test_the_drone_is_in_the_scene_at_its_height_and_on_the_map_where_it_i
     await robot.execute("tenant/gamma/action/takeoff", {"altitude": 3})
     await tab.open("scene?robot=drone-gamma")
     await expect(tab.page.get_by_test_id("where")).to_contain_text(
-        re.compile(r", [23]\.\d\d m, -?\d+° in origin")
+        re.compile(r", [23]\.\d\d m, -?\d+° in map")
     )
     north = (await robot.read("tenant/gamma/sensor/attitude"))["yaw"]
     output = await tab.page.get_by_test_id("where").inner_text()

@@ -165,10 +165,10 @@ class TestArm(ProfileSuite):
     ("flaw", "test", "says"),
     [
         (Degrees, "test_joints_go_where_they_are_sent_and_others_stay", "joints at"),
-        (Blind, "test_joint_states_are_told_as_they_are", "sensor/joint_states tells"),
+        (Blind, "test_joint_states_are_told_as_they_are", "sensor/joint_states is"),
         (Impatient, "test_a_trajectory_passes_its_waypoints_in_order", "the first waypoint"),
-        (Inches, "test_the_gripper_opens_and_closes", "it is open"),
-        (Crooked, "test_the_tools_pose_is_told_as_it_is", "sensor/tool_pose tells"),
+        (Inches, "test_the_gripper_opens_and_closes", "the opening is"),
+        (Crooked, "test_the_tools_pose_is_told_as_it_is", "sensor/tool_pose is"),
     ],
     ids=lambda item: getattr(item, "__name__", None),
 )
