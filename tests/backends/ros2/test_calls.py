@@ -47,11 +47,15 @@ async def test_a_slow_service_times_out_in_time(robot: Robot) -> None:
 async def test_an_action_tells_its_feedback_and_its_result(robot: Robot) -> None:
     received: list[Any] = []
     goal = robot.input("action/fibonacci", {"order": 6})
-    result = await robot.backend.execute(
-        "action/fibonacci", goal, lambda feedback, **_: received.append(feedback)
-    )
+
+    def progress(feedback: Any = None, **_: Any) -> None:
+        received.append(feedback)
+
+    result = await robot.backend.execute("action/fibonacci", goal, progress)
     assert list(result.sequence) == [0, 1, 1, 2, 3, 5, 8]
-    sequences = [list(feedback.sequence) for feedback in received]
+    accepted, *updates = received
+    assert accepted is None  # from here on the robot may move
+    sequences = [list(feedback.sequence) for feedback in updates]
     whole = [list(result.sequence)[:length][-5:] for length in range(3, 8)]
     assert sequences
     assert (
