@@ -123,7 +123,7 @@ async def test_a_gamepad_drives_nothing_while_nobody_is_at_the_page_nor_before_a
     await stands(page)
     await rests(robot)
     await page.evaluate("hold([-1, 0, 0, 0], true, '')")
-    await expect(page.get_by_test_id("pad")).to_contain_text("does not drive")
+    await expect(page.get_by_test_id("pad")).to_contain_text("cannot be used to drive")
 
 
 async def test_keys_that_drive_change_no_limit_and_none_drives_that_was_let_go_unseen(

@@ -170,15 +170,19 @@ async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
     await expect(page.get_by_test_id("deadman")).to_contain_text("keyboard")
     await page.keyboard.up("r")
     await page.keyboard.down("q")
-    sideways = "/tenant/gamma/actuator/velocity"
-    await until(robot, sideways, lambda found: found["y"] > 0.1 and found["z"] == 0)
+    sideways = "/tenant/gamma/actuator/cmd_vel"
+    await until(
+        robot, sideways, lambda found: found["linear"]["y"] > 0.1 and found["linear"]["z"] == 0
+    )
     await tab.shoot("teleop-drone")
     await page.keyboard.up("Shift")
     await page.keyboard.up("q")
-    await until(robot, sideways, lambda found: found["y"] == found["z"] == 0)
+    await until(robot, sideways, lambda found: found["linear"]["y"] == found["linear"]["z"] == 0)
     await page.evaluate("hold([0, 0, -1, -1], true)")  # the right stick
-    await until(robot, sideways, lambda found: found["y"] > 0.1 and found["z"] > 0.1)
+    await until(
+        robot, sideways, lambda found: found["linear"]["y"] > 0.1 and found["linear"]["z"] > 0.1
+    )
     await page.evaluate("pads = []")
-    await until(robot, sideways, lambda found: found["y"] == found["z"] == 0)
+    await until(robot, sideways, lambda found: found["linear"]["y"] == found["linear"]["z"] == 0)
     await actions.get_by_role("button", name="Land").click()
     await expect(status).to_contain_text("Land:")
