@@ -2,10 +2,8 @@
 
 The engine provides neither its syntax tree nor a limit on its work, so each text is parsed here
 first: with limits on length, depth and terms, and into a tree whose cost can be estimated. The
-engine
-receives the text that `write` generates from the tree, so that both agree. Syntax outside this
-subset
-(messages, optionals, extension macros) is refused.
+engine receives the text that `write` generates from the tree, so that both agree. Syntax outside
+this subset (messages, optionals, extension macros) is refused.
 """
 
 from __future__ import annotations

@@ -279,8 +279,7 @@ class ClientApi:
         `flush` is called once more when the session has ended or was taken over
         (`Connection.expelled`). A
         `one_way` connection accepts no requests from its client (SSE). A connection that `wraps`
-        encloses
-        each message in data of its own client, so that no frames are shared.
+        encloses each message in data of its own client, so that no frames are shared.
 
         :raises Forbidden: the principal has no role in `tenant`.
         :raises QueueFull: the gateway has too many sessions.

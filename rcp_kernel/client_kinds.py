@@ -18,8 +18,7 @@ class TransportKind(msgspec.Struct, frozen=True):
     """A transport, registered by the hook `rcp_transports`.
 
     `open(config, client_api)` is an async context manager: entered, it accepts clients; left, it
-    has
-    released them. It yields a mapping of facts for `/system/status` (its address).
+    has released them. It yields a mapping of facts for `/system/status` (its address).
     """
 
     name: str

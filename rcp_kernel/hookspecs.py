@@ -1,8 +1,7 @@
 """The hooks. All are synchronous, run once before the event loop starts, and declare.
 
 An async hook, an unknown hook name, or two records with one name stop the start-up with an error
-that
-names the plugins. Nothing asynchronous and no message ever passes through a hook.
+that names the plugins. Nothing asynchronous and no message ever passes through a hook.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ def rcp_backends() -> Iterable[BackendKind]:  # pyright: ignore[reportReturnType
 
     Example::
 
-        @hookimpl
-        def rcp_backends():
+        @hookimpl def rcp_backends():
             return [BackendKind("turtle", TurtleConfig, open_turtle)]
     """
 
@@ -43,8 +41,7 @@ def rcp_transports() -> Iterable[TransportKind]:  # pyright: ignore[reportReturn
 
     Example::
 
-        @hookimpl
-        def rcp_transports():
+        @hookimpl def rcp_transports():
             return [TransportKind("asgi", AsgiConfig, open_asgi)]
     """
 
@@ -55,8 +52,7 @@ def rcp_adapters() -> Iterable[AdapterKind]:  # pyright: ignore[reportReturnType
 
     Example::
 
-        @hookimpl
-        def rcp_adapters():
+        @hookimpl def rcp_adapters():
             return [AdapterKind("mcp", McpConfig, open_mcp)]
     """
 
@@ -67,8 +63,7 @@ def rcp_features() -> Iterable[FeatureKind]:  # pyright: ignore[reportReturnType
 
     Example::
 
-        @hookimpl
-        def rcp_features():
+        @hookimpl def rcp_features():
             return [FeatureKind("maintenance", MaintenanceConfig, make_maintenance)]
     """
 
@@ -79,7 +74,6 @@ def rcp_profiles() -> Iterable[Profile]:  # pyright: ignore[reportReturnType]
 
     Example::
 
-        @hookimpl
-        def rcp_profiles():
+        @hookimpl def rcp_profiles():
             return [CRANE]
     """

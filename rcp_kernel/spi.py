@@ -176,8 +176,7 @@ class Host(Protocol):
         """Report that a lost robot is connected again, before anything else is sent to it.
 
         A robot under a latched e-stop gets the stop at once, from within this call. For one whose
-        command
-        was lost with the link, `Backend.recover` is called soon.
+        command was lost with the link, `Backend.recover` is called soon.
         """
         ...
 
@@ -203,8 +202,7 @@ class Host(Protocol):
         """Report whether the backend is still discovering resources.
 
         Until discovery is finished, requests for paths that it could have are refused as retryable.
-        Not
-        needed before the backend is open.
+        Not needed before the backend is open.
         """
         ...
 
@@ -224,8 +222,7 @@ class Backend(Protocol):
         :raises AdapterUnavailable: the link is down.
         :raises DeviceTimeout: the robot did not respond.
         :raises UnsupportedOperation: the value cannot be requested, only subscribed to; the kernel
-            then
-            waits for the first sample.
+            then waits for the first sample.
         """
         ...
 
@@ -250,8 +247,7 @@ class Backend(Protocol):
         """Keep `name` published while entered; `rate` is the highest requested rate, in Hz.
 
         Entered at the first subscriber and left after the last. When the requested rate changes,
-        the new
-        context is entered before the old one is left. None: as fast as the source provides.
+        the new context is entered before the old one is left. None: as fast as the source provides.
         """
         ...
 
@@ -264,10 +260,8 @@ class Backend(Protocol):
         """Bring everything that moves to rest at once, by the strongest effective means.
 
         Return when it is *measured* to be at rest; a robot that cannot be reached is an error,
-        never a
-        success. Called by the e-stop and before the backend closes, repeatedly until one call
-        returns, also
-        while an earlier call is still waiting: its commands may have been lost.
+        never a success. Called by the e-stop and before the backend closes, repeatedly until one
+        call returns, also while an earlier call is still waiting: its commands may have been lost.
 
         :raises AdapterUnavailable: a robot cannot be reached.
         :raises DeviceTimeout: it was commanded to stop and does not come to rest.

@@ -25,8 +25,7 @@ def make_backup(path: Path, target: Path) -> Verdict:
     """Copy a store to a file that is verified before it gets its name; return the verdict.
 
     The copy is a consistent snapshot. Readers do not block the writer; only the WAL grows until the
-    copy
-    is finished.
+    copy is finished.
 
     :raises ConfigError: the store is damaged or cannot be read, or the file already exists.
     """

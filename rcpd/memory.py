@@ -1,8 +1,8 @@
 """Keep freed memory in the process for the next large message.
 
 A camera frame passes through half a dozen buffers of a megabyte. By default glibc returns each to
-the
-system and then faults it in again page by page: 0.5 ms per buffer, twenty times the useful work.
+the system and then faults it in again page by page: 0.5 ms per buffer, twenty times the useful
+work.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Scaffolds of plugins: a distribution that passes the public test suite.
 
 Each contains a small example, so that every part already has its place: a backend a simulated
-linear
-axis, the others the example of their tutorials. The author replaces it.
+linear axis, the others the example of their tutorials. The author replaces it.
 """
 
 from __future__ import annotations

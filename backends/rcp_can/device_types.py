@@ -20,8 +20,7 @@ def message_type(message: Message, *, bounded: bool) -> type[msgspec.Struct]:
     """Create the Struct of a message: one field per signal, with its unit.
 
     `bounded` rejects values beyond the signal's range, for messages that are sent; received values
-    are
-    published as they are. A signal that only some variants of a multiplexed message have is
+    are published as they are. A signal that only some variants of a multiplexed message have is
     optional.
     """
     fields: list[tuple[str, Any, Any]] = []

@@ -40,8 +40,7 @@ class Odometry:
     """The pose of a differential drive in the frame `odom`.
 
     The pose never jumps (REP-105): after a gap, a reboot of a drive or a new zero, it continues
-    from its
-    last value, without the motion in between.
+    from its last value, without the motion in between.
     """
 
     def __init__(self, config: DiffDriveConfig, left: Axis, right: Axis) -> None:

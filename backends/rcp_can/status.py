@@ -24,8 +24,7 @@ class Status:
     """The last reports of a drive; rad, rad/s and N·m at its own shaft, None if it reports nothing.
 
     Setting `position`, `velocity` or `enabled` records the time: a profile sets them only from a
-    frame
-    that carries them.
+    frame that carries them.
     """
 
     def __init__(self) -> None:

@@ -82,8 +82,8 @@ class Wire:
         """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent frames go first.
 
         An urgent frame brings something to rest, so queued frames with a lifetime from the same
-        sender are
-        dropped. Those of other senders stay: stopping one motor must not silence its neighbours.
+        sender are dropped. Those of other senders stay: stopping one motor must not silence its
+        neighbours.
 
         :raises QueueFull: the queue is full; an urgent frame replaces the last one instead.
         :raises AdapterUnavailable: the wire is closed.

@@ -1,8 +1,7 @@
 """Keeps a stopped robot stopped, from the ROS thread and independent of the event loop.
 
 A hold begins with a stop. A latched hold lasts until the event loop has seen the e-stop reset,
-which
-a frozen event loop cannot do. A hold without a latch expires.
+which a frozen event loop cannot do. A hold without a latch expires.
 """
 
 from __future__ import annotations

@@ -134,8 +134,7 @@ class StateOf(Binding):
     """The state of a lifecycle node: polled, and updated by the node's transition events.
 
     While subscribed, the node is polled with the graph, because a restarted node publishes nothing;
-    the
-    state of a dead node goes stale.
+    the state of a dead node goes stale.
     """
 
     def __init__(self, shared: Shared, name: str, node: str, mapping: Mapping) -> None:

@@ -92,8 +92,7 @@ def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
     """Match every subscription: reliable suits all, other policies are offered as requested.
 
     A missed deadline or lease is reported to the subscriber that requested it, which is better than
-    no
-    match.
+    no match.
     """
     requested = [Terms.of(endpoint) for endpoint in subscriptions]
     matched = Profile(

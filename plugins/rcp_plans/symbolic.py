@@ -46,8 +46,7 @@ def from_symbolic(
     """Translate at most `most` actions, by the table or else by `unlisted`.
 
     In a timed plan, actions that overlap run concurrently: each begins when all actions that end
-    before
-    it in the plan have completed.
+    before it in the plan have completed.
     """
     actions: list[Action] = []
     unread: list[Fault] = []

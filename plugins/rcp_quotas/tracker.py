@@ -79,8 +79,7 @@ class QuotaTracker:
         """Count a new session.
 
         If the quota is reached only with sessions that await their client's return, the oldest of
-        these is
-        dropped; one is kept, as this client may be about to resume it.
+        these is dropped; one is kept, as this client may be about to resume it.
 
         :raises QueueFull: as many as allowed are connected.
         """

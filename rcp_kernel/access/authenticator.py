@@ -25,8 +25,8 @@ class Authenticator(ABC):
     """Verifies tokens not created by the gateway. For the event loop's thread.
 
     The gateway checks its own keys and tokens first. Any other token goes to the first
-    authenticator, by
-    name, that recognises it. The gateway limits how often an address may try invalid tokens, checks
+    authenticator, by name, that recognises it. The gateway limits how often an address may try
+    invalid tokens, checks
     `expires`, and compares the principal with the client certificate of the connection.
     """
 

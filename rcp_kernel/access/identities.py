@@ -1,8 +1,7 @@
 """Authentication: from a token or a certificate to a principal, and for how long it is valid.
 
 Cached results are returned immediately (`known`); a token whose issuer's keys must be fetched can
-be
-awaited (`wait`). Secrets are neither stored nor shown: only their hashes are used further.
+be awaited (`wait`). Secrets are neither stored nor shown: only their hashes are used further.
 """
 
 from __future__ import annotations
@@ -223,8 +222,7 @@ class Identities:
         """Return the principal of a token, else of the peer's certificate, else anonymous.
 
         None means that a fetch is required. A token never falls back on the certificate, and must
-        not
-        contradict it.
+        not contradict it.
 
         :raises Unauthenticated: the token is unknown, or the certificate is another principal's.
         :raises TokenExpired: the token has expired.

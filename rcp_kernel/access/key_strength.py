@@ -1,8 +1,7 @@
 """Rough estimate of the entropy of plain-text keys.
 
 Throttling does not lock out valid keys, so only its entropy protects a key from being guessed.
-Words,
-repetitions and sequences count little; random-looking characters count fully.
+Words, repetitions and sequences count little; random-looking characters count fully.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The rights of principals in parts of the tree, or over robots.
 
 A part may contain twenty thousand resources, so answers are cached: a positive one with its
-resource,
-a negative one until the tree changes. Unknown answers can be computed in steps.
+resource, a negative one until the tree changes. Unknown answers can be computed in steps.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Visible parts of the tree per set of rights, updated in steps and only where the tree changes.
 
 Checking twenty thousand resources against the rules takes a seventh of a second. Changes are
-therefore
-recorded per tenant, and each set of rights processes them: a few immediately when it is used, the
-rest in spare turns of the event loop.
+therefore recorded per tenant, and each set of rights processes them: a few immediately when it is
+used, the rest in spare turns of the event loop.
 """
 
 from __future__ import annotations

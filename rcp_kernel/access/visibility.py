@@ -1,8 +1,7 @@
 """Checks whether stored information would reveal hidden resources to a reader.
 
 A record, a command or a log line belongs to one path and may mention others: in a message, a value,
-a
-condition, the name of a robot. It is hidden from readers that may not see one of them.
+a condition, the name of a robot. It is hidden from readers that may not see one of them.
 """
 
 from __future__ import annotations

@@ -148,8 +148,7 @@ def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) ->
     """Run the gateway to its end and return its result, whatever a plugin's task or timer raises.
 
     Ctrl-C arrives as a signal that the gateway handles itself, so a `KeyboardInterrupt` out of the
-    loop
-    comes from a plugin as well.
+    loop comes from a plugin as well.
     """
     loop = runner.get_loop()
     task = loop.create_task(main, name="gateway")

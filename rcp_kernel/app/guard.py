@@ -1,9 +1,8 @@
 """The gateway's side of the guard: arming, heartbeat, and handling of stops by the guard.
 
 The heartbeat is sent from the event loop, so it stops whenever the loop is blocked. A backend is
-armed
-from before the first command that may move it until it is measured at rest, and while an e-stop is
-latched. See `rcp_guard` for the other side.
+armed from before the first command that may move it until it is measured at rest, and while an
+e-stop is latched. See `rcp_guard` for the other side.
 """
 
 from __future__ import annotations

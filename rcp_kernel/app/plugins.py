@@ -4,8 +4,7 @@ Entry-point groups are `rcp.transports`, `rcp.plugins`, `rcp.backends` and `rcp.
 point's name is the name used in the configuration. A plugin that cannot be imported is
 `unavailable`,
 with the command that fixes it, and does not stop the gateway. A feature does: commands that it
-would
-have refused must not pass because it is broken.
+would have refused must not pass because it is broken.
 """
 
 from __future__ import annotations

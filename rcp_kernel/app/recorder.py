@@ -52,12 +52,9 @@ class Recorder(Listener):
     """The listener of a feature that keeps records, and its `Durability`.
 
     Events that it did not accept are not confirmed: a write or command that was executed gets an
-    error, a
-    command that was not is refused. An event `unrecorded` is recorded instead. While the feature
-    cannot
-    accept even that, writes and commands are refused, as if a store could not be written; each
-    refusal
-    is an event too, and the first one that is accepted ends this state.
+    error, a command that was not is refused. An event `unrecorded` is recorded instead. While the
+    feature cannot accept even that, writes and commands are refused, as if a store could not be
+    written; each refusal is an event too, and the first one that is accepted ends this state.
     """
 
     def __init__(

@@ -57,8 +57,7 @@ async def apply(server: Server, prepared: Prepared) -> None:
     """Apply the rules, keys, limits and backends of a configuration to a running gateway.
 
     Rights change at once. Backends change one reload after the other: a backend that takes long to
-    close
-    must not delay the revocation of a key, and reloads must not be applied out of order.
+    close must not delay the revocation of a key, and reloads must not be applied out of order.
     """
     kernel, turn = server.kernel, server.reloading
     turn.newest = prepared

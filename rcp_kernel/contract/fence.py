@@ -3,8 +3,7 @@
 The kernel runs each write and command under a permit, a context variable that tasks and timers
 inherit. A stop revokes the permits of its robot. Backends call `check_fence` before they send
 anything that moves, so that the clean-up of a cancelled action cannot overtake the stop, in
-whatever
-order the two run. A stop itself runs under no permit and always passes.
+whatever order the two run. A stop itself runs under no permit and always passes.
 """
 
 from __future__ import annotations

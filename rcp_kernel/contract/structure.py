@@ -1,8 +1,7 @@
 """The number of values in a message, counted before it is decoded.
 
 The cost of a message depends on its values, not on its bytes: 16 MB may be one image or five
-million
-lists. Counting runs in steps, so that it does not block the event loop either.
+million lists. Counting runs in steps, so that it does not block the event loop either.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ def check_structure(data: bytes, encoding: Encoding, limit: int) -> Work:
     """Refuse a message with more values than `limit`; a string counts as 3, a list as 9.
 
     An integer of more than 15 digits also counts as 9. In CBOR everything counts fourfold. A
-    malformed
-    message may pass: decoding it reports the error.
+    malformed message may pass: decoding it reports the error.
 
     :raises PayloadTooLarge: it has more.
     """

@@ -121,8 +121,7 @@ class ActionRun(Work, Protocol):
         """All paths that it affects.
 
         Principals that may not see one of them are not shown the command. If an e-stop stops the
-        robot of
-        one while the request waits for its turn, the command is refused.
+        robot of one while the request waits for its turn, the command is refused.
         """
         ...
 

@@ -60,8 +60,7 @@ class ApprovalService(Protocol):
 
         :raises UnknownPath: this principal has no such approval.
         :raises Forbidden: its roles do not allow it (`may_approve`; `approve_own` for its own
-            requests), or
-            the approval is no longer pending.
+            requests), or the approval is no longer pending.
         :raises RateLimited: too many requests.
         """
         ...

@@ -16,8 +16,7 @@ class CommandObserver(Protocol):
     """Receives every write and execute on a robot, and every stop.
 
     Called on the event loop: must neither block nor await. It cannot refuse anything; an exception
-    is
-    logged and changes nothing.
+    is logged and changes nothing.
     """
 
     def sent(self, call: Call) -> None:

@@ -2,8 +2,7 @@
 
 The kernel checks in a fixed order: rights, age, e-stop, guards in the slots `LEASE` and
 `MOTION_LIMIT`, quotas, then the other guards by slot. E-stops and holds are never checked by a
-guard,
-and the safe value of an actuator only by those in the slot `LEASE`.
+guard, and the safe value of an actuator only by those in the slot `LEASE`.
 """
 
 from __future__ import annotations

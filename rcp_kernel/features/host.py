@@ -135,8 +135,8 @@ class FeatureHost(Protocol):
         """Drop data queued for a client where that is allowed; return the bytes still queued.
 
         Best-effort subscriptions conflate; reliable ones end with `overrun` for the `reason`.
-        Replies to a
-        disconnected client are dropped and the loss is reported; replies to a connected one stay.
+        Replies to a disconnected client are dropped and the loss is reported; replies to a
+        connected one stay.
         """
         ...
 

@@ -15,8 +15,7 @@ class ServiceKey(Generic[T]):
     """The name and type of a service.
 
     Features list theirs in `Feature.services`; adapters call `ClientApi.service(key)`, which
-    returns
-    None if no feature provides it.
+    returns None if no feature provides it.
     """
 
     name: str

@@ -13,8 +13,7 @@ class SessionDirectory(Protocol):
     """The directory of sessions.
 
     What a session holds is stored under the key `Session.holder`: the session itself, or for
-    requests
-    without a connection their principal. `Session.holders` are all keys that apply to it.
+    requests without a connection their principal. `Session.holders` are all keys that apply to it.
     """
 
     def everyone(self) -> list[Session]:

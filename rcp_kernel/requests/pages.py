@@ -1,8 +1,7 @@
 """Paged replies: how much a page holds, and where the next one starts.
 
 A listing is ordered by path, so a cursor only needs the last path of the page: a resource that
-exists
-throughout is listed once, whatever else is added or removed meanwhile.
+exists throughout is listed once, whatever else is added or removed meanwhile.
 """
 
 from __future__ import annotations

@@ -48,8 +48,7 @@ class PatternRead:
         """Return the page, with at least one item if there is one.
 
         It ends after `patience` seconds: values requested but not received by then are reported as
-        such;
-        the rest is left to the next page.
+        such; the rest is left to the next page.
         """
         limit = asyncio.timeout(patience)
         try:

@@ -66,8 +66,7 @@ class Control:
         """Stop the values in force or in flight on some resources; returns at once.
 
         An actuator gets its safe value, repeated until the robot confirms it; any other write in
-        progress is
-        cancelled.
+        progress is cancelled.
         """
         deadman, commanded = self._deadman, self._deadman.paths
         for entry in entries:

@@ -1,9 +1,8 @@
 """The e-stop: latched per robot, tenant or gateway, past every queue and limit.
 
 The latch is set before anything else happens; each robot's `Backend.halt` is called next, and
-running
-or queued commands are ended after that. None of them resumes when the latch is reset. `safety.stop`
-handles the stop from there, to its confirmation and while it is latched.
+running or queued commands are ended after that. None of them resumes when the latch is reset.
+`safety.stop` handles the stop from there, to its confirmation and while it is latched.
 """
 
 from __future__ import annotations
@@ -171,8 +170,7 @@ class Estop:
 
         :raises UnknownPath: the scope contains no robot visible to the session.
         :raises Forbidden: a reset without the right to it in all of the scope; or a stop of several
-            tenants
-            without the right to that.
+            tenants without the right to that.
         """
         keys, robots = self.check(session, request)
         if request.reset:

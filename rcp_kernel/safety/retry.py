@@ -27,9 +27,8 @@ def retry_until_confirmed(
     """Call `stop` until one call returns; return the task, which can be cancelled.
 
     The first call is scheduled before this returns, ahead of anything scheduled after it. An
-    unanswered
-    call continues concurrently with the next ones, because it may only be slow. Failures are logged
-    as
+    unanswered call continues concurrently with the next ones, because it may only be slow. Failures
+    are logged as
     `event` with `facts`.
     """
     loop = asyncio.get_running_loop()

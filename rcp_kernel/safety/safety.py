@@ -110,10 +110,9 @@ class Deadman:
         `began` is called before a write is sent, and when its window starts, and must be fast;
         `sending`
         when a safe value is being sent; `at_rest` when it is in force, or the whole robot is
-        brought to
-        rest. `untaken` is called to stop the robot by other means while a safe value is not
-        accepted, and
-        returns the tasks. `note` records expired commands and accepted safe values.
+        brought to rest. `untaken` is called to stop the robot by other means while a safe value is
+        not accepted, and returns the tasks. `note` records expired commands and accepted safe
+        values.
         """
         self._loop = loop
         self._began = began

@@ -14,16 +14,14 @@ class SessionAccount(Protocol):
     """Counts the activity of one session, and may refuse it.
 
     Called on the event loop for each request: must neither block nor await. Requests that stop a
-    robot
-    or release something are never refused.
+    robot or release something are never refused.
     """
 
     def take(self, moment: float) -> bool:
         """Count a request at `moment` (`Clock.monotonic`), or return False without counting.
 
         Called before the body is decoded. A request that stops a robot counts and passes in any
-        case; e-stops,
-        cancels and releases are not counted at all.
+        case; e-stops, cancels and releases are not counted at all.
         """
         ...
 

@@ -23,8 +23,7 @@ class Accounting(Protocol):
     The account returned for a session (None: nothing is counted) applies until another is returned.
     Only
     `enter` and `check_tenant` may refuse; exceptions of the other methods are logged and change
-    nothing,
-    so that no feature can prevent a client from connecting to stop a robot.
+    nothing, so that no feature can prevent a client from connecting to stop a robot.
     """
 
     def attach(self, session: Session) -> SessionAccount | None:

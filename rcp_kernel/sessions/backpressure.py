@@ -33,8 +33,7 @@ def shed(session: Session, reason: str) -> int:
     """Drop data where that is allowed; return the bytes still queued.
 
     Best effort conflates, a reliable subscription ends with `overrun` for the `reason`. Replies to
-    a
-    disconnected client are dropped and the loss is reported; those to a connected one stay.
+    a disconnected client are dropped and the loss is reported; those to a connected one stay.
     """
     if session.connection is None:
         while session.missed:

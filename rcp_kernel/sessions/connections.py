@@ -142,8 +142,8 @@ class Connection:
         """Set the callbacks of a transport.
 
         `hello` adopts what a client requests, and returns facts for the reply. `released` gets the
-        messages
-        received while an earlier one was being handled, to pass them to `receive` in its turns.
+        messages received while an earlier one was being handled, to pass them to `receive` in its
+        turns.
         `cut` closes
         a client that does not read.
         """

@@ -65,8 +65,7 @@ class Sample(Body):
     """A value with its times and number; encoded on first use.
 
     Any method that needs the value raises `DeviceRejected` if it does not match the resource's
-    type: an
-    invalid value is the robot's fault and is never delivered.
+    type: an invalid value is the robot's fault and is never delivered.
     """
 
     __slots__ = (

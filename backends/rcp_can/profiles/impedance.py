@@ -1,8 +1,7 @@
 """Impedance-controlled drives: one frame carries position, velocity, both gains and torque.
 
 They respond to each frame with one of their own. That gives feedback, and shows when two of them
-have
-the same id: there are more responses than requests.
+have the same id: there are more responses than requests.
 """
 
 from __future__ import annotations

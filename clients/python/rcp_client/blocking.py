@@ -201,8 +201,7 @@ class BlockingLease:
     """Exclusive control during a `with` block, which it cannot interrupt.
 
     If the lease is lost, leaving the block raises `LeaseLost`; call `check` to find out earlier.
-    The
-    gateway refuses commands of the block in the meantime.
+    The gateway refuses commands of the block in the meantime.
     """
 
     def __init__(self, do: Callable[..., Any], lease: Lease) -> None:

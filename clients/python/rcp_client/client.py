@@ -43,8 +43,7 @@ class Client:
     its
     `remedy`; `DeadlineExceeded` if no reply came in time, and `ConnectionLost` if there is no
     connection. A lost connection is recovered transparently: writes and executes carry an
-    idempotency
-    key, so that sending them again never executes them twice.
+    idempotency key, so that sending them again never executes them twice.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -82,8 +81,7 @@ class Client:
         """Return the current value of a path, or the list of all items of a pattern.
 
         `fields` selects some fields (`position.x`), `fresh` reads from the robot itself, and `type`
-        decodes
-        the value to a msgspec type.
+        decodes the value to a msgspec type.
         """
         reply = await self.sample(path, fields=fields, fresh=fresh, deadline=deadline)
         return reply.body if type is None else value_type(type).convert(reply.body)
@@ -133,8 +131,7 @@ class Client:
         """Write a value and return the value in force.
 
         `valid_for` is the time in s after which the gateway brings the robot to rest unless a new
-        value
-        is written; `dry_run` checks everything and changes nothing.
+        value is written; `dry_run` checks everything and changes nothing.
         """
         envelope = kept(
             {
@@ -239,10 +236,8 @@ class Client:
         """Run several operations as one plan, checked first; return the state of each step.
 
         `plan` is a list of steps, a complete body, or a text: the output of a planner, or command
-        lines
-        (docs/protocol.md, Plans). Feedback reports each change of a step. `dry_run` returns the
-        requests
-        that would be sent. Cancelling the call cancels the plan.
+        lines (docs/protocol.md, Plans). Feedback reports each change of a step. `dry_run` returns
+        the requests that would be sent. Cancelling the call cancels the plan.
 
         :raises RcpError: it was refused (`details["faults"]` lists all faults), or a step failed
             (`details["body"]` has the state of each step).
@@ -291,16 +286,12 @@ class Client:
         """Stop every robot visible to this principal, or those in `scope`; or reset the stop.
 
         `scope` is a robot, a group, a backend or a tenant (docs/protocol.md, E-stop). Returns the
-        state
-        of the e-stop once every robot in scope is confirmed at rest by measurement; `deadline`
-        limits
-        that time in s (in this client; the gateway waits at most 60 s). A reset is not repeated
-        after a
-        lost connection.
+        state of the e-stop once every robot in scope is confirmed at rest by measurement;
+        `deadline` limits that time in s (in this client; the gateway waits at most 60 s). A reset
+        is not repeated after a lost connection.
 
         :raises DeviceTimeout: a robot is not confirmed at rest; `details["robots"]` has the
-            progress and
-            reason for each. It stays latched, and the gateway repeats the stop.
+            progress and reason for each. It stays latched, and the gateway repeats the stop.
         """
         body = kept({"reset": reset or None, "scope": scope, "reason": reason})
         envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
@@ -314,8 +305,7 @@ class Client:
         """Bring a robot to rest and end its commands, without an e-stop: the next command moves it.
 
         `robot` is its name in the session's tenant, or `/tenant/<tenant>/<robot>`; it can be
-        omitted if
-        the tenant has a single unnamed robot. Returns `at_rest` and `detail`.
+        omitted if the tenant has a single unnamed robot. Returns `at_rest` and `detail`.
 
         :raises DeviceTimeout: the robot was commanded to stop but still moves: use the e-stop.
         :raises UnknownPath: there is no such robot, or it has nothing that moves.
@@ -333,10 +323,8 @@ class Client:
         """Return a lease; `async with` acquires, renews and releases it.
 
         `scope` is a tenant, a robot or a sub-tree (docs/protocol.md, Leases). `take` takes it over
-        from
-        holders with a lower priority, who receive the `reason`. Losing the lease cancels the block,
-        which
-        then raises `LeaseLost`.
+        from holders with a lower priority, who receive the `reason`. Losing the lease cancels the
+        block, which then raises `LeaseLost`.
         """
         body = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
         return Lease(self.channel, kept(body))
@@ -380,10 +368,8 @@ class Client:
         """Return a subscription to paths or patterns; iterating or `async with` starts it.
 
         For the options see docs/protocol.md, section 7. `reliable` is short for the `qos` of that
-        name:
-        every sample in order, or an `Overrun`. `buffer` is the number of unread updates queued in
-        the
-        client before the oldest is dropped (or a reliable subscription ends).
+        name: every sample in order, or an `Overrun`. `buffer` is the number of unread updates
+        queued in the client before the oldest is dropped (or a reliable subscription ends).
         """
         wanted = [patterns] if isinstance(patterns, str) else list(patterns)
         if not wanted:

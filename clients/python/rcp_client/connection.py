@@ -39,17 +39,14 @@ def connect(
     """Create a client; `async with` connects it.
 
     Defaults come from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway on this machine,
-    and
-    the token that `rcpd demo` has stored for this user. Times are in seconds: `deadline` for
-    requests
-    without their own, `connect_timeout` for one attempt, `patience` for reconnecting after a lost
-    connection (None never gives up), `heartbeat` for detecting a dead connection.
+    and the token that `rcpd demo` has stored for this user. Times are in seconds: `deadline` for
+    requests without their own, `connect_timeout` for one attempt, `patience` for reconnecting after
+    a lost connection (None never gives up), `heartbeat` for detecting a dead connection.
 
     For https the gateway's certificate is verified, against the CA in the file `cacert` if given;
     `cert` and `key` are files of a client certificate (`RCP_CACERT`, `RCP_CERT`, `RCP_KEY`), and
     `ssl` is a context that replaces all three. A token is sent to another machine over plain http
-    only
-    with `plaintext`.
+    only with `plaintext`.
 
     :raises ValueError: the address is invalid, a file does not load, or the token would be exposed.
     """

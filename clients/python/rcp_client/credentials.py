@@ -1,8 +1,7 @@
 """The token of a client: from the caller, the environment, or a file of this user.
 
 `rcpd demo` stores its key in a file that only its user can read, so that `rcpctl` on the same
-machine
-needs no configuration.
+machine needs no configuration.
 """
 
 from __future__ import annotations

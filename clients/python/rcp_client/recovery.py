@@ -4,8 +4,7 @@ A resumed session reports the outcome of accepted commands by itself; other requ
 lost.
 
 If the session is resumed, the gateway still knows every idempotency key, possibly from its store,
-so
-that a repeated request is executed once. The same holds for a new session on the same gateway. A
+so that a repeated request is executed once. The same holds for a new session on the same gateway. A
 restarted gateway does not know the keys: then the outcome of a command is looked up, and nothing is
 repeated.
 """

@@ -2,8 +2,7 @@
 
 msgspec validates; what it does not cover is compiled here into a tree parallel to the type: floats
 that may be non-finite, integers beyond 2^53, and field names. The tree is walked only for values
-that
-contain such numbers.
+that contain such numbers.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Common value types: quantities, geometry, time. Metres, radians, seconds.
 
 Frames follow REP-103 (x forward, y left, z up; right-handed), quaternions are x, y, z, w. Values
-are
-msgspec Structs; a `ValueType` (see `values.py`) derives validator, encoders and schema from them,
-so
-that each type has a single definition.
+are msgspec Structs; a `ValueType` (see `values.py`) derives validator, encoders and schema from
+them, so that each type has a single definition.
 """
 
 from __future__ import annotations

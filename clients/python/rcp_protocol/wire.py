@@ -1,10 +1,8 @@
 """Envelopes: requests and replies, and their encodings.
 
 A request body stays encoded (`msgspec.Raw`) until the resource's type decodes it, and a reply body
-may
-already be encoded: envelopes are spliced around it. The CBOR library cannot splice, so a CBOR
-request
-is converted to MessagePack on arrival.
+may already be encoded: envelopes are spliced around it. The CBOR library cannot splice, so a CBOR
+request is converted to MessagePack on arrival.
 """
 
 from __future__ import annotations

@@ -15,8 +15,7 @@ class FeatureSuite(LifeTests, GuardTests):
     Give `kind` (and `options`); for a guard, the code of its `refusal`, `engage` and `release`::
 
         class TestMaintenance(FeatureSuite):
-            kind = rcp_maintenance.MAINTENANCE
-            refusal = "mode_forbids"
+            kind = rcp_maintenance.MAINTENANCE refusal = "mode_forbids"
 
             async def engage(self, gateway: FeatureGateway) -> None:
                 await gateway.admin.request("execute", "/system/maintenance", body={"do": "begin"})

@@ -35,12 +35,11 @@ class ProfileSuite(MobileTests, SensingTests, PowerTests, ReachingTests, FlyingT
     Give `kind` (and `config`), the `profiles` that it is to have, and the probes of the device that these need::
 
         class TestRoverProfiles(ProfileSuite):
-            kind = rcp_rover.ROVER
-            profiles = ("mobile", "battery")
+            kind = rcp_rover.ROVER profiles = ("mobile", "battery")
 
             async def body(self) -> Body:
-                wheels = self.backend.rover
-                return Body(x=wheels.x, y=wheels.y, yaw=wheels.yaw, forward=wheels.v, yaw_rate=wheels.w)
+                wheels = self.backend.rover return Body(x=wheels.x, y=wheels.y, yaw=wheels.yaw,
+                forward=wheels.v, yaw_rate=wheels.w)
 
             async def charge(self) -> float:
                 return self.backend.rover.pack.charge
