@@ -260,8 +260,9 @@ class Backend(Protocol):
         """Bring everything that moves to rest at once, by the strongest effective means.
 
         Return when it is *measured* to be at rest; a robot that cannot be reached is an error,
-        never a success. Called by the e-stop and before the backend closes, repeatedly until one
-        call returns, also while an earlier call is still waiting: its commands may have been lost.
+        never a success. Called by the e-stop until the robot is confirmed at rest, and before the
+        backend closes until one call returns; also while an earlier call is still waiting, whose
+        commands may have been lost.
 
         :raises AdapterUnavailable: a robot cannot be reached.
         :raises DeviceTimeout: it was commanded to stop and does not come to rest.

@@ -25,6 +25,14 @@ class Member:
         self._frames: tuple[str, ...] | None = None
 
     @property
+    def describes(self) -> bool:
+        """Whether its limits say what the robot can do: it moves something, or is in a profile.
+
+        The ranges of a vehicle's hundreds of own parameters say only how they are stored.
+        """
+        return self.entry.moves or bool(self.entry.resource.profiles)
+
+    @property
     def limits(self) -> Limits:
         """The limits of what clients may send."""
         if self._limits is None:

@@ -87,7 +87,7 @@ class _View:
         limits: dict[str, Any] = {}
         frames = dict.fromkeys(facts.frames)
         for number, member in enumerate(self._members, 1):
-            if member.limits:
+            if member.describes and member.limits:
                 limits[member.entry.name] = member.limits
             frames |= dict.fromkeys(member.frames)
             if not number % _STEP:

@@ -32,7 +32,7 @@ def limits_of(entry: Entry) -> Limits:
     for field, low, high in _bounds(schema, schema.get("$defs", {}), "", 0):
         if len(found) == _MOST:
             break
-        found[field or "value"] = (low, high)
+        found[field or "value"] = (None if low is None else low or 0, high or 0)  # no -0.0
     return found
 
 

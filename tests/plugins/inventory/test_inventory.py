@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import pytest
@@ -89,6 +89,11 @@ def mobile(robot: str | None) -> list[Resource]:
     mode = Resource(
         name="sensor/mode", description="The flight mode.", value=str, live=True, history=1
     )
+    raw = Resource(
+        name="param/raw/gain",
+        description="One of its own parameters, stored in 8 bits.",
+        value=Annotated[int, msgspec.Meta(ge=-128, le=127)],
+    )
     return claim(
         ["mobile", "battery"],
         offer("sensor/pose", live=True),
@@ -98,6 +103,7 @@ def mobile(robot: str | None) -> list[Resource]:
         offer("param/speed_limit", (0, 1.5)),
         offer("sensor/battery", live=True),
         mode,
+        raw,
         robot=robot,
     )
 
@@ -169,6 +175,7 @@ async def test_a_robot_is_listed_with_what_is_known_of_it(served: Served) -> Non
     assert sheet["limits"]["actuator/r1/cmd_vel"]["linear.x"] == [-1.5, 1.5]
     assert sheet["limits"]["action/r1/move_to"]["speed"] == [0.1, 1.5]
     assert sheet["limits"]["param/r1/speed_limit"] == {"value": [0, 1.5]}
+    assert not any("gain" in name for name in sheet["limits"])  # how it is stored, not what it can
     assert sheet["dimensions"] == {"length": 0.4, "width": 0.4, "mass": 1.2}
     assert sheet["frames"][:2] == ["map", "earth"]
     assert not {"kind", "mode", "battery", "pose"} & set(listed[SOLO])
