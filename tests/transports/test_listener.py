@@ -9,9 +9,9 @@ import pytest
 
 from rcp_asgi import AsgiConfig
 from rcp_kernel.app import plugins
-from rcp_kernel.asgi import respond
 from rcp_kernel.client_api import Mount
 from rcp_kernel.errors import ConfigError, PluginError
+from rcp_web.asgi import respond
 from transports.raw import TEXT, answer, connected, frame, opened
 from transports.robot import KEY, Site, site, until
 
