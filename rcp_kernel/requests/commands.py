@@ -99,7 +99,7 @@ class Commands:
                 )
             return
         raise AlreadyRunning(
-            f"action '{entry.path}' is currently in progress; rejecting duplicate request",
+            f"Warning: action '{entry.path}' is currently in progress; rejecting duplicate request.",
             path=entry.path,
             details={"command": busy.id},
         )

@@ -93,7 +93,7 @@ async def test_a_second_execute_is_rejected_while_the_first_runs(world: World) -
     second = await client.ask(type="execute", path=GO, body=2)
     assert second["error"]["code"] == "already_running"
     assert second["message"] == (
-        f"action '{GO}' is currently in progress; rejecting duplicate request"
+        f"Warning: action '{GO}' is currently in progress; rejecting duplicate request."
     )
 
 
