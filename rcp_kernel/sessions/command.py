@@ -168,6 +168,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     cancelling: str | None = None
     """Why a cancel was asked for."""
     expired: bool = False
+    sent: bool = False
+    """Whether it was passed to the robot, which may act on it from then on."""
     unrecorded: bool = False
     """Whether a step of it is missing in the record, so that its success is not confirmed."""
     timer: asyncio.TimerHandle | None = None
