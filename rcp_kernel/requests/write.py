@@ -24,6 +24,7 @@ from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
+from rcp_kernel.sessions.command import LinkLost
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -167,6 +168,9 @@ class WriteHandler:
                 deadman.disarm(entry, guard)
             if isinstance(error, RcpError):
                 error.origin = error.origin or entry.owner.name
+            elif isinstance(error, (ConnectionError, TimeoutError)):
+                text = f"the link to the robot failed: {error or type(error).__name__}"
+                raise LinkLost(text, origin=entry.owner.name) from error
             elif isinstance(error, Exception):
                 raise attribute_error(error, entry.owner.name, entry.path) from error
             raise

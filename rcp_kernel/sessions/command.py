@@ -267,7 +267,7 @@ CommandListener = Callable[[Command, Record], None]
 
 
 class LinkLost(AdapterUnavailable):
-    """The link failed while a command was with the robot, which may have begun to act."""
+    """The link failed while a command or write was with the robot, which may have begun to act."""
 
     status = "failed"
     retryable = False
