@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import structlog
 
 from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.features.robots import SupervisedBackend
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
@@ -52,9 +53,16 @@ class _Conditions:
 class GatewayRobots:
     """The `Robots` of one feature."""
 
-    def __init__(self, feature: str, hub: Hub, conditions: Conditions) -> None:
+    def __init__(
+        self,
+        feature: str,
+        hub: Hub,
+        conditions: Conditions,
+        backends: Sequence[SupervisedBackend],
+    ) -> None:
         self._feature = feature
         self._hub = hub
+        self.backends = backends
         self._watches: dict[str, list[_Watch]] = {}
         self.conditions = _Conditions(feature, conditions)
         self._following = False

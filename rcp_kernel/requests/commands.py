@@ -50,14 +50,11 @@ class Commands:
     def __init__(
         self,
         journal: CommandJournal,
-        began: Callable[[Entry], None],
         turns: Turns,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
     ) -> None:
-        """`began` is called before a command runs, and must be cheap."""
         self._journal = journal
-        self._began = began
         self._turns = turns
         self._loop = loop
         self._now = clock.now
@@ -126,8 +123,6 @@ class Commands:
 
     def _run(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
         entry = call.entry
-        if entry.barred:
-            self._began(entry)
         if not _shared(entry):
             self._active[entry.path] = command
         if entry.moves:
