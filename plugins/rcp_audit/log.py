@@ -114,20 +114,19 @@ class AuditLog:
 
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)
-        who = who_did(event, owners_of(event, touches))
+        facts = who_did(event, owners_of(event, touches))
         # A flood of refusals gets one common record.
         if (what == "denial" or self._ledger.waiting > _MOST) and not self._passes(
-            what, event, who
+            what, event, dict(facts)
         ):
             return False
-        facts = {**who, "path": event.path and event.path[:_TEXT], **more}
+        facts["path"] = event.path and event.path[:_TEXT]
+        facts |= more
         if event.request is not None:
             facts |= requested(event.request, event.what, hide=event.hide)
-        facts |= {
-            key: value[:_TEXT] if isinstance(value, str) and key != "value" else value
-            for key, value in event.facts.items()
-            if value is not None
-        }
+        for key, value in event.facts.items():
+            if value is not None:
+                facts[key] = value[:_TEXT] if isinstance(value, str) and key != "value" else value
         value = facts.get("value")
         if value is not None and type(value) is not msgspec.Raw:
             facts["value"] = bounded(value)

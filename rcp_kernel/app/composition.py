@@ -33,6 +33,7 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
@@ -102,6 +103,7 @@ class _Base:
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
+    deadlines: Deadlines
     inflight: InFlight
     changes: ViewChanges
     events: CommandEvents
@@ -228,6 +230,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub, clock)
     settings, counts = Settings(config), RequestCounts()
+    deadlines = Deadlines(loop)
     return _Base(
         settings=settings,
         shutdown=Shutdown(),
@@ -243,8 +246,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
         visibility=Visibility(registry, sights),
         rules=Rules(config.roles, conditions),
         counts=counts,
-        inflight=InFlight(settings, counts, turns, loop),
-        changes=ViewChanges(),
+        deadlines=deadlines,
+        inflight=InFlight(settings, counts, turns, deadlines, loop),
+        changes=ViewChanges(registry),
         events=CommandEvents(),
         supervisors=[],
     )
@@ -313,7 +317,9 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
+    commands = Commands(
+        records.journal, arming.arm, base.turns, base.deadlines, base.loop, base.clock
+    )
     latches = Latches(records.store)
     latches.on_change.append(base.registry.state_changed)
     return _Motion(
@@ -453,7 +459,6 @@ def _system(
         recent=recent,
         features=features.resources,
         reader_status=features.reader_status,
-        changes=base.changes,
         loop=base.loop,
     )
     return _System(estop, guard, status, branch)

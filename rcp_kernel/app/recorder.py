@@ -73,10 +73,13 @@ class Recorder(Listener):
 
     def hear(self, event: Event) -> bool:
         """Pass an event to the feature; return whether replies about it should wait."""
-        lost = self.lost
-        waits = super().hear(event)
-        if self.lost == lost:
-            self._failing = False
+        try:
+            waits = self.on_event is not None and bool(self.on_event(event))
+        except Exception as error:
+            self.health.failed("on_event", error, what=event.what, path=event.path)
+            self.missed(event)
+            return False
+        self._failing = False
         return waits
 
     def missed(self, event: Event) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.fence import permit
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -52,6 +53,7 @@ class Commands:
         journal: CommandJournal,
         began: Callable[[Entry], None],
         turns: Turns,
+        deadlines: Deadlines,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
     ) -> None:
@@ -59,6 +61,7 @@ class Commands:
         self._journal = journal
         self._began = began
         self._turns = turns
+        self._deadlines = deadlines
         self._loop = loop
         self._now = clock.now
         self._active: dict[str, Command] = {}
@@ -122,7 +125,7 @@ class Commands:
             self.cancel(busy, "preempted by a newer command")
         self._queues.setdefault(path, deque()).append(command)
         if deadline is not None:
-            command.timer = self._loop.call_later(deadline, self._expire, command, deadline)
+            self._set_deadline(command, deadline)
 
     def _run(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
         entry = call.entry
@@ -135,8 +138,12 @@ class Commands:
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")
         command.task.add_done_callback(partial(self._ended, command))
-        if timeout and command.timer is None:
-            command.timer = self._loop.call_later(timeout, self._expire, command, timeout)
+        if timeout and command.deadline is None:
+            self._set_deadline(command, timeout)
+
+    def _set_deadline(self, command: Command, seconds: float) -> None:
+        missed = partial(self._expire, command, seconds)
+        command.deadline = self._deadlines.set(seconds, command, missed)
 
     async def _carry_out(self, command: Command, call: Call, confirm: Confirm) -> Any:
         entry, work = call.entry, command.work
@@ -263,9 +270,9 @@ class Commands:
         self._starts.pop(following.id)()
 
     def _end(self, command: Command, outcome: Any) -> None:
-        if command.timer is not None:
-            command.timer.cancel()
-            command.timer = None
+        if command.deadline is not None:
+            self._deadlines.clear(command.deadline, command)
+            command.deadline = None
         if isinstance(outcome, RcpError):
             self._journal.write(command, _failed(command, outcome, self._now()))
         else:

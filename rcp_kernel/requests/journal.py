@@ -131,9 +131,10 @@ class CommandJournal:
     ) -> None:
         """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: see `InFlight.claim`.
+        :raises DuplicateRequest, QueueFull: see `InFlight.place`.
         """
-        key = self._inflight.claim(session, request)
+        key = self._inflight.place(session, request)
+        session.inflight.add(key)
         answer = self._replies.held(answer, request)
         if not session.stateless:
             session.commands[command.id] = command
@@ -144,7 +145,7 @@ class CommandJournal:
             reply = command.reply(step)
             reply.id = request.id  # others may follow the same command with their own request ids
             if step.status in FINAL:
-                session.inflight.pop(key, None)
+                session.inflight.discard(key)
                 self._requests.conclude(session, reply, started)
             answer(reply)
 
