@@ -12,7 +12,7 @@ import msgspec
 
 from rcp_audit.config import AuditConfig
 from rcp_audit.facts import ACTS, accepted, ended, requested
-from rcp_audit.owner import owners_of, who_did
+from rcp_audit.owner import who_did
 from rcp_audit.retention import Retention
 from rcp_audit.throttle import DenialThrottle
 from rcp_kernel.contract.digest import bounded
@@ -68,6 +68,7 @@ class AuditLog:
 
     def __init__(self, config: AuditConfig, host: FeatureHost) -> None:
         self._host = host
+        self._publish = host.publish
         self._ledger = host.ledger
         self.throttle = DenialThrottle(host.loop, config.denials, partial(self._write, "denials"))
         self.retention = Retention(host, config)
@@ -114,7 +115,7 @@ class AuditLog:
 
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)
-        facts = who_did(event, owners_of(event, touches))
+        facts = who_did(event, touches)
         # A flood of refusals gets one common record.
         if (what == "denial" or self._ledger.waiting > _MOST) and not self._passes(
             what, event, dict(facts)
@@ -151,10 +152,7 @@ class AuditLog:
             data = self._ledger.add(what, facts)
         except (TypeError, ValueError, OverflowError, RecursionError):
             data = self._ledger.add(what, {k: v and bounded(v) for k, v in facts.items()})
-        self._ledger.settled(partial(self._publish, data))
-
-    def _publish(self, data: bytes) -> None:
-        self._host.publish(PATH, _Sealed(data))
+        self._ledger.settled(partial(self._publish, PATH, _Sealed(data)))
 
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the log for `/system/status`; `head` adds its head, which not everybody may see."""

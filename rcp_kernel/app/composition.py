@@ -295,7 +295,7 @@ def _features(
     made = make(active, host)
     services.ask(made)
     records.events.on_event += made.event_listeners
-    records.journal.on_step += made.command_listeners
+    records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
@@ -318,7 +318,13 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         note=records.safety_events.dead_man,
     )
     commands = Commands(
-        records.journal, arming.arm, base.turns, base.deadlines, base.loop, base.clock
+        records.journal,
+        arming.arm,
+        base.turns,
+        base.deadlines,
+        base.loop,
+        base.clock,
+        base.settings,
     )
     latches = Latches(records.store)
     latches.on_change.append(base.registry.state_changed)
@@ -527,7 +533,6 @@ def _handlers(
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
-        settings=base.settings,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)

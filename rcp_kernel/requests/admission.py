@@ -78,9 +78,11 @@ class Admission:
             self._shutdown.check()
             return
         if entry.barred:
-            check_motion(entry)
+            if entry.unit.latch is not None:
+                check_motion(entry)
             self._check_thaw(entry)
-            check_hold(entry, call.value)
+            if entry.unit.is_held:
+                check_hold(entry, call.value)
         if self.control and entry.tenant is not None:
             _ask(self.control, call)
         if self._shutdown.begun:
@@ -125,13 +127,16 @@ class Admission:
         """
         entry, request = call.entry, call.request
         called = Operation.EXECUTE if request.type == "execute" else Operation.WRITE
-        self._resolver.check(call.session, entry, called)
+        if not call.session.rights.masks.get(entry.path, 0) & called.value:
+            self._resolver.check(call.session, entry, called)
         if request.timestamp is not None:
             check_age(entry, request.timestamp)
         if not entry.is_hold:
             if entry.barred:
-                check_motion(entry)
-                check_hold(entry, call.value)
+                if entry.unit.latch is not None:
+                    check_motion(entry)
+                if entry.unit.is_held:
+                    check_hold(entry, call.value)
             if self.control and entry.tenant is not None:
                 _confirm(self.control, call)
         backend = entry.owner.backend

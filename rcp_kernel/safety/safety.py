@@ -50,10 +50,9 @@ def check_hold(entry: Entry, value: Any) -> None:
 
     :raises AlreadyRunning: a hold has not ended yet.
     """
-    unit = entry.unit
-    if unit.is_held and entry.barred and not is_safe(entry, value):
+    if entry.unit.is_held and entry.barred and not is_safe(entry, value):
         raise AlreadyRunning(
-            f"{unit.name} is being brought to rest",
+            f"{entry.unit.name} is being brought to rest",
             path=entry.path,
             remedy="Send the command again when the robot is at rest.",
         )
