@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
-from rcp_kernel.contract.fence import check_fence, fenced_off, unfenced
+from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 
@@ -33,6 +33,7 @@ __all__ = [
     "Watchdog",
     "check_fence",
     "fenced_off",
+    "is_commanded",
     "unfenced",
 ]
 

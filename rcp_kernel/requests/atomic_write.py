@@ -16,7 +16,6 @@ from msgspec import Raw
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.pending import attribute_error
-from rcp_kernel.contract.structure import LONG
 from rcp_kernel.errors import (
     BadRequest,
     DeviceRejected,
@@ -35,6 +34,7 @@ from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, is_safe
+from rcp_kernel.sessions.command import LinkLost
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
@@ -42,6 +42,7 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
+from rcp_protocol.structure import LONG
 
 __all__ = ["MOST", "AtomicWriteHandler", "DryRun"]
 
@@ -305,7 +306,10 @@ class AtomicWriteHandler:
                 deadman.disarm(entry, guards.get(entry.path))
             if at_risk:
                 deadman.arm_together(at_risk, 0)
-            raise _attributed(error, admitted) from error
+            told = _attributed(error, admitted)
+            if told is error:
+                raise
+            raise told from error
         calls[0].entry.owner.latency = perf_counter() - started
         for call in calls:
             events.took(call.entry, call.value, actual.get(call.entry.name, call.value))
@@ -419,6 +423,9 @@ def _attributed(error: BaseException, admitted: _Admitted) -> BaseException:
         if error.path is not None:
             error.details = {**(error.details or {}), "faults": [_fault(error)]}
         return error
+    if isinstance(error, (ConnectionError, TimeoutError)):
+        text = f"the link to the robot failed: {error or type(error).__name__}"
+        return LinkLost(text, origin=owner.name)
     if isinstance(error, Exception):
         return attribute_error(error, owner.name, admitted.calls[0].entry.path)
     return error

@@ -10,7 +10,6 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.structure import LONG
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
@@ -23,6 +22,7 @@ from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
+from rcp_kernel.sessions.command import LinkLost
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -31,6 +31,7 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, Reply, Request
+from rcp_protocol.structure import LONG
 
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
 
@@ -167,6 +168,9 @@ class WriteHandler:
                 deadman.disarm(entry, guard)
             if isinstance(error, RcpError):
                 error.origin = error.origin or entry.owner.name
+            elif isinstance(error, (ConnectionError, TimeoutError)):
+                text = f"the link to the robot failed: {error or type(error).__name__}"
+                raise LinkLost(text, origin=entry.owner.name) from error
             elif isinstance(error, Exception):
                 raise attribute_error(error, entry.owner.name, entry.path) from error
             raise
