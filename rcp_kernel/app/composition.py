@@ -41,6 +41,7 @@ from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.atomic_write import AtomicWriteHandler
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.commands import Commands
@@ -50,6 +51,7 @@ from rcp_kernel.requests.execute import ExecuteHandler
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
+from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
@@ -504,6 +506,18 @@ def _handlers(
         filters=system.branch.filters,
         settings=base.settings,
     )
+    keyed = KeyedWrites(requests.keys, inflight, base.loop)
+    atomic = AtomicWriteHandler(
+        requests.resolver,
+        requests.admission,
+        inflight,
+        motion.deadman,
+        events=base.events,
+        dry_run=features.dry_run,
+        keyed=keyed,
+        replies=records.replies,
+        request_events=requests.events,
+    )
     write = WriteHandler(
         requests.resolver,
         requests.admission,
@@ -511,11 +525,11 @@ def _handlers(
         motion.deadman,
         events=base.events,
         dry_run=features.dry_run,
-        keys=requests.keys,
+        keyed=keyed,
         replies=records.replies,
         request_events=requests.events,
         turns=base.turns,
-        loop=base.loop,
+        atomic=atomic,
     )
     execute = ExecuteHandler(
         requests.resolver,

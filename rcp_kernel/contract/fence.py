@@ -20,6 +20,7 @@ __all__ = [
     "check_fence",
     "end_permit",
     "fenced_off",
+    "is_commanded",
     "permit",
     "permitted",
     "unfenced",
@@ -82,6 +83,11 @@ def fenced_off() -> bool:
     """Tell whether the robot was stopped since what runs now was admitted."""
     permit = _permit.get()
     return permit is not None and permit[0].stops != permit[1]
+
+
+def is_commanded() -> bool:
+    """Tell whether what runs now was requested, and is not a stop of the gateway's own."""
+    return _permit.get() is not None
 
 
 def check_fence() -> None:

@@ -102,6 +102,17 @@ class Admission:
         if self._late:
             self._ask(self._late, call)
 
+    def ask_all(self, calls: Sequence[Call]) -> None:
+        """Call the last guards for several calls: each guard for all of them before the next.
+
+        The last one uses an approval up, after which nothing may refuse.
+
+        :raises RcpError: one refuses.
+        """
+        for guard in self._late:
+            for call in calls:
+                self._ask((guard,), call)
+
     def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
         if _concerns_guards(call):
             _ask(guards, call)

@@ -23,6 +23,7 @@ from rcp_kernel.errors import (
     Cancelled,
     DeadlineExceeded,
     DeviceRejected,
+    DeviceTimeout,
     QueueFull,
     RcpError,
     Refused,
@@ -31,7 +32,14 @@ from rcp_kernel.features import Call
 from rcp_kernel.model import Kind
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.safety.loss import tell_loss
-from rcp_kernel.sessions.command import Command, Record, has_begun, outcome_of, status_of
+from rcp_kernel.sessions.command import (
+    Command,
+    LinkLost,
+    Record,
+    has_begun,
+    outcome_of,
+    status_of,
+)
 from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -98,7 +106,7 @@ class Commands:
                 )
             return
         raise AlreadyRunning(
-            f"action '{entry.path}' is currently in progress; rejecting duplicate request",
+            f"Warning: action '{entry.path}' is currently in progress; rejecting duplicate request.",
             path=entry.path,
             details={"command": busy.id},
         )
@@ -167,6 +175,7 @@ class Commands:
             )
         backend = confirm(call)
         progress = partial(self._progress, command, entry)
+        command.sent = True
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
@@ -295,9 +304,12 @@ class Commands:
         for command in [c for c in self._journal.running.values() if c.path == path]:
             if command.id in self._starts:
                 self._unqueue(command)
-            elif command.task is not None:
+                self._end(command, error)
+                continue
+            if command.task is not None:
                 command.task.cancel()
-            self._end(command, error)
+            lost = LinkLost(error.message, origin=error.origin) if command.sent else error
+            self._end(command, lost)
 
     async def close(self) -> None:
         """Cancel all commands, and wait a limited time for their end."""
@@ -318,7 +330,16 @@ def _failed(command: Command, error: RcpError, moment: int) -> Record:
             tell_loss(entry, error)
     body = NO_BODY if command.work is None else command.work.report(over=True)
     facts = error_body(error)
-    if has_begun(command):
+    if _has_effect(command, error):
         facts["retryable"] = False  # a repeat would act on top of what is done already
     status = status_of(command, error)
     return Record(status, moment, body, message=error.message, error=facts)
+
+
+def _has_effect(command: Command, error: RcpError) -> bool:
+    """Return whether the robot has acted on a command that failed, or may have."""
+    entry = command.entry
+    if entry is not None and entry.is_hold:  # a repeat has the same effect
+        return False
+    unknown = command.sent and isinstance(error, (DeadlineExceeded, DeviceTimeout))
+    return has_begun(command) or (unknown and entry is not None and entry.moves)

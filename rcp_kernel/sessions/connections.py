@@ -15,7 +15,6 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.structure import LONG, check_structure
 from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.sessions.counts import RequestCounts
@@ -38,6 +37,7 @@ from rcp_kernel.wire import (
     failure,
     peek_header,
 )
+from rcp_protocol.structure import LONG, check_structure
 
 __all__ = ["Connection", "ConnectionParts"]
 

@@ -258,7 +258,7 @@ class ValueType:
         operator, _, limit = bound.partition(" ")
         tail = f" {unit}" if unit and unit != "1" else ""
         return OutOfRange(
-            f"{_named(label, pointer)} exceeds allowed range: "
+            f"{_failed(label)}{_named(label, pointer)} exceeds allowed range: "
             f"{found} {_BROKEN[operator]} {limit}{tail}",
             details={"pointer": pointer, "value": found, "bound": bound, "unit": unit},
         )
@@ -274,6 +274,11 @@ class ValueType:
         elif fault.missing is not None:
             details["missing"] = f"{pointer}/{fault.missing}"
         return InvalidValue(f"{_named(label, pointer)}: {fault.what}", details=details)
+
+
+def _failed(label: str) -> str:
+    """Return how the paper's status message of a parameter begins."""
+    return "Failed to apply configuration: " if label.startswith("parameter ") else ""
 
 
 def _named(label: str, pointer: str) -> str:
