@@ -31,6 +31,7 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
@@ -38,6 +39,7 @@ from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.atomic_write import AtomicWriteHandler
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.commands import Commands
@@ -47,6 +49,7 @@ from rcp_kernel.requests.execute import ExecuteHandler
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
+from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
@@ -100,6 +103,7 @@ class _Base:
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
+    deadlines: Deadlines
     inflight: InFlight
     changes: ViewChanges
     events: CommandEvents
@@ -223,6 +227,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub, clock)
     settings, counts = Settings(config), RequestCounts()
+    deadlines = Deadlines(loop)
     return _Base(
         settings=settings,
         shutdown=Shutdown(),
@@ -238,8 +243,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
         visibility=Visibility(registry, sights),
         rules=Rules(config.roles, conditions),
         counts=counts,
-        inflight=InFlight(settings, counts, turns, loop),
-        changes=ViewChanges(),
+        deadlines=deadlines,
+        inflight=InFlight(settings, counts, turns, deadlines, loop),
+        changes=ViewChanges(registry),
         events=CommandEvents(),
         supervisors=[],
     )
@@ -287,7 +293,7 @@ def _features(
     made = make(active, host)
     services.ask(made)
     records.events.on_event += made.event_listeners
-    records.journal.on_step += made.command_listeners
+    records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
@@ -306,7 +312,14 @@ def _motion(base: _Base, records: _Records) -> _Motion:
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.journal, base.turns, base.loop, base.clock)
+    commands = Commands(
+        records.journal,
+        base.turns,
+        base.deadlines,
+        base.loop,
+        base.clock,
+        base.settings,
+    )
     latches = Latches(records.store)
     latches.on_change.append(base.registry.state_changed)
     return _Motion(
@@ -432,7 +445,6 @@ def _system(
         recent=recent,
         features=features.resources,
         reader_status=features.reader_status,
-        changes=base.changes,
         loop=base.loop,
     )
     return _System(estop, status, branch)
@@ -472,6 +484,18 @@ def _handlers(
         filters=system.branch.filters,
         settings=base.settings,
     )
+    keyed = KeyedWrites(requests.keys, inflight, base.loop)
+    atomic = AtomicWriteHandler(
+        requests.resolver,
+        requests.admission,
+        inflight,
+        motion.deadman,
+        events=base.events,
+        dry_run=features.dry_run,
+        keyed=keyed,
+        replies=records.replies,
+        request_events=requests.events,
+    )
     write = WriteHandler(
         requests.resolver,
         requests.admission,
@@ -479,11 +503,11 @@ def _handlers(
         motion.deadman,
         events=base.events,
         dry_run=features.dry_run,
-        keys=requests.keys,
+        keyed=keyed,
         replies=records.replies,
         request_events=requests.events,
         turns=base.turns,
-        loop=base.loop,
+        atomic=atomic,
     )
     execute = ExecuteHandler(
         requests.resolver,
@@ -501,7 +525,6 @@ def _handlers(
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
-        settings=base.settings,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)

@@ -110,6 +110,12 @@ class StatusReport:
         }
         return all(state in ("ready", "degraded") for state in states.values()), states
 
+    def absent_adapters(self) -> dict[str, str]:
+        """Return the adapters that are installed and do not run, each with the reason and remedy."""
+        return {
+            one["name"]: one["detail"] for one in self.adapters if one["state"] in ("off", "down")
+        }
+
     def plain(self, rights: Rights | None = None) -> dict[str, Any]:
         """Return the report, limited to the tenants of a principal, or all of it."""
         every = rights is None or "*" in rights.tenants
