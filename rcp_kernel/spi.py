@@ -8,7 +8,7 @@ through `ClientApi` and `Session`. Hooks declare, context managers run, method c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any, Protocol, runtime_checkable
 
@@ -234,6 +234,19 @@ class Backend(Protocol):
         """
         ...
 
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Bring several values into force at the same moment, or none of them.
+
+        Called only for names of one group (`Resource.atomic`), also with their safe values. Return
+        the values now in force that differ from those sent. Check everything that may be refused
+        before the first one is sent: `DeviceRejected` and the errors of a refusal mean that none is
+        in force. After any other error, and after a cancellation, the kernel brings all of them to
+        rest. `path` of an error is the name of the one that it is about.
+
+        :raises DeviceRejected: the robot refused, and none of them is in force.
+        """
+        ...
+
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service to its end and return its result.
 
@@ -321,6 +334,10 @@ class BaseBackend:
     async def write(self, name: str, value: Any) -> Any:
         """Refuse."""
         raise UnsupportedOperation(f"'{name}' cannot be written")
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Refuse: nothing is declared as a group."""
+        raise UnsupportedOperation("the backend cannot write several values as one")
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Refuse."""
