@@ -84,7 +84,7 @@ class RequestEvents:
         gate = self._gate
 
         def done(reply: Reply) -> None:
-            lost = gate.lost
+            lost = gate.lost if gate.demands else 0
             self._events.tell(
                 Event(
                     what="write",
@@ -97,7 +97,7 @@ class RequestEvents:
                     facts={"message": reply.message},
                 )
             )
-            answer(gate.confirmed(reply, lost))
+            answer(gate.confirmed(reply, lost) if gate.demands else reply)
 
         return done
 
