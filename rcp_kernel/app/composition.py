@@ -480,6 +480,7 @@ def _handlers(
         views=system.branch.views,
         pages=system.branch.pages,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     subscribe = SubscribeHandler(
@@ -491,6 +492,7 @@ def _handlers(
         clients.sessions,
         views=system.branch.views,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     write = WriteHandler(
@@ -522,6 +524,7 @@ def _handlers(
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
+        frames=features.frames,
         settings=base.settings,
         loop=base.loop,
     )
@@ -551,6 +554,7 @@ def _actions(
         handle=requests.router.handle,
         resolver=requests.resolver,
         foresee=features.foresee,
+        frames=features.frames,
         commands=motion.commands,
         journal=records.journal,
         conditions=base.conditions,
@@ -604,7 +608,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, features.describe)
+    discovery = Discovery(base.registry, base.sights, features.describe, features.frames)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     ping = PingHandler(base.counts)
     requests.router.add("ping", ping.ping)

@@ -28,6 +28,7 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
+from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.sessions.command import CommandListener
 from rcp_kernel.sessions.session import Session
@@ -116,6 +117,12 @@ class Features:
             for name, feature in self._made
             if feature.observer is not None and (feature.guard is None or feature.guard.active)
         ]
+
+    @property
+    def frames(self) -> FrameConverter:
+        """The converter of frames."""
+        found = (feature.frames for _, feature in self._made)
+        return next((one for one in found if one is not None), NoFrames())
 
     @property
     def authenticators(self) -> list[Authenticator]:

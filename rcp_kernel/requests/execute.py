@@ -18,6 +18,7 @@ from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
@@ -88,6 +89,7 @@ class ExecuteHandler:
         replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
+        frames: FrameConverter,
         settings: Settings,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -106,6 +108,7 @@ class ExecuteHandler:
         self._replies = replies
         self._partners = partners
         self._deadman = deadman
+        self._frames = frames
         self._settings = settings
         self._loop = loop
 
@@ -159,7 +162,7 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
-        value = self._input(request, entry) if prepared is None else prepared.run.input
+        value = self._input(session, request, entry) if prepared is None else prepared.run.input
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
@@ -338,9 +341,11 @@ class ExecuteHandler:
             self._keys.settle(session, request, entry.path, reply)
         return reply
 
-    def _input(self, request: Request, entry: Entry) -> Any:
+    def _input(self, session: Session, request: Request, entry: Entry) -> Any:
         if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
             return None
+        if (goal := self._frames.goal(session, request, entry)) is not None:
+            return goal
         return request.decode_body(entry.input_type, f"input of {entry.label}")
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
