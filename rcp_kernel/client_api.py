@@ -100,6 +100,10 @@ class StatusView(Protocol):
         """Tell whether every backend is ready, and each one's state."""
         ...
 
+    def absent_adapters(self) -> dict[str, str]:
+        """Return the adapters that are installed and do not run, each with the reason and remedy."""
+        ...
+
     def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
         """Write the Prometheus exposition for a principal, in steps."""
         ...
@@ -452,6 +456,10 @@ class ClientApi:
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
         return self._parts.status.ready()
+
+    def absent_adapters(self) -> dict[str, str]:
+        """Return the adapters that are installed and do not run, each with the reason and remedy."""
+        return self._parts.status.absent_adapters()
 
     def metrics(self, session: Session) -> Generator[None, None, bytes]:
         """Write the Prometheus exposition in steps, without the paths hidden from a session."""

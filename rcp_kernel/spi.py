@@ -8,14 +8,14 @@ through `ClientApi` and `Session`. Hooks declare, context managers run, method c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.contract.fence import check_fence, fenced_off, unfenced
+from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Transform
@@ -37,6 +37,7 @@ __all__ = [
     "Watchdog",
     "check_fence",
     "fenced_off",
+    "is_commanded",
     "unfenced",
 ]
 
@@ -285,6 +286,19 @@ class Backend(Protocol):
         """
         ...
 
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Bring several values into force at the same moment, or none of them.
+
+        Called only for names of one group (`Resource.atomic`), also with their safe values. Return
+        the values now in force that differ from those sent. Check everything that may be refused
+        before the first one is sent: `DeviceRejected` and the errors of a refusal mean that none is
+        in force. After any other error, and after a cancellation, the kernel brings all of them to
+        rest. `path` of an error is the name of the one that it is about.
+
+        :raises DeviceRejected: the robot refused, and none of them is in force.
+        """
+        ...
+
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service to its end and return its result.
 
@@ -372,6 +386,10 @@ class BaseBackend:
     async def write(self, name: str, value: Any) -> Any:
         """Refuse."""
         raise UnsupportedOperation(f"'{name}' cannot be written")
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Refuse: nothing is declared as a group."""
+        raise UnsupportedOperation("the backend cannot write several values as one")
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Refuse."""

@@ -119,7 +119,7 @@ class Catalog:
             if name not in self._mapped
         }
         reserved = self._profiles.reserved
-        found = self._wanted.found(graph, reserved.keys(), self._limited(reserved))
+        found = self._wanted.found(graph, reserved)
         for name, mapping in found.items():
             self._want(name, mapping, graph, mapped=False)
         _note(self._actions, "action", found.values())
@@ -264,12 +264,6 @@ class Catalog:
         robot = self._shared.naming.split(mapping.target)[0]
         branch, _, rest = name.partition("/")
         return f"{branch}/{rest.removeprefix(f'{robot}/')}" if robot else name
-
-    def _limited(self, reserved: dict[str, Mapping]) -> set[str]:
-        """Return the topics that a second path would command past the configured limits."""
-        if self._shared.config.limits is None:
-            return set()
-        return {m.topic for path, m in reserved.items() if m.topic and path.startswith("actuator/")}
 
     async def _find_limit(self, name: str) -> None:
         """Look for a speed limit among the parameters of a node."""

@@ -90,16 +90,16 @@ class Wanted:
 
         return is_free
 
-    def found(
-        self, graph: Graph, reserved: AbstractSet[str], limited: AbstractSet[str]
-    ) -> dict[str, Mapping]:
+    def found(self, graph: Graph, reserved: dict[str, Mapping]) -> dict[str, Mapping]:
         """Return the paths that depend on the graph, besides the fixed ones of the map.
 
-        Those in `reserved` are made by others; what commands the topics in `limited` is left out.
+        Those in `reserved` are made by others. A topic that one of them commands gets no second
+        actuator: the dead-man, limits and commander of each would not apply to the other.
         """
         of_robots = self._of_robots(graph)
         self._commanded = set(filter(None, map(_command, (self.mapped | of_robots).items())))
-        self._commanded |= {("actuator", topic) for topic in limited}
+        driven = {path: m for path, m in reserved.items() if path.startswith("actuator/")}
+        self._commanded |= set(filter(None, map(_command, driven.items())))
         taken = of_robots.keys() | self.mapped.keys()
         found: dict[str, Mapping] = {}
         rivals: list[_Found] = []

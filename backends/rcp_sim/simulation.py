@@ -125,6 +125,18 @@ class Simulation:
         v, w = self.velocity
         self.velocity = (max(-limit, min(limit, v)), w)
 
+    def drive_within(self, limit: float, v: float, w: float) -> None:
+        """Change the speed limit and apply a velocity, or neither.
+
+        :raises ModeForbids, DeviceRejected: as `drive` does.
+        """
+        before, self.limit = self.limit, limit
+        try:
+            self.drive(v, w)
+        except BaseException:
+            self.limit = before
+            raise
+
     def go(
         self,
         x: float,

@@ -32,9 +32,9 @@ from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, refuse
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
 from rcp_kernel.api import Session, SharedWork, at_once, gateway_version
-from rcp_kernel.asgi import JSON, Headers, Scope, Send, header, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, Unauthenticated
+from rcp_web.asgi import JSON, Headers, Scope, Send, header, respond
 
 __all__ = ["INPUT_MODES", "OUTPUT_MODES", "Cards"]
 

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from rcp_kernel.asgi import JSON, Headers, Send, respond, retry_after
 from rcp_kernel.errors import RcpError
+from rcp_web.asgi import JSON, Headers, Send, respond, retry_after
 
 __all__ = ["NOT_FOUND", "NOT_TAKEN", "Binding", "Trouble", "refuse", "trouble_of"]
 

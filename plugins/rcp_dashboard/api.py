@@ -15,10 +15,10 @@ from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.schemas import CAMERA, LATEST, LAYOUT, NONE, SERIES, STREAM, answer
 from rcp_dashboard.telemetry import Telemetry
 from rcp_kernel.api import Session
-from rcp_kernel.asgi import Headers, Scope, read_body
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_web.application import Application, Asked, response, scope_of
+from rcp_web.asgi import Headers, Scope, read_body
 from rcp_web.calls import call, parameters_of, query
 from rcp_web.refusals import Refusal, envelope
 

@@ -16,13 +16,13 @@ from rcp_dashboard.picture import Picture, picture
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.watchers import checked
 from rcp_kernel.api import Connection
-from rcp_kernel.asgi import Headers, Receive, Send
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
 from rcp_web.application import response
+from rcp_web.asgi import Headers, Receive, Send
 
 __all__ = ["STALLED", "Cameras"]
 

@@ -13,8 +13,8 @@ import structlog
 from litestar import get
 from litestar.types import ASGIApp
 
-from rcp_kernel.asgi import Headers, Scope, header
 from rcp_web.application import Application, Asked, response, scope_of
+from rcp_web.asgi import Headers, Scope, header
 
 __all__ = ["STATIC", "Pages"]
 

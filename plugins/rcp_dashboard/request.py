@@ -6,10 +6,10 @@ import math
 from typing import TypeVar
 
 from rcp_kernel.api import Peer, Principal, Session
-from rcp_kernel.asgi import Scope, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import BadRequest
+from rcp_web.asgi import Scope, bearer, header, peer_of
 from rcp_web.query import read_query, single
 
 __all__ = ["DashboardRequest"]

@@ -51,6 +51,7 @@ class Inventory:
                     yield None
             units = dict.fromkeys(member.entry.unit for member in seen)
             if not any(unit.robot is not None or unit in unit.owner.units for unit in units):
+                yield None
                 continue
             view = _View(robot, seen, list(units))
             if words and not matches(view.text, words):

@@ -18,7 +18,15 @@ from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.server.transport_security import RequestBodyLimitMiddleware
 
 from rcp_kernel.api import LONG_MESSAGE, Session, check_structure, to_internal_error
-from rcp_kernel.asgi import (
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.errors import PayloadTooLarge, RcpError
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import error_body
+from rcp_mcp.caller import SESSION
+from rcp_mcp.catalogue import Catalogue
+from rcp_mcp.config import McpConfig
+from rcp_mcp.urgent import Urgent
+from rcp_web.asgi import (
     Receive,
     Scope,
     Send,
@@ -28,14 +36,6 @@ from rcp_kernel.asgi import (
     session_of,
     too_large,
 )
-from rcp_kernel.client_api import ClientApi
-from rcp_kernel.errors import PayloadTooLarge, RcpError
-from rcp_kernel.values import Encoding
-from rcp_kernel.wire import error_body
-from rcp_mcp.caller import SESSION
-from rcp_mcp.catalogue import Catalogue
-from rcp_mcp.config import McpConfig
-from rcp_mcp.urgent import Urgent
 
 __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
 

@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 import msgspec
 
 from rcp_conditions import Condition, Ref, condition
+from rcp_conditions.fields import Field
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import ModeForbids, OutOfRange, PreconditionFailed
 from rcp_kernel.features import Robots
 from rcp_kernel.model import Kind, Operation

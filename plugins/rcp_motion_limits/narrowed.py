@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from rcp_conditions.fields import Field
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.contract.fields import Field
 from rcp_motion_limits.config import Bound
 from rcp_motion_limits.limit import within
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from rcp_kernel.contract.fields import Field
+from rcp_conditions.fields import Field
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.tree.entry import Entry

@@ -14,9 +14,9 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_conditions import CLOCK, Condition, Ref, size_of
+from rcp_conditions.fields import inner
 from rcp_kernel._plain import is_map
 from rcp_kernel.clock import Clock
-from rcp_kernel.contract.fields import inner
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain

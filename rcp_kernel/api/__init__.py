@@ -1,26 +1,24 @@
-"""The parts for transports and adapters, besides `ClientApi` and `rcp_kernel.asgi`.
+"""The parts for transports and adapters, besides `ClientApi` and `rcp_web.asgi`.
 
-A plugin that connects clients imports only the public modules: `api`, `api.pages`, `asgi`,
-`client_api`, `client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`, `values`
-and `wire`. These names are stable when the kernel behind them is rearranged.
+A plugin that connects clients imports only the public modules: `api`, `api.pages`, `client_api`,
+`client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`, `values` and `wire`.
+These names are stable when the kernel behind them is rearranged.
 """
 
 from __future__ import annotations
 
+from rcp_conditions.fields import Field
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.certificates import read_certificate, read_pem, revoked_by
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.roles import check_pattern
-from rcp_kernel.contract.fields import Field
 from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shared_work import SharedWork
-from rcp_kernel.contract.structure import LONG as LONG_MESSAGE
-from rcp_kernel.contract.structure import check_structure
 from rcp_kernel.contract.turns import Turns, at_once
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.requests.discovery import Query
@@ -37,6 +35,8 @@ from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.streams.outbound import Backlog, Outbound
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.tree.samples import Sample
+from rcp_protocol.structure import LONG as LONG_MESSAGE
+from rcp_protocol.structure import check_structure
 
 __all__ = [
     "BACKLOG_SHARE",

@@ -19,8 +19,6 @@ from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.app.feature_host import GatewayFeatureHost
 from rcp_kernel.app.features import ActiveFeature, Features, make
-from rcp_kernel.app.guard import GuardLink
-from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.robots import GatewayRobots
@@ -33,6 +31,7 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
@@ -40,6 +39,7 @@ from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.atomic_write import AtomicWriteHandler
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.commands import Commands
@@ -49,6 +49,7 @@ from rcp_kernel.requests.execute import ExecuteHandler
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
+from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
@@ -102,6 +103,7 @@ class _Base:
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
+    deadlines: Deadlines
     inflight: InFlight
     changes: ViewChanges
     events: CommandEvents
@@ -123,7 +125,6 @@ class _Records:
 class _Motion:
     """Motion and stops of robots."""
 
-    arming: GuardArming
     partners: Partners
     deadman: Deadman
     commands: Commands
@@ -160,7 +161,6 @@ class _System:
     """The gateway's own branch, and its sources."""
 
     estop: Estop
-    guard: GuardLink
     status: StatusReport
     branch: System
 
@@ -188,7 +188,7 @@ def compose(
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
     made = _features(base, records, motion, clients, features)
-    requests = _requests(base, records, motion, made)
+    requests = _requests(base, records, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
@@ -211,7 +211,6 @@ def compose(
         outbound=clients.outbound,
         resume=clients.resume,
         sessions=clients.sessions,
-        guard=system.guard,
         status=system.status,
         system=system.branch,
         features=made,
@@ -228,6 +227,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub, clock)
     settings, counts = Settings(config), RequestCounts()
+    deadlines = Deadlines(loop)
     return _Base(
         settings=settings,
         shutdown=Shutdown(),
@@ -243,8 +243,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
         visibility=Visibility(registry, sights),
         rules=Rules(config.roles, conditions),
         counts=counts,
-        inflight=InFlight(settings, counts, turns, loop),
-        changes=ViewChanges(),
+        deadlines=deadlines,
+        inflight=InFlight(settings, counts, turns, deadlines, loop),
+        changes=ViewChanges(registry),
         events=CommandEvents(),
         supervisors=[],
     )
@@ -272,6 +273,7 @@ def _features(
             GatewayRobots,
             hub=base.hub,
             conditions=base.conditions,
+            backends=base.supervisors,
         ),
         changes=base.changes,
         store=records.store,
@@ -291,7 +293,7 @@ def _features(
     made = make(active, host)
     services.ask(made)
     records.events.on_event += made.event_listeners
-    records.journal.on_step += made.command_listeners
+    records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
@@ -302,22 +304,25 @@ def _features(
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
-    config = base.settings.config
-    arming = GuardArming(base.loop, config.safety)
     partners = Partners(base.registry)
     deadman = Deadman(
         base.loop,
-        began=arming.arm,
         sending=base.events.stopping,
         at_rest=base.events.rested,
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
+    commands = Commands(
+        records.journal,
+        base.turns,
+        base.deadlines,
+        base.loop,
+        base.clock,
+        base.settings,
+    )
     latches = Latches(records.store)
     latches.on_change.append(base.registry.state_changed)
     return _Motion(
-        arming,
         partners,
         deadman,
         commands,
@@ -358,7 +363,6 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
 def _requests(
     base: _Base,
     records: _Records,
-    motion: _Motion,
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
@@ -369,7 +373,6 @@ def _requests(
         base.events,
         records.replies,
         base.shutdown,
-        motion.arming.check_thaw,
         features.guards,
     )
     keys = Keys(records.store, base.loop, base.clock)
@@ -413,19 +416,8 @@ def _system(
         loop=base.loop,
         clock=base.clock,
     )
-    guard = GuardLink(
-        motion.arming,
-        base.supervisors,
-        base.registry,
-        motion.deadman,
-        motion.commands,
-        records.events,
-        base.shutdown,
-        base.loop,
-    )
     status = StatusReport(
         base.supervisors,
-        guard,
         recent,
         registry=base.registry,
         hub=base.hub,
@@ -453,10 +445,9 @@ def _system(
         recent=recent,
         features=features.resources,
         reader_status=features.reader_status,
-        changes=base.changes,
         loop=base.loop,
     )
-    return _System(estop, guard, status, branch)
+    return _System(estop, status, branch)
 
 
 def _handlers(
@@ -495,6 +486,18 @@ def _handlers(
         frames=features.frames,
         settings=base.settings,
     )
+    keyed = KeyedWrites(requests.keys, inflight, base.loop)
+    atomic = AtomicWriteHandler(
+        requests.resolver,
+        requests.admission,
+        inflight,
+        motion.deadman,
+        events=base.events,
+        dry_run=features.dry_run,
+        keyed=keyed,
+        replies=records.replies,
+        request_events=requests.events,
+    )
     write = WriteHandler(
         requests.resolver,
         requests.admission,
@@ -502,11 +505,11 @@ def _handlers(
         motion.deadman,
         events=base.events,
         dry_run=features.dry_run,
-        keys=requests.keys,
+        keyed=keyed,
         replies=records.replies,
         request_events=requests.events,
         turns=base.turns,
-        loop=base.loop,
+        atomic=atomic,
     )
     execute = ExecuteHandler(
         requests.resolver,
@@ -525,7 +528,6 @@ def _handlers(
         partners=motion.partners,
         deadman=motion.deadman,
         frames=features.frames,
-        settings=base.settings,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)

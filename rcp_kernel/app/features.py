@@ -30,7 +30,6 @@ from rcp_kernel.features import (
 )
 from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
-from rcp_kernel.sessions.command import CommandListener
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -136,9 +135,9 @@ class Features:
         return [one.hear for one in self._listeners if one.on_event is not None]
 
     @property
-    def command_listeners(self) -> list[CommandListener]:
+    def command_listeners(self) -> list[Listener]:
         """The listeners for steps of commands."""
-        return [one.follow for one in self._listeners if one.on_command is not None]
+        return [one for one in self._listeners if one.hears_commands]
 
     @property
     def recorders(self) -> list[Recorder]:

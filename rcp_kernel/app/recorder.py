@@ -13,6 +13,10 @@ from rcp_kernel.wire import Reply
 __all__ = ["Listener", "Recorder"]
 
 
+def _ignore(_command: Command, _step: Record) -> None:
+    """Hear nothing of commands."""
+
+
 class Listener:
     """Passes events to a feature, whose errors must not prevent commands or stops."""
 
@@ -20,7 +24,8 @@ class Listener:
         self, on_event: Hear | None, on_command: CommandListener | None, health: FeatureHealth
     ) -> None:
         self.on_event = on_event
-        self.on_command = on_command
+        self.hears_commands = on_command is not None
+        self.on_command = on_command or _ignore
         self.health = health
 
     def hear(self, event: Event) -> bool:
@@ -32,20 +37,12 @@ class Listener:
             self.missed(event)
             return False
 
-    def follow(self, command: Command, step: Record) -> None:
-        """Pass a step of a command to the feature."""
-        try:
-            if self.on_command is not None:
-                self.on_command(command, step)
-        except Exception as error:
-            self.health.failed("on_command", error, command=command.id, path=command.path)
-            self.missed_step(command, step)
-
     def missed(self, event: Event) -> None:
         """Handle an event that the feature did not accept: do nothing."""
 
-    def missed_step(self, command: Command, step: Record) -> None:
-        """Handle a step that the feature did not accept: do nothing."""
+    def missed_step(self, command: Command, step: Record, error: Exception) -> None:
+        """Note that the feature did not accept a step."""
+        self.health.failed("on_command", error, command=command.id, path=command.path)
 
 
 class Recorder(Listener):
@@ -73,10 +70,13 @@ class Recorder(Listener):
 
     def hear(self, event: Event) -> bool:
         """Pass an event to the feature; return whether replies about it should wait."""
-        lost = self.lost
-        waits = super().hear(event)
-        if self.lost == lost:
-            self._failing = False
+        try:
+            waits = self.on_event is not None and bool(self.on_event(event))
+        except Exception as error:
+            self.health.failed("on_event", error, what=event.what, path=event.path)
+            self.missed(event)
+            return False
+        self._failing = False
         return waits
 
     def missed(self, event: Event) -> None:
@@ -98,8 +98,9 @@ class Recorder(Listener):
             self._failing = True
             self.health.failed("on_event", error, what=gap.what)
 
-    def missed_step(self, command: Command, step: Record) -> None:
+    def missed_step(self, command: Command, step: Record, error: Exception) -> None:
         """Record the gap for a step of a command, which is then not confirmed."""
+        super().missed_step(command, step, error)
         command.unrecorded = True
         requester = command.asker
         self.missed(

@@ -15,7 +15,7 @@ from rcp_kernel.app.composition import compose
 from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
-from rcp_kernel.app.plugins import Missing, Plugins
+from rcp_kernel.app.plugins import Missing, Plugins, installed
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.client_api import ClientApi
@@ -150,16 +150,15 @@ async def running(
         stack.push_async_callback(kernel.close)
         await stack.enter_async_context(kernel.identities.running())
         await stack.enter_async_context(kernel.features.running())
-        kernel.guard.start()
-        stack.push_async_callback(kernel.guard.close)
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)
+        _report_missing(plugins.missing, status)
+        _report_unused(status)
         await _settled(kernel.supervisors, first - loop.time())
         await _open_all(
             stack, client_api, prepared.transports, plugins.transports, status.transports
         )
-        _report_missing(plugins.missing, status)
         stack.push_async_callback(_rest, kernel)
         yield server
 
@@ -198,6 +197,14 @@ def _report_missing(missing: list[Missing], status: StatusReport) -> None:
         facts = status.transports if one.group == "transports" else status.adapters
         facts.append({"name": one.name, "state": "down", "detail": f"{one.reason}; {one.remedy}"})
         log.warning("plugin_unavailable", plugin=one.name, reason=one.reason, remedy=one.remedy)
+
+
+def _report_unused(status: StatusReport) -> None:
+    """List the installed adapters that the configuration leaves out; they are not loaded."""
+    used = {one["name"] for one in status.adapters}
+    for name in sorted(set(installed("plugins")) - used):
+        detail = f"not configured; to serve it, add [plugins.{name}] to the configuration"
+        status.adapters.append({"name": name, "state": "off", "detail": detail})
 
 
 @asynccontextmanager

@@ -10,6 +10,7 @@ BUILTIN: tuple[str, ...] = (
     "approvals",
     "audit",
     "frames",
+    "guard",
     "inventory",
     "jwt",
     "leases",

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from rcp_kernel.features.action import Action
 from rcp_kernel.model import Resource
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Filter", "Pages", "Service", "SystemResource", "View", "ViewChanges"]
 
@@ -63,13 +64,13 @@ class SystemResource:
 
 
 class ViewChanges:
-    """Passes on samples and view changes of features."""
+    """Publishes samples and view changes of features."""
 
-    def __init__(self) -> None:
-        self.on_change: list[Callable[[str, Any], None]] = []
-        """Called with the path and the published sample."""
+    def __init__(self, registry: Registry) -> None:
+        self._entries = registry.entries
 
     def tell(self, path: str, value: Any = ()) -> None:
-        """Pass a sample on; the default only announces that a view has changed."""
-        for changed in self.on_change:
-            changed(path, value)
+        """Publish a sample; the default only announces that a view has changed."""
+        entry = self._entries.get(path)
+        if entry is not None:  # features are made before the tree of the gateway
+            entry.publish(value, None)

@@ -227,7 +227,7 @@ def _describe(entry: Entry) -> dict[str, Any]:
     }
     if "value" in types and (unit := types["value"].schema.get("unit")) is not None:
         facts["unit"] = unit
-    names = ("deadline", "timeout", "policy", "max_age", "valid_for", "native")
+    names = ("deadline", "timeout", "policy", "max_age", "valid_for", "atomic", "native")
     facts |= {n: v for n in names if (v := getattr(resource, n)) is not None}
     if resource.safe is not None:
         facts["safe"] = to_plain(resource.safe)

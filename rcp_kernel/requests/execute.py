@@ -12,14 +12,13 @@ from typing import Any, Protocol
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter
-from rcp_kernel.model import Kind, Operation
+from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.command_access import CommandAccess, is_own
@@ -46,7 +45,7 @@ from rcp_kernel.wire import FINAL, Reply, Request
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
-_SERVICE_TIMEOUT = 10.0  # s for a service that declares none
+_NOTHING = (b"", b"{}", b"null", b"\x80")  # bodies for a path without input
 
 
 class EstopLane(Protocol):
@@ -90,7 +89,6 @@ class ExecuteHandler:
         partners: Partners,
         deadman: Deadman,
         frames: FrameConverter,
-        settings: Settings,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._resolver = resolver
@@ -109,7 +107,6 @@ class ExecuteHandler:
         self._partners = partners
         self._deadman = deadman
         self._frames = frames
-        self._settings = settings
         self._loop = loop
 
     def execute_in_steps(
@@ -162,7 +159,12 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
-        value = self._input(session, request, entry) if prepared is None else prepared.run.input
+        if prepared is not None:
+            value = prepared.run.input
+        elif entry.resource.input is None and bytes(request.body) in _NOTHING:
+            value = None
+        else:
+            value = self._input(session, request, entry)
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
@@ -206,7 +208,7 @@ class ExecuteHandler:
             self._keys.note(session, request, entry.path, command)
         if session.account is not None:
             count_command(session.account, command)
-        self._start(command, call)
+        self._commands.start(command, call, self._admission.confirm)
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
         return None
@@ -233,16 +235,7 @@ class ExecuteHandler:
         units = [entry.unit, *self._partners.of(entry)]
         command.work = Hold(units, self._commands, self._deadman)
         self._journal.follow(command, session, request, answer, started)
-        self._start(command, call)
-
-    def _start(self, command: Command, call: Call) -> None:
-        entry, deadline = call.entry, call.request.deadline
-        timeout = entry.resource.timeout or (
-            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._settings.limits.action_timeout
-        )
-        if deadline is not None:
-            timeout = min(timeout, deadline)
-        self._commands.start(command, call, timeout, self._admission.confirm)
+        self._commands.start(command, call, self._admission.confirm)
 
     def stops(self, session: Session, request: Request) -> bool:
         """Return whether a request brings a robot to rest."""
@@ -342,9 +335,8 @@ class ExecuteHandler:
         return reply
 
     def _input(self, session: Session, request: Request, entry: Entry) -> Any:
-        if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
-            return None
-        if (goal := self._frames.goal(session, request, entry)) is not None:
+        goal = self._frames.goal(session, request, entry)
+        if goal is not None:
             return goal
         return request.decode_body(entry.input_type, f"input of {entry.label}")
 

@@ -39,7 +39,10 @@ class Finished:
 
     def add(self, command: Command) -> None:
         """Remember a command, at the cost of the oldest."""
-        size = _size(command)
+        size = _EMPTY
+        for value in (command.input, *[step.body for step in command.history]):
+            if not isinstance(value, SCALARS) and value is not NO_BODY:
+                size += _length(value)
         self._known[command.id] = (command, size)
         self._bytes += size
         while len(self._known) > _KEPT or (self._bytes > _BYTES and len(self._known) > 1):
@@ -48,17 +51,7 @@ class Finished:
             self._forget(oldest)
 
 
-def _size(command: Command) -> int:
-    size = _EMPTY + _length(command.input)
-    for record in command.history:
-        if record.body is not NO_BODY:
-            size += _length(record.body)
-    return size
-
-
 def _length(value: Any) -> int:
-    if isinstance(value, SCALARS):
-        return 0
     if isinstance(value, LongValue):
         return value.size
     try:

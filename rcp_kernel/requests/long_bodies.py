@@ -9,7 +9,6 @@ import msgspec
 
 from rcp_kernel.contract.digest import hashing
 from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.structure import LONG
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.resolver import Resolver
@@ -17,6 +16,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ValueType
 from rcp_kernel.wire import Request
+from rcp_protocol.structure import LONG
 
 __all__ = ["LongBodies"]
 

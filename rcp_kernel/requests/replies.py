@@ -62,14 +62,14 @@ class ReplyGate:
         limit = request.deadline or self._settings.limits.deadline
         if entry is not None:
             limit = min(limit, entry.resource.timeout or limit)
-        return self._until(answer, limit)
+        until = self._loop.time() + limit
+        for demand in self.demands:
+            answer = partial(demand.hold, answer, until)
+        return answer
 
     def follower(self, answer: Answer) -> Answer:
         """Return a callback that passes on the replies to a further follower of a command."""
-        return self._until(answer, self._settings.limits.deadline)
-
-    def _until(self, answer: Answer, limit: float) -> Answer:
-        until = self._loop.time() + limit
+        until = self._loop.time() + self._settings.limits.deadline
         for demand in self.demands:
             answer = partial(demand.hold, answer, until)
         return answer

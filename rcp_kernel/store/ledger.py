@@ -34,7 +34,8 @@ class Ledger:
         """
         seq, digest, data = seal(self.head, what, facts)
         self.head = (seq, digest)
-        self._store.append((seq, digest, data))
+        if self._store.keeps:
+            self._store.append((seq, digest, data))
         return data
 
     def past(self, last: int) -> list[dict[str, Any]]:

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from rcp_conditions.fields import Field
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.contract.fields import Field
 from rcp_kernel.errors import FilterUnsupported, InvalidValue
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import Encoding, ValueType

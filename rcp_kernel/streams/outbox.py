@@ -207,7 +207,8 @@ class Outbox:
         if self.waiting > SHARE:
             self.weigh()
         if not self.dirty:
-            self.mark()
+            self.dirty = True
+            self._ticker.mark(self)
 
     def put_first(self, data: bytes) -> None:
         """Queue a control message ahead of all others."""
@@ -332,8 +333,11 @@ class Outbox:
             self.waiting = 0
         else:
             out = self._take(budget)
-        if self.feedback and not self.control:
-            self._take_feedback(out, budget)
+        room = budget
+        while self.feedback and not self.control and room > 0:
+            data = self.feedback.pop(next(iter(self.feedback)))()
+            room -= len(data)
+            out.append(data)
         if self.backlog.size:
             self.weigh()
         if out and wrap is not None:
@@ -341,7 +345,9 @@ class Outbox:
         elif out and self.framing is not None:
             text = self.text
             frame = self.framing
-            if long:  # the head is a separate part, so that a long body is not copied
+            if len(out) == 1 and not long:
+                out[0] = frame(len(out[0]), text) + out[0]
+            elif long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]
             else:
                 out = [frame(len(data), text) + data for data in out]
@@ -380,12 +386,6 @@ class Outbox:
         del self.control[:count]
         self.waiting -= size
         return out
-
-    def _take_feedback(self, out: list[bytes], budget: int) -> None:
-        while self.feedback and budget > 0:
-            data = self.feedback.pop(next(iter(self.feedback)))()
-            budget -= len(data)
-            out.append(data)
 
 
 def _urgency(feed: PendingPath) -> int:

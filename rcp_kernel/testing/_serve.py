@@ -133,6 +133,7 @@ async def serve(
     open_adapters = {
         name: decode_table(table, plugins.adapters[name].config, f"test: [plugins.{name}]: ")
         for name, table in config.plugins.items()
+        if name in plugins.adapters
     }
     made = active(config, plugins.features, "test")
     prepared = Prepared(config, plugins, tuple(tables), open_transports, open_adapters, made)

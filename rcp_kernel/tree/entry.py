@@ -118,6 +118,7 @@ class Entry:
         "operations",
         "output_type",
         "owner",
+        "parallel",
         "path",
         "resource",
         "ring",
@@ -154,6 +155,9 @@ class Entry:
         """Whether it may move something."""
         self.barred = self.moves or resource.energises
         """Whether a latched e-stop refuses it."""
+        policy = resource.policy
+        self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
+        """Whether commands run beside each other: the default of services."""
         self.is_hold = False
         """Whether it is the gateway's own verb that brings the robot to rest without an e-stop."""
         self.live = resource.live
@@ -194,7 +198,7 @@ class Entry:
         received = self._now()
         self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
-        if self.latest is not None:
+        if self.latest is not None and self.latest.bodies:
             self.latest.forget_encodings()
         self.latest = sample
         self._heard = self._monotonic()
@@ -302,9 +306,10 @@ class StopGroup:
     @property
     def latch(self) -> Latch | None:
         """The e-stop that holds it, or None."""
-        if self._latches is None:
+        latches, retired = self._latches, self.whole.retired
+        if latches is None or (retired is None and not latches.held):
             return None
-        return self.whole.retired or self._latches.of(self.keys)
+        return retired or latches.of(self.keys)
 
     @property
     def stops(self) -> int:

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rcp_kernel.contract.structure import check_structure
 from rcp_kernel.errors import BadRequest, PayloadTooLarge
 from rcp_kernel.values import ANY, Encoding
+from rcp_protocol.structure import check_structure
 
 MANY = 1024 * 1024
 WRITERS: dict[Encoding, Any] = {

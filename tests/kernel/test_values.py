@@ -99,7 +99,10 @@ def test_out_of_range_says_which_value_and_bound() -> None:
     type_ = value_type(types.quantity("m/s", ge=0, le=2.5))
     with pytest.raises(OutOfRange) as caught:
         type_.decode(b"9.0", Encoding.JSON, "parameter 'speed_limit'")
-    assert caught.value.message == "parameter 'speed_limit' exceeds allowed range: 9.0 > 2.5 m/s"
+    assert (
+        caught.value.message
+        == "Failed to apply configuration: parameter 'speed_limit' exceeds allowed range: 9.0 > 2.5 m/s"
+    )
 
 
 def test_a_misfit_deep_inside_is_told_by_its_pointer() -> None:

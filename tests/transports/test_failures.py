@@ -10,8 +10,8 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
-from rcp_kernel.asgi import Receive, Scope, Send
 from rcp_kernel.client_api import Mount
+from rcp_web.asgi import Receive, Scope, Send
 from transports.raw import connected, opened
 from transports.robot import BOUND, KEY, Site, site
 

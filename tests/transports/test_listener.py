@@ -8,9 +8,10 @@ import httpx
 import pytest
 
 from rcp_asgi import AsgiConfig
-from rcp_kernel.asgi import respond
+from rcp_kernel.app import plugins
 from rcp_kernel.client_api import Mount
 from rcp_kernel.errors import ConfigError, PluginError
+from rcp_web.asgi import respond
 from transports.raw import TEXT, answer, connected, frame, opened
 from transports.robot import KEY, Site, site, until
 
@@ -69,6 +70,38 @@ async def test_metrics_are_not_for_one_tenant_alone(http: httpx.AsyncClient) -> 
     beta = {"authorization": "Bearer key-of-tenant-beta"}
     assert (await http.get("/metrics", headers=beta)).status_code == 403
     assert (await http.get("/readyz", headers=beta)).json() == {"ready": True}
+
+
+# -- adapters that do not run -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["/mcp", "/mcp/", "/mcp/messages"])
+async def test_an_adapter_that_is_not_configured_answers_and_is_listed(
+    path: str, http: httpx.AsyncClient
+) -> None:
+    refused = await http.post(path, json={"jsonrpc": "2.0", "id": 1, "method": "initialize"})
+    error = refused.json()["error"]
+    assert (refused.status_code, error["code"]) == (503, "adapter_unavailable")
+    wanted = "Command rejected \N{EM DASH} MCP adapter is not connected to the runtime."
+    assert error["message"] == wanted
+    assert "[plugins.mcp]" in error["remedy"]
+    status = (await http.get("/rcp/v1/status")).json()["body"]
+    assert status["state"] == "ok"
+    assert {"mcp": "off", "a2a": "off"}.items() <= {
+        one["name"]: one["state"] for one in status["adapters"]
+    }.items()
+    assert (await http.get("/mcpx")).status_code == 404
+
+
+async def test_an_adapter_whose_library_is_missing_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = plugins.find_spec
+    monkeypatch.setattr(plugins, "find_spec", lambda name: None if name == "mcp" else real(name))
+    async with site(more="[plugins.mcp]") as gateway, httpx.AsyncClient() as http:
+        refused = await http.post(f"{gateway.url}/mcp", json={})
+        assert refused.status_code == 503
+        assert "pip install 'rcp-gateway[mcp]'" in refused.json()["error"]["remedy"]
 
 
 # -- HTTP that is none -----------------------------------------------------------------------------

@@ -7,10 +7,10 @@ import pytest
 
 from rcp_asgi.proxies import Proxies
 from rcp_kernel.app.server import prepare
-from rcp_kernel.asgi import peer_of, respond
 from rcp_kernel.client_api import Mount
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
+from rcp_web.asgi import peer_of, respond
 from transports.robot import Site, site
 
 pytestmark = pytest.mark.anyio

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_asgi.request_head import METHODS
-from rcp_kernel.asgi import Scope, Send, header
+from rcp_web.asgi import Scope, Send, header
 
 __all__ = ["allowing", "is_preflight", "preflight"]
 

@@ -14,9 +14,9 @@ from rcp_asgi.cors import allowing, is_preflight, preflight
 from rcp_asgi.origins import Origins
 from rcp_asgi.request_head import METHODS
 from rcp_asgi.urls import check_url
-from rcp_kernel.asgi import Receive, Scope, Send, refuse, respond
 from rcp_kernel.client_api import Asgi, ClientApi, Mount
-from rcp_kernel.errors import BadRequest, Forbidden, InternalError, UnknownPath
+from rcp_kernel.errors import AdapterUnavailable, BadRequest, Forbidden, InternalError, UnknownPath
+from rcp_web.asgi import Receive, Scope, Send, refuse, respond
 
 __all__ = ["MountRouter"]
 
@@ -100,6 +100,27 @@ class MountRouter:
         for kind, table in self._tables.items():
             mounts = sorted((m for m in self._seen if m.kind == kind), key=order, reverse=True)
             table[:] = [(m.prefix, m.suffix, m.app) for m in mounts]
+        served = {mount.prefix for mount in self._seen}
+        absent = self._client_api.absent_adapters()
+        self._tables["http"][:0] = [
+            (f"/{name}", "", _absent(name, detail))
+            for name, detail in absent.items()
+            if f"/{name}" not in served
+        ]
+
+
+def _absent(name: str, detail: str) -> Asgi:
+    """Return the application that answers in the place of an adapter that does not run."""
+    title = name.upper() if len(name) <= len("MCP") else name
+    error = AdapterUnavailable(
+        f"Command rejected \N{EM DASH} {title} adapter is not connected to the runtime.",
+        remedy=f"On the gateway: {detail}.",
+    )
+
+    async def app(_scope: Scope, _receive: Receive, send: Send) -> None:
+        await refuse(send, error)
+
+    return app
 
 
 async def _turn_away(

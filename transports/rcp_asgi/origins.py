@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
-from rcp_kernel.asgi import Scope
 from rcp_kernel.errors import Forbidden
+from rcp_web.asgi import Scope
 
 __all__ = ["Origins", "is_loopback"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from urllib.parse import parse_qsl
 
-from rcp_kernel.asgi import Scope
 from rcp_kernel.errors import BadRequest
+from rcp_web.asgi import Scope
 
 __all__ = ["check_url"]
 

@@ -19,9 +19,9 @@ from rcp_kernel.api import (
     left_out,
     to_internal_error,
 )
-from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
+from rcp_web.asgi import MEDIA, Headers, Send, retry_after, status_of
 
 __all__ = ["BOOT", "Answers", "matches", "methods_of"]
 

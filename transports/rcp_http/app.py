@@ -14,12 +14,12 @@ from rcp_http.messages import Messages
 from rcp_http.octets import range_headers
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session, to_internal_error
-from rcp_kernel.asgi import MEDIA, Receive, Scope, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 from rcp_web.application import Application, Asked, scope_of
+from rcp_web.asgi import MEDIA, Receive, Scope, Send, respond
 from rcp_web.calls import parameters_of
 from rcp_web.refusals import NotTaken, Refusal, headers_of
 

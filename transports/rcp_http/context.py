@@ -13,11 +13,11 @@ from rcp_http.config import HttpConfig
 from rcp_http.octets import bytes_of, send_octets
 from rcp_http.request import HttpRequest, count, flag
 from rcp_kernel.api import Query, Session
-from rcp_kernel.asgi import Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
+from rcp_web.asgi import Receive, Send, respond
 
 __all__ = ["Context", "Follower"]
 

@@ -8,11 +8,11 @@ from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session
-from rcp_kernel.asgi import Receive, Send
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, decode_request, failure, peek_header
+from rcp_web.asgi import Receive, Send
 
 __all__ = ["Messages"]
 

@@ -9,9 +9,9 @@ from rcp_http.answers import BOOT, matches
 from rcp_http.negotiate import OCTETS
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Sample
-from rcp_kernel.asgi import Headers, Send, respond
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.wire import Reply
+from rcp_web.asgi import Headers, Send, respond
 
 __all__ = ["bytes_of", "range_headers", "send_octets"]
 

@@ -12,11 +12,11 @@ from msgspec import Raw
 from rcp_http.negotiate import accepted, body_encoding
 from rcp_kernel.api import Principal, Session
 from rcp_kernel.api.pages import MOST
-from rcp_kernel.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, NotImplementedByRobot
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
+from rcp_web.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
 from rcp_web.query import read_query, single
 
 __all__ = ["HttpRequest", "count", "flag", "number"]

@@ -7,7 +7,6 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 from rcp_kernel.api import to_internal_error
-from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, retry_after, status_of
 from rcp_kernel.client_api import Asgi, ClientApi, Mount
 from rcp_kernel.client_kinds import TransportKind
 from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
@@ -18,6 +17,7 @@ from rcp_sse.config import SseConfig
 from rcp_sse.events import Events, Refusal
 from rcp_sse.openapi import described
 from rcp_sse.replies import Replies
+from rcp_web.asgi import Receive, Scope, Send, header, refuse, respond, retry_after, status_of
 
 __all__ = ["SseConfig", "open_sse", "rcp_transports"]
 

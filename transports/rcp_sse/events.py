@@ -8,7 +8,6 @@ import msgspec
 from msgspec import Raw
 
 from rcp_kernel.api import Connection, Hello, Principal, Sample, Wrap
-from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, RcpError
@@ -18,6 +17,7 @@ from rcp_sse.config import SseConfig
 from rcp_sse.journal import Journal, Journals, parse_event_id
 from rcp_sse.options import MOST, Query, subscription
 from rcp_sse.stream import Stream
+from rcp_web.asgi import Receive, Scope, Send, bearer, header, peer_of
 from rcp_web.query import read_query
 
 __all__ = ["Events", "event"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 
-from rcp_kernel.asgi import Receive, Scope, Send, header, session_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
@@ -14,6 +13,7 @@ from rcp_sse.events import event
 from rcp_sse.journal import parse_event_id
 from rcp_sse.options import MOST
 from rcp_sse.stream import Stream
+from rcp_web.asgi import Receive, Scope, Send, header, session_of
 from rcp_web.query import read_query
 
 __all__ = ["Replies"]

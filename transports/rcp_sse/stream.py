@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import structlog
 
-from rcp_kernel.asgi import Receive, Scope, Send
+from rcp_web.asgi import Receive, Scope, Send
 
 __all__ = ["Collect", "Stream"]
 

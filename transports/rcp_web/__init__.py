@@ -1,5 +1,6 @@
-"""Litestar controllers as the application of a `Mount`, with errors as envelopes.
+"""Parts of the application of a `Mount`: ASGI helpers, and Litestar controllers.
 
-`Application` serves them, `calls` describes them, and `read_query` parses the query of any request
+`asgi` has what every `Mount` needs, with and without Litestar. `Application` serves controllers,
+with errors as envelopes, `calls` describes them, and `read_query` parses the query of any request
 strictly.
 """

@@ -13,8 +13,8 @@ from litestar.openapi.plugins import JsonRenderPlugin
 from litestar.types import ASGIApp, ControllerRouterHandler
 
 from rcp_kernel.api import to_internal_error
-from rcp_kernel.asgi import JSON, Receive, Scope, Send, respond
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
+from rcp_web.asgi import JSON, Receive, Scope, Send, respond
 from rcp_web.refusals import NotTaken, Refusal, envelope, headers_of
 
 __all__ = ["Application", "Asked", "response", "scope_of"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rcp_kernel.asgi import JSON, Headers, Scope, refusal_headers
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
+from rcp_web.asgi import JSON, Headers, Scope, refusal_headers
 
 __all__ = ["NotTaken", "Refusal", "envelope", "headers_of"]
 

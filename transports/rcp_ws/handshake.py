@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rcp_kernel.api import Principal
-from rcp_kernel.asgi import Scope, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, Unauthenticated
 from rcp_kernel.values import Encoding
+from rcp_web.asgi import Scope, bearer, header, peer_of
 
 __all__ = ["SUBPROTOCOLS", "choose", "identify"]
 

@@ -133,8 +133,7 @@ def read(ctx: click.Context, **arguments: Any) -> int:
 
 @rcpctl.command(context_settings=_WITH_VALUE)
 @_common
-@click.argument("path")
-@click.argument("value")
+@click.argument("words", nargs=-1, required=True, metavar="PATH VALUE | PATH=VALUE...")
 @click.option("--valid-for", type=float, metavar="SECONDS",
               help="Time after which the gateway stops the robot unless the value is written "
                    "again.")  # fmt: skip
@@ -145,7 +144,10 @@ def read(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def write(ctx: click.Context, **arguments: Any) -> int:
-    """Write VALUE to PATH and print the value now in effect."""
+    """Write VALUE to PATH and print the value now in effect.
+
+    PATH=VALUE, several times, writes several paths of one robot as one: all of them or none.
+    """
     return _run(ctx, "write", **arguments)
 
 

@@ -156,6 +156,38 @@ class Client:
         reply = await self.channel.ask({**envelope, "body": plain(value)}, "keyed")
         return reply.body
 
+    async def write_all(
+        self,
+        values: Mapping[str, Any],
+        *,
+        valid_for: float | None = None,
+        dry_run: bool = False,
+        idempotency_key: str | None = None,
+        approval: str | None = None,
+        deadline: float | None = None,
+    ) -> dict[str, Any]:
+        """Write several paths of one robot as one, all or none; return the values in force.
+
+        They must be of one `atomic` group (`discover`). The options are those of `write`, and
+        concern all of them.
+
+        :raises RcpError: of the first that is refused; `details["faults"]` names all that are.
+        """
+        envelope = kept(
+            {
+                "type": "write",
+                "valid_for": valid_for,
+                "dry_run": dry_run or None,
+                "idempotency_key": idempotency_key or new_key(),
+                "approval": approval,
+                "deadline": deadline,
+            }
+        )
+        reply = await self.channel.ask({**envelope, "body": plain(values)}, "keyed")
+        if dry_run:
+            return dict(zip(values, reply.body, strict=True))
+        return {path: item["body"] for path, item in zip(values, reply.body, strict=True)}
+
     # -- commands ------------------------------------------------------------------------------
 
     async def start(

@@ -137,7 +137,7 @@ class Commands(Wire):
         begun = await _begun(client)
         second = await client.request("execute", "/action/go", body=WAIT)
         assert (second["status"], second["error"]["code"]) == ("rejected", "already_running")
-        message = f"action '{GO}' is currently in progress; rejecting duplicate request"
+        message = f"Warning: action '{GO}' is currently in progress; rejecting duplicate request."
         assert second["message"] == message
         assert second["error"]["details"]["command"] == begun["command"]
         assert len(world.robot().ran) == 1

@@ -138,7 +138,9 @@ class Silence(Wire):
     async def test_out_of_range_names_field_value_bound_and_unit(self, world: World) -> None:
         client = await world.client()
         reply = await client.request("write", "/param/limit", body=9.0)
-        message = "parameter 'limit' exceeds allowed range: 9.0 > 2.5 m/s"
+        message = (
+            "Failed to apply configuration: parameter 'limit' exceeds allowed range: 9.0 > 2.5 m/s"
+        )
         assert (reply["error"]["code"], reply["message"]) == ("out_of_range", message)
         body = {"distance": -200.5}
         deep = (await client.request("execute", "/action/go", body=body))["error"]

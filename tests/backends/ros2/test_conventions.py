@@ -69,13 +69,30 @@ async def test_a_stamped_velocity_is_sent_with_its_time(wheels: Wheels) -> None:
 
 async def test_what_is_exposed_keeps_its_own_names(wheels: Wheels) -> None:
     async with robot_of(DOMAIN, expose=["**"]) as robot:
-        names = {"sensor/odom", "sensor/joints", "actuator/velocity", "param/rover/speed_limit"}
+        names = {"sensor/odom", "sensor/joints", "actuator/cmd_vel", "param/rover/speed_limit"}
         await robot.until(lambda: names <= robot.resources.keys())
         await robot.until(lambda: "mobile/1.0" in _claims(robot, "param/speed_limit"))
         scan = await robot.backend.read("sensor/scan")
         assert (scan.frame_id, scan.header.frame_id, len(scan.intensities)) == ("laser", "", 0)
         battery = await robot.backend.read("sensor/battery")
         assert (battery.percentage, battery.voltage, battery.present) == (0.75, None, False)
+
+
+async def test_a_topic_has_one_actuator_so_that_one_stop_and_one_dead_man_cover_it(
+    wheels: Wheels,
+) -> None:
+    async with robot_of(DOMAIN, expose=["**"]) as robot:
+        await robot.until(lambda: "drive/1.0" in _claims(robot, "actuator/cmd_vel"))
+        of_topic = [n for n, r in robot.resources.items() if r.meta.get("topic") == "/cmd_vel"]
+        assert of_topic == ["actuator/cmd_vel"]
+        for forward in (0.3, 0.0):
+            value = robot.input("actuator/cmd_vel", {"linear": {"x": forward}})
+            await robot.backend.write("actuator/cmd_vel", value)
+
+        async def motion() -> Any:
+            return robot.backend.motion(None).at_rest
+
+        await robot.until_async(motion, bool)
 
 
 async def test_nothing_is_claimed_of_what_the_configuration_leaves_out(wheels: Wheels) -> None:

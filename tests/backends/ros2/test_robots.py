@@ -24,7 +24,7 @@ EACH: dict[str, Any] = {
 }
 OF_ONE = {
     "action/{}/navigate",
-    "actuator/{}/velocity",
+    "actuator/{}/cmd_vel",
     "param/{}/lowest",
     "param/{}/rover/high",
     "sensor/{}/battery",
@@ -77,7 +77,7 @@ async def test_nice_names_are_parts_of_the_same_topics(both: Robot) -> None:
 
 
 async def test_a_command_reaches_its_robot_alone(both: Robot, fleet: Fleet) -> None:
-    path = "actuator/r1/velocity"
+    path = "actuator/r1/cmd_vel"
     assert both.resources[path].valid_for == 0.5
     await both.backend.write(path, both.input(path, {"linear": {"x": 0.5}}))
     async with both.backend.watch("sensor/r1/velocity", None):
@@ -97,7 +97,7 @@ async def test_one_robot_is_halted_and_the_other_drives_on(both: Robot, fleet: F
         "r2": "r2",
     }
     for name in ("r1", "r2"):
-        path, seen = f"actuator/{name}/velocity", f"sensor/{name}/velocity"
+        path, seen = f"actuator/{name}/cmd_vel", f"sensor/{name}/velocity"
         async with both.backend.watch(seen, None):
             await both.backend.write(path, both.input(path, {"linear": {"x": 0.25}}))
             await both.until(lambda seen=seen: _forward(both, seen) == 0.25)

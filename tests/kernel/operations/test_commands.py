@@ -54,6 +54,38 @@ async def test_a_command_whose_link_is_lost_has_failed_and_is_not_to_be_repeated
     assert final["error"]["retryable"] is False
 
 
+@pytest.mark.parametrize("how", ["down", "withdrawn", "deadline"])
+async def test_a_command_that_the_robot_had_without_feedback_is_not_to_be_repeated(
+    world: World, how: str
+) -> None:
+    robot, client = world.robot, world.client()
+    robot.behaviours["action/go"] = robot.wait
+    late = {"deadline": 0.2} if how == "deadline" else {}
+    id_ = client.send(type="execute", path=GO, body=1, **late)
+    await robot.started.get()
+    if how == "down":
+        robot.host.report("no message received for 4.2 s", down=True)
+    elif how == "withdrawn":
+        robot.remove("action/go")
+    final = await client.final(id_)
+    code = "deadline_exceeded" if how == "deadline" else "adapter_unavailable"
+    assert (final["status"], final["error"]["code"]) == ("failed", code)
+    assert final["error"]["retryable"] is False
+
+
+async def test_a_queued_command_whose_backend_goes_down_may_be_repeated(world: World) -> None:
+    robot, client = world.robot, world.client()
+    path = "/tenant/alpha/action/wait_in_line"
+    client.send(type="execute", path=path, body=1)
+    second = client.send(type="execute", path=path, body=2)
+    await robot.started.get()
+    robot.host.report("no message received for 4.2 s", down=True)
+    final = await client.final(second)
+    assert (final["status"], final["error"]["retryable"]) == ("rejected", True)
+    assert "on_loss" not in str(final)  # it was never with the robot
+    assert robot.started.empty()
+
+
 async def test_a_second_execute_is_rejected_while_the_first_runs(world: World) -> None:
     client = world.client()
     client.send(type="execute", path=GO, body=1)
@@ -61,7 +93,7 @@ async def test_a_second_execute_is_rejected_while_the_first_runs(world: World) -
     second = await client.ask(type="execute", path=GO, body=2)
     assert second["error"]["code"] == "already_running"
     assert second["message"] == (
-        f"action '{GO}' is currently in progress; rejecting duplicate request"
+        f"Warning: action '{GO}' is currently in progress; rejecting duplicate request."
     )
 
 

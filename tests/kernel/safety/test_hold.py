@@ -73,6 +73,7 @@ async def test_a_robot_that_moves_on_is_not_said_to_hold(world: World) -> None:
     scripted(world).state = MotionState(at_rest=False, detail="it moves at 2 m/s")
     held = await world.client().ask(type="execute", path=HOLD)
     assert (held["status"], held["error"]["code"]) == ("failed", "device_timeout")
+    assert held["error"]["retryable"] is True  # a repeat brings it to rest, nothing else
     assert "it moves at 2 m/s" in held["error"]["message"]
 
 

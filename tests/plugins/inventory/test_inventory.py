@@ -252,6 +252,18 @@ async def test_control_changes_hands(served: Served) -> None:
     assert (await robots(served.client(R2_ONLY)))[R2].get("control") is None
 
 
+async def test_a_refused_write_gives_nobody_control(served: Served) -> None:
+    admin, other, fleet = served.client(ADMIN), served.client(ALPHA), robot_of(served, "fleet")
+    forward = msgspec.to_builtins(Twist()) | {"linear": {"x": 0.5, "y": 0.0, "z": 0.0}}
+    fleet.fail_writes = 1
+    assert "error" in await other.request("write", CMD_VEL, body=forward)
+    assert "control" not in (await robots(admin))[R1]
+    await admin.request("write", CMD_VEL, body=forward)
+    fleet.fail_writes = 1
+    assert "error" in await other.request("write", CMD_VEL, body=forward)
+    assert (await robots(admin))[R1]["control"]["principal"] == "admin"
+
+
 @pytest.mark.parametrize(
     ("words", "found"),
     [
@@ -321,6 +333,9 @@ async def test_a_thousand_robots_are_read_in_pages_and_steps(monkeypatch: Any) -
             body["cursor"] = reply["cursor"]
         assert found == [f"/tenant/alpha/{name}" for name in many]
         assert steps >= 1000
+        steps = 0
+        assert not await robots(served.client(R2_ONLY))
+        assert steps >= 1000  # those that are hidden are not passed over in one step
         assert set(await robots(client, q="r0007")) == {"/tenant/alpha/r0007"}
 
 

@@ -83,13 +83,13 @@ async def test_an_issuer_in_trouble_is_told_of_and_asked_again(
             with pytest.raises(AdapterUnavailable, match="cannot be fetched"):
                 await who(world, issuer.token())
             status = await world.client("admin-admin-admin").ask(type="status")
-            [facts] = status["body"]["adapters"]
+            facts = next(a for a in status["body"]["adapters"] if a["name"].startswith("jwt "))
             assert (facts["name"], facts["state"]) == (f"jwt {issuer.url}", "down")
             assert (await world.client().ask(type="ping"))["status"] == "completed"
             issuer.body, issuer.status, issuer.named = None, b"200 OK", None
             assert (await who(world, issuer.token())).name == "ann"
             status = await world.client("admin-admin-admin").ask(type="status")
-            assert status["body"]["adapters"] == [{"name": facts["name"], "state": "ready"}]
+            assert {"name": facts["name"], "state": "ready"} in status["body"]["adapters"]
 
 
 async def test_a_slow_issuer_holds_up_nobody_else(

@@ -7,10 +7,9 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from math import ceil
 from typing import Any
 
+from rcp_kernel.api import UNKNOWN_PEER, Peer, Session
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.errors import BY_CODE, BadRequest, DeadlineExceeded, PayloadTooLarge, RcpError
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 
@@ -78,7 +77,7 @@ def peer_of(scope: Scope) -> Peer:
     """Return the peer of a request's connection, as the listener knows it."""
     extensions = scope.get("extensions")
     found = None if extensions is None else extensions.get("rcp.peer")
-    return UNKNOWN if found is None else found
+    return UNKNOWN_PEER if found is None else found
 
 
 async def read_body(receive: Receive, limit: int, patience: float | None) -> bytes:

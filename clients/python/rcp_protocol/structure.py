@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from rcp_kernel.contract.turns import Work
-from rcp_kernel.errors import PayloadTooLarge
-from rcp_kernel.values import Encoding
+from rcp_protocol.errors import PayloadTooLarge
+from rcp_protocol.values import Encoding
 
 __all__ = ["LONG", "check_structure"]
 
@@ -25,7 +24,7 @@ _WIDE = b"," + b"0" * 16
 _DROPPED = bytes(set(range(256)) - set(b',[{"'))
 
 
-def check_structure(data: bytes, encoding: Encoding, limit: int) -> Work:
+def check_structure(data: bytes, encoding: Encoding, limit: int) -> Generator[None]:
     """Refuse a message with more values than `limit`; a string counts as 3, a list as 9.
 
     An integer of more than 15 digits also counts as 9. In CBOR everything counts fourfold. A

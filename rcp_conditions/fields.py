@@ -13,7 +13,7 @@ from typing import Any, cast
 import msgspec
 from msgspec import inspect as mi
 
-from rcp_kernel._plain import is_index, is_map, is_sequence
+from rcp_protocol.plain import is_index, is_map, is_sequence
 from rcp_protocol.shape import children, facts_of
 
 __all__ = ["Field", "Leaf", "inner"]
