@@ -68,7 +68,7 @@ class HeldReplies:
         :raises QueueFull: the store fails, or too many records are pending.
         """
         ledger = self._ledger
-        if ledger.trouble is not None or ledger.waiting > FULL:
+        if ledger.behind(FULL):
             raise QueueFull(
                 f"cannot write the audit log ({ledger.trouble or 'the disk is slow'}); commands "
                 "and writes are refused until this works again",
@@ -90,6 +90,8 @@ class HeldReplies:
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
         held = _Held(reply, send, until, anyway=anyway)
         self._ledger.settled(held.release)
+        while self._held and self._held[0].reply is None:  # released in order: few are kept
+            self._held.popleft()
         self._held.append(held)
         if not self._watching:
             self._watching = True
