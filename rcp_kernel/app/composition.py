@@ -296,7 +296,7 @@ def _features(
     )
     made = make(active, host)
     services.ask(made)
-    records.events.on_event += made.event_listeners
+    records.events.listeners += made.event_listeners
     records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)

@@ -87,8 +87,8 @@ class Admission:
             _ask(self.control, call)
         if self._shutdown.begun:
             self._shutdown.check()
-        if self._replies.demands:
-            self._replies.check()
+        for demand in self._replies.demands:
+            demand.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if self._early:
