@@ -19,8 +19,6 @@ from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.app.feature_host import GatewayFeatureHost
 from rcp_kernel.app.features import ActiveFeature, Features, make
-from rcp_kernel.app.guard import GuardLink
-from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.robots import GatewayRobots
@@ -127,7 +125,6 @@ class _Records:
 class _Motion:
     """Motion and stops of robots."""
 
-    arming: GuardArming
     partners: Partners
     deadman: Deadman
     commands: Commands
@@ -164,7 +161,6 @@ class _System:
     """The gateway's own branch, and its sources."""
 
     estop: Estop
-    guard: GuardLink
     status: StatusReport
     branch: System
 
@@ -192,7 +188,7 @@ def compose(
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
     made = _features(base, records, motion, clients, features)
-    requests = _requests(base, records, motion, made)
+    requests = _requests(base, records, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
@@ -215,7 +211,6 @@ def compose(
         outbound=clients.outbound,
         resume=clients.resume,
         sessions=clients.sessions,
-        guard=system.guard,
         status=system.status,
         system=system.branch,
         features=made,
@@ -278,6 +273,7 @@ def _features(
             GatewayRobots,
             hub=base.hub,
             conditions=base.conditions,
+            backends=base.supervisors,
         ),
         changes=base.changes,
         store=records.store,
@@ -308,12 +304,9 @@ def _features(
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
-    config = base.settings.config
-    arming = GuardArming(base.loop, config.safety)
     partners = Partners(base.registry)
     deadman = Deadman(
         base.loop,
-        began=arming.arm,
         sending=base.events.stopping,
         at_rest=base.events.rested,
         untaken=partners.halt,
@@ -321,7 +314,6 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     )
     commands = Commands(
         records.journal,
-        arming.arm,
         base.turns,
         base.deadlines,
         base.loop,
@@ -331,7 +323,6 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     latches = Latches(records.store)
     latches.on_change.append(base.registry.state_changed)
     return _Motion(
-        arming,
         partners,
         deadman,
         commands,
@@ -342,7 +333,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.events, loop, base.clock)
+    identities = Identities(settings, loop, base.clock)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     accounting = SessionAccounting(known, records.journal.running)
@@ -372,7 +363,6 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
 def _requests(
     base: _Base,
     records: _Records,
-    motion: _Motion,
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
@@ -383,7 +373,6 @@ def _requests(
         base.events,
         records.replies,
         base.shutdown,
-        motion.arming.check_thaw,
         features.guards,
     )
     keys = Keys(records.store, base.loop, base.clock)
@@ -427,19 +416,8 @@ def _system(
         loop=base.loop,
         clock=base.clock,
     )
-    guard = GuardLink(
-        motion.arming,
-        base.supervisors,
-        base.registry,
-        motion.deadman,
-        motion.commands,
-        records.events,
-        base.shutdown,
-        base.loop,
-    )
     status = StatusReport(
         base.supervisors,
-        guard,
         recent,
         registry=base.registry,
         hub=base.hub,
@@ -469,7 +447,7 @@ def _system(
         reader_status=features.reader_status,
         loop=base.loop,
     )
-    return _System(estop, guard, status, branch)
+    return _System(estop, status, branch)
 
 
 def _handlers(

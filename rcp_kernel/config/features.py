@@ -9,12 +9,14 @@ __all__ = ["BUILTIN", "active_features"]
 BUILTIN: tuple[str, ...] = (
     "approvals",
     "audit",
+    "guard",
     "inventory",
     "jwt",
     "leases",
     "motion_limits",
     "plans",
     "quotas",
+    "tokens",
 )
 """Active unless `[features] <name> = false` takes one out."""
 

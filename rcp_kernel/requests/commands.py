@@ -61,16 +61,13 @@ class Commands:
     def __init__(
         self,
         journal: CommandJournal,
-        began: Callable[[Entry], None],
         turns: Turns,
         deadlines: Deadlines,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
         settings: Settings,
     ) -> None:
-        """`began` is called before a command runs, and must be cheap."""
         self._journal = journal
-        self._began = began
         self._turns = turns
         self._deadlines = deadlines
         self._loop = loop
@@ -143,8 +140,6 @@ class Commands:
 
     def _run(self, command: Command, call: Call, confirm: Confirm) -> None:
         entry, deadline = call.entry, call.request.deadline
-        if entry.barred:
-            self._began(entry)
         if not entry.parallel:
             self._active[entry.path] = command
         if entry.moves:

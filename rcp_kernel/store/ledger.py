@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rcp_kernel.store.chain import GENESIS, Head, decoded, seal
@@ -53,6 +54,11 @@ class Ledger:
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
         """Run a query on the store's thread; `then` gets the result on the event loop."""
         self._store.look(work, then)
+
+    @property
+    def path(self) -> Path | None:
+        """The database in use, which may have other tables; None if nothing is kept."""
+        return self._store.path
 
     @property
     def keeps(self) -> bool:
