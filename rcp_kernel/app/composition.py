@@ -292,7 +292,7 @@ def _features(
     )
     made = make(active, host)
     services.ask(made)
-    records.events.on_event += made.event_listeners
+    records.events.listeners += made.event_listeners
     records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
@@ -333,7 +333,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.events, loop, base.clock)
+    identities = Identities(settings, loop, base.clock)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     accounting = SessionAccounting(known, records.journal.running)

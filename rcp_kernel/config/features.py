@@ -17,6 +17,7 @@ BUILTIN: tuple[str, ...] = (
     "motion_limits",
     "plans",
     "quotas",
+    "tokens",
 )
 """Active unless `[features] <name> = false` takes one out."""
 

@@ -273,20 +273,18 @@ class AtomicWriteHandler:
 
     def _confirm(self, admitted: _Admitted) -> Backend:
         """Check all of them again, in the turn of the event loop that calls the backend."""
-        confirmed: list[Call] = []
-        try:
-            for call in admitted.calls:
-                backend = self._admission.confirm(call)
-                confirmed.append(call)
+        confirmed: list[Backend] = []
+        for call in admitted.calls:
+            try:
+                confirmed.append(self._admission.confirm(call))
                 if call.entry.barred and call.entry.unit.stops != admitted.stops:
                     text = "an e-stop was latched and reset since this was sent"
                     raise EstopActive(text, path=call.entry.path)
-        except RcpError as error:
-            for call in confirmed:
-                self._events.refused(call.entry, call.value)
-            _raise([_at(error, admitted.calls[len(confirmed)].entry.path)])
-            raise
-        return backend
+            except RcpError as error:
+                for sent in admitted.calls[: len(confirmed)]:
+                    self._events.refused(sent.entry, sent.value)
+                _raise([_at(error, call.entry.path)])
+        return confirmed[0]
 
     async def _send(self, backend: Backend, admitted: _Admitted) -> list[Sample]:
         deadman, events = self._deadman, self._events

@@ -198,8 +198,9 @@ class Entry:
         received = self._now()
         self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
-        if self.latest is not None and self.latest.bodies:
-            self.latest.forget_encodings()
+        latest = self.latest
+        if latest is not None and latest.bodies:  # they are made again on use
+            latest.bodies, latest.tails = {}, {}
         self.latest = sample
         self._heard = self._monotonic()
         self.ring.append(sample)

@@ -201,6 +201,10 @@ class Peer:
         """Ask how things are with it, past every interface of ROS."""
         return self._ask("truth")
 
+    def refuse(self, parameter: str) -> None:
+        """Have it refuse a parameter from now on; an empty name ends that."""
+        self._ask(f"refuse {parameter}")
+
     def _ask(self, line: str) -> Any:
         assert self._process is not None
         assert self._process.stdin is not None

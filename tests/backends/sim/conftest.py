@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
+from rcp_kernel.contract.fence import permitted
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, FrameTree, Publication, RobotFacts, StopPlan
 from rcp_kernel.values import value_type
@@ -91,7 +92,10 @@ class RecordingHost:
 
 
 class Rig:
-    """A device and its backend without their clock."""
+    """A device and its backend without their clock; never stopped by a gateway."""
+
+    name = "rig"
+    stops = 0
 
     def __init__(self, config: SimConfig) -> None:
         self.config = config
@@ -126,7 +130,9 @@ class Rig:
         return self.backend.write(name, self.typed(name, plain))
 
     async def drive(self, v: float = 0.0, w: float = 0.0) -> Any:
-        return await self.write("actuator/cmd_vel", {"linear": {"x": v}, "angular": {"z": w}})
+        """Write a velocity as for a request, under a permit."""
+        with permitted(self, 0):
+            return await self.write("actuator/cmd_vel", {"linear": {"x": v}, "angular": {"z": w}})
 
     async def fault(self, **spec: Any) -> Any:
         injected = await self.execute("service/inject_fault", spec)
