@@ -11,7 +11,21 @@ from msgspec import Meta
 from rcp_kernel.values import ValueType, value_type
 from rcp_mcp.schemas import ERROR, arguments, result, worded
 
-__all__ = ["FIXED", "Cancel", "Discover", "Execute", "Read", "Status", "Watch", "Write", "WriteAll"]
+__all__ = [
+    "FIXED",
+    "INVENTORY",
+    "Cancel",
+    "Discover",
+    "Execute",
+    "Read",
+    "Robots",
+    "Status",
+    "Watch",
+    "Write",
+    "WriteAll",
+]
+
+INVENTORY = "/system/robots"
 
 _Seconds = Meta(gt=0, le=86_400, extra_json_schema={"unit": "s"})
 _PATH = "Such as `/sensor/pose`, or with its tenant `/tenant/alpha/sensor/pose`."
@@ -32,6 +46,29 @@ _ValidFor = Annotated[
 
 class _Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base of the arguments; unknown ones are refused."""
+
+
+class Robots(_Call, frozen=True):
+    """Which robots to list; all arguments are optional."""
+
+    q: (
+        Annotated[
+            str,
+            Meta(
+                description="Words that must all occur in the path, kind, model or profiles, such "
+                "as `drone` or `arm`."
+            ),
+        ]
+        | None
+    ) = None
+    details: Annotated[
+        bool, Meta(description="Include vendor, model, limits, dimensions and frames (long).")
+    ] = False
+    limit: Annotated[int, Meta(ge=1, le=200)] = 50
+    cursor: (
+        Annotated[str, Meta(description="`cursor` from the previous result, for the next page.")]
+        | None
+    ) = None
 
 
 class Discover(_Call, frozen=True):
@@ -64,6 +101,16 @@ class Read(_Call, frozen=True):
     fresh: Annotated[
         bool, Meta(description="Read from the robot, even if a recent value is available.")
     ] = False
+    frame: (
+        Annotated[
+            str,
+            Meta(
+                description="Frame of the values: `map`, `base_link`, `earth` (latitude, longitude). "
+                "`frames` of a resource lists them."
+            ),
+        ]
+        | None
+    ) = None
     cursor: (
         Annotated[
             str, Meta(description="`cursor` from the previous result, for the rest of a pattern.")
@@ -155,6 +202,8 @@ class Fixed(NamedTuple):
     takes: ValueType
     needs: str | None
     """The operation that the caller must be allowed somewhere."""
+    of: str | None
+    """A resource that the caller must see."""
 
 
 def _answer(**properties: Any) -> dict[str, Any]:
@@ -169,6 +218,7 @@ def _fixed(
     answer: dict[str, Any],
     *,
     needs: str | None = None,
+    of: str | None = None,
     changes: bool = False,
     stops: bool = False,
 ) -> Fixed:
@@ -187,7 +237,7 @@ def _fixed(
         output_schema=answer,
         annotations=hints,
     )
-    return Fixed(tool, type_, needs)
+    return Fixed(tool, type_, needs, of)
 
 
 _TEXT, _OBJECT, _LIST = {"type": "string"}, {"type": "object"}, {"type": "array"}
@@ -217,10 +267,20 @@ FIXED: dict[str, Fixed] = {
     one.tool.name: one
     for one in (
         _fixed(
+            "robots",
+            Robots,
+            "List the robots: path, kind, state, mode, battery (0 to 1), position, profiles, and "
+            "who has control. Start here; then `discover` the resources of one, such as "
+            "`/tenant/alpha/*/r1/**` for the robot `/tenant/alpha/r1`.",
+            [{}, {"q": "drone"}],
+            _answer(robots={**_LIST, "items": _OBJECT}, cursor=_TEXT, note=_TEXT),
+            of=INVENTORY,
+        ),
+        _fixed(
             "discover",
             Discover,
             "List the resources: paths of sensors, actuators, parameters, actions, services and "
-            "events, with the operations you may use, the unit and the tool for each. Start here; "
+            "events, with the operations you may use, the unit and the tool for each; "
             "search with `q`; use `schemas` for one path before you write to it.",
             [{}, {"q": "battery"}, {"path": "/action/*", "schemas": True}],
             _answer(resources={**_LIST, "items": _OBJECT}, cursor=_TEXT, note=_TEXT),

@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from plugins.mcp.rig import BOUND, Caller, Site, caller
 from rcp_kernel.model import Resource
 
-FIXED = ["discover", "read", "write", "write_all", "execute", "cancel", "status", "watch"]
+FIXED = ["robots", "discover", "read", "write", "write_all", "execute", "cancel", "status", "watch"]
 
 
 def words(result: dict[str, Any]) -> str:
@@ -55,7 +55,7 @@ async def test_schemas_stand_alone_with_units_bounds_and_examples(operator: Call
 
 async def test_hints_are_true_to_what_a_tool_does(operator: Caller) -> None:
     hints = {name: tool["annotations"] for name, tool in (await operator.tools()).items()}
-    assert all(hints[name]["readOnlyHint"] for name in ("discover", "read", "status", "watch"))
+    assert all(hints[name]["readOnlyHint"] for name in ("robots", "discover", "read", "watch"))
     assert hints["action-go"]["readOnlyHint"] is False
     assert hints["action-go"]["destructiveHint"] is True
     assert hints["write"]["idempotentHint"] is True
@@ -80,6 +80,7 @@ async def test_every_answer_fits_the_schema_of_its_tool(operator: Caller, gatewa
     gateway.robot.release.set()
     tools = await operator.tools()
     calls: list[tuple[str, dict[str, Any]]] = [
+        ("robots", {"details": True}),
         ("discover", {"schemas": True}),
         ("discover", {"path": "no pattern"}),
         ("read", {"path": "/sensor/*"}),
