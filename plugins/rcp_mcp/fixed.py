@@ -89,6 +89,16 @@ class Read(_Call, frozen=True):
     fresh: Annotated[
         bool, Meta(description="Read from the robot, even if a recent value is available.")
     ] = False
+    frame: (
+        Annotated[
+            str,
+            Meta(
+                description="Frame of the values: `map`, `base_link`, `earth` (latitude, longitude). "
+                "`frames` of a resource lists them."
+            ),
+        ]
+        | None
+    ) = None
     cursor: (
         Annotated[
             str, Meta(description="`cursor` from the previous result, for the rest of a pattern.")

@@ -80,7 +80,8 @@ class ReadTools:
 
     async def read(self, ctx: Context, session: Session, arguments: Read) -> Outcome:
         """Read one value, or those of a pattern."""
-        options = {"fields": arguments.fields, "fresh": arguments.fresh, "cursor": arguments.cursor}
+        names = ("fields", "fresh", "frame", "cursor")
+        options = {name: getattr(arguments, name) for name in names}
         body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
         reply = await self._client_api.request(
             session, Request(type="read", path=arguments.path, body=body)
