@@ -292,7 +292,7 @@ def _features(
     )
     made = make(active, host)
     services.ask(made)
-    records.events.on_event += made.event_listeners
+    records.events.listeners += made.event_listeners
     records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
@@ -333,7 +333,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.events, loop, base.clock)
+    identities = Identities(settings, loop, base.clock)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     accounting = SessionAccounting(known, records.journal.running)
@@ -471,6 +471,7 @@ def _handlers(
         views=system.branch.views,
         pages=system.branch.pages,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     subscribe = SubscribeHandler(
@@ -482,6 +483,7 @@ def _handlers(
         clients.sessions,
         views=system.branch.views,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     keyed = KeyedWrites(requests.keys, inflight, base.loop)
@@ -525,6 +527,7 @@ def _handlers(
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
+        frames=features.frames,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
@@ -553,6 +556,7 @@ def _actions(
         handle=requests.router.handle,
         resolver=requests.resolver,
         foresee=features.foresee,
+        frames=features.frames,
         commands=motion.commands,
         journal=records.journal,
         conditions=base.conditions,
@@ -606,7 +610,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, features.describe)
+    discovery = Discovery(base.registry, base.sights, features.describe, features.frames)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     ping = PingHandler(base.counts)
     requests.router.add("ping", ping.ping)

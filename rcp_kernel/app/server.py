@@ -148,7 +148,6 @@ async def running(
         status.start()
         stack.callback(status.stop)
         stack.push_async_callback(kernel.close)
-        await stack.enter_async_context(kernel.identities.running())
         await stack.enter_async_context(kernel.features.running())
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN

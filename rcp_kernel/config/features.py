@@ -9,6 +9,7 @@ __all__ = ["BUILTIN", "active_features"]
 BUILTIN: tuple[str, ...] = (
     "approvals",
     "audit",
+    "frames",
     "guard",
     "inventory",
     "jwt",
@@ -16,6 +17,7 @@ BUILTIN: tuple[str, ...] = (
     "motion_limits",
     "plans",
     "quotas",
+    "tokens",
 )
 """Active unless `[features] <name> = false` takes one out."""
 
