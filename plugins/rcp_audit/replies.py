@@ -68,7 +68,7 @@ class HeldReplies:
         :raises QueueFull: the store fails, or too many records are pending.
         """
         ledger = self._ledger
-        if ledger.trouble is not None or ledger.waiting > FULL:
+        if ledger.behind(FULL):
             raise QueueFull(
                 f"cannot write the audit log ({ledger.trouble or 'the disk is slow'}); commands "
                 "and writes are refused until this works again",
@@ -83,13 +83,14 @@ class HeldReplies:
 
     def hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
         """Send a reply once all records made so far are committed."""
-        if self._ledger.idle:
-            send(reply)
-            return
         moment = self._loop.time()
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
         held = _Held(reply, send, until, anyway=anyway)
-        self._ledger.settled(held.release)
+        self._ledger.settled(held.release)  # called at once if all are committed
+        if held.reply is None:
+            return
+        while self._held and self._held[0].reply is None:  # released in order: few are kept
+            self._held.popleft()
         self._held.append(held)
         if not self._watching:
             self._watching = True

@@ -98,5 +98,5 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
     """Offer the inventory."""
-    grants = {role: (_LOOK,) for role in ("viewer", "operator", "agent")}
+    grants = {"viewer": (_LOOK,), "operator": (_LOOK,), "agent": (_LOOK,)}
     return [FeatureKind("inventory", InventoryConfig, _make, __doc__ or "", grants=grants)]

@@ -18,6 +18,7 @@ from rcp_kernel.errors import (
     DuplicateRequest,
     InvalidValue,
     OutOfRange,
+    PreconditionFailed,
     RcpError,
     UnknownPath,
     UnsupportedOperation,
@@ -280,8 +281,8 @@ class _Check:
             if not refers:
                 self._host.check_read(step.value)
             return
-        value = None if refers else self._value(step, entry)
-        self._admit(entry, value, refers=refers)
+        value, complete = (None, False) if refers else self._value(step, entry)
+        self._admit(entry, value, complete=complete)
         if self._approvals.wanted(self._session, entry, value):
             self._checked.asks.append(node.id)
         if isinstance(step, Execute):
@@ -339,20 +340,29 @@ class _Check:
             yield
         return near.found
 
-    def _value(self, step: Write | Execute, entry: Entry) -> Any:
+    def _value(self, step: Write | Execute, entry: Entry) -> tuple[Any, bool]:
+        """Return the value of a step, and whether it is the one that the robot will get."""
         called = isinstance(step, Execute)
         if called and entry.resource.input is None and step.value in (None, {}):
-            return None
+            return None, True
+        if called:
+            try:
+                goal = self._host.goal(self._session, entry, step.value)
+            except PreconditionFailed:  # for want of a pose, which its step will need
+                return None, False
+            if goal is not None:  # by then, the robot may be elsewhere
+                return goal, False
         type_ = entry.input_type if called else entry.value_type
-        return self._decode(type_, step.value, f"input of {entry.label}" if called else entry.label)
+        label = f"input of {entry.label}" if called else entry.label
+        return self._decode(type_, step.value, label), True
 
     @staticmethod
     def _decode(type_: ValueType, value: Any, label: str) -> Any:
         return type_.decode(dump(value, Encoding.JSON), Encoding.JSON, label)
 
-    def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
+    def _admit(self, entry: Entry, value: Any, *, complete: bool) -> None:
         gained = any(scope.covers(entry.path) for scope in self._gained)
-        self._host.foresee(self._session, entry, value, gained=gained, complete=not refers)
+        self._host.foresee(self._session, entry, value, gained=gained, complete=complete)
 
     def _condition(self, node: Node, text: str, name: str) -> Work:
         """Compile a condition of a step, which may use only values that the sender may read."""

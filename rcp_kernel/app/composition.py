@@ -309,7 +309,7 @@ def _features(
     )
     made = make(active, host)
     services.ask(made)
-    records.events.on_event += made.event_listeners
+    records.events.listeners += made.event_listeners
     records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
@@ -491,6 +491,7 @@ def _handlers(
         views=system.branch.views,
         pages=system.branch.pages,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     subscribe = SubscribeHandler(
@@ -502,6 +503,7 @@ def _handlers(
         clients.sessions,
         views=system.branch.views,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     keyed = KeyedWrites(requests.keys, inflight, base.loop)
@@ -546,6 +548,7 @@ def _handlers(
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
+        frames=features.frames,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
@@ -574,6 +577,7 @@ def _actions(
         handle=requests.router.handle,
         resolver=requests.resolver,
         foresee=features.foresee,
+        frames=features.frames,
         commands=motion.commands,
         journal=records.journal,
         conditions=base.conditions,
@@ -627,7 +631,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, features.describe)
+    discovery = Discovery(base.registry, base.sights, features.describe, features.frames)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     ping = PingHandler(base.counts)
     requests.router.add("ping", ping.ping)

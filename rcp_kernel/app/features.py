@@ -13,7 +13,6 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.app.recorder import Listener, Recorder
 from rcp_kernel.config.file import GatewayConfig, decode_table
-from rcp_kernel.contract.events import Hear
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (
     Accounting,
@@ -28,6 +27,7 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
+from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import Releases
 from rcp_kernel.sessions.session import Session
@@ -123,15 +123,21 @@ class Features:
         ]
 
     @property
+    def frames(self) -> FrameConverter:
+        """The converter of frames."""
+        found = (feature.frames for _, feature in self._made)
+        return next((one for one in found if one is not None), NoFrames())
+
+    @property
     def authenticators(self) -> list[Authenticator]:
         """The authenticators of tokens."""
         found = (feature.authenticator for _, feature in self._made)
         return [one for one in found if one is not None]
 
     @property
-    def event_listeners(self) -> list[Hear]:
+    def event_listeners(self) -> list[Listener]:
         """The listeners for events."""
-        return [one.hear for one in self._listeners if one.on_event is not None]
+        return [one for one in self._listeners if one.hears_events]
 
     @property
     def command_listeners(self) -> list[Listener]:

@@ -84,6 +84,15 @@ class ActionHost(Protocol):
         """
         ...
 
+    def goal(self, session: Session, entry: Entry, value: Any) -> Any:
+        """Return the input of a later execute in the robot's own frame, as things are now.
+
+        None: it is so already, or names none.
+
+        :raises RcpError: as for the request itself.
+        """
+        ...
+
     def send(self, session: Session, request: Request, answer: Answer, /) -> None:
         """Handle a request as if the session's client had sent it, with all checks.
 

@@ -22,6 +22,7 @@ from rcp_kernel.contract.events import Hear
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.description import Describe
 from rcp_kernel.features.durability import Durability
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
@@ -52,6 +53,8 @@ class Feature:
     long before the step is run."""
     describe: Describe | None = None
     """Returns additions to the description of a resource, for a principal that may command it."""
+    frames: FrameConverter | None = None
+    """Converts values to the frames that clients name, and goals from them; one feature at most."""
     status: Callable[[Rights | None], StatusPart] | None = None
     """Returns a part of `/system/status` for a principal, or for everyone (None)."""
     authenticator: Authenticator | None = None

@@ -79,8 +79,8 @@ class Admission:
             check_hold(entry, call.value)
         if self._shutdown.begun:
             self._shutdown.check()
-        if self._replies.demands:
-            self._replies.check()
+        for demand in self._replies.demands:
+            demand.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if self._early:

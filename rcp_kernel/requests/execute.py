@@ -18,6 +18,7 @@ from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
@@ -89,6 +90,7 @@ class ExecuteHandler:
         replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
+        frames: FrameConverter,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._resolver = resolver
@@ -107,6 +109,7 @@ class ExecuteHandler:
         self._replies = replies
         self._partners = partners
         self._deadman = deadman
+        self._frames = frames
         self._loop = loop
 
     def execute_in_steps(
@@ -164,7 +167,7 @@ class ExecuteHandler:
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
             value = None
         else:
-            value = request.decode_body(entry.input_type, f"input of {entry.label}")
+            value = self._input(session, request, entry)
         if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
@@ -335,6 +338,12 @@ class ExecuteHandler:
             self._keys.note(session, request, entry.path, outcome)
             self._keys.settle(session, request, entry.path, reply)
         return reply
+
+    def _input(self, session: Session, request: Request, entry: Entry) -> Any:
+        goal = self._frames.goal(session, request, entry)
+        if goal is not None:
+            return goal
+        return request.decode_body(entry.input_type, f"input of {entry.label}")
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Cancel a command by its id, or everything running on a path; robots are notified at once."""

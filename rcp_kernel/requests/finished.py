@@ -40,9 +40,11 @@ class Finished:
     def add(self, command: Command) -> None:
         """Remember a command, at the cost of the oldest."""
         size = _EMPTY
-        for value in (command.input, *[step.body for step in command.history]):
-            if not isinstance(value, SCALARS) and value is not NO_BODY:
-                size += _length(value)
+        if not isinstance(command.input, SCALARS):
+            size += _length(command.input)
+        for step in command.history:
+            if step.body is not NO_BODY and not isinstance(step.body, SCALARS):
+                size += _length(step.body)
         self._known[command.id] = (command, size)
         self._bytes += size
         while len(self._known) > _KEPT or (self._bytes > _BYTES and len(self._known) > 1):

@@ -33,14 +33,6 @@ class ReplyGate:
         self._settings = settings
         self._loop = loop
 
-    def check(self) -> None:
-        """Refuse a write or command whose reply could not be released.
-
-        :raises QueueFull: a feature cannot store its records.
-        """
-        for demand in self.demands:
-            demand.check()
-
     @property
     def lost(self) -> int:
         """Number of unrecorded events; if it has increased, the last one is unconfirmed."""

@@ -84,7 +84,7 @@ class RequestEvents:
         gate = self._gate
 
         def done(reply: Reply) -> None:
-            lost = gate.lost if gate.demands else 0
+            lost = gate.lost
             self._events.tell(
                 Event(
                     what="write",
@@ -97,7 +97,7 @@ class RequestEvents:
                     facts={"message": reply.message},
                 )
             )
-            answer(gate.confirmed(reply, lost) if gate.demands else reply)
+            answer(reply if gate.lost == lost else gate.confirmed(reply, lost))
 
         return done
 

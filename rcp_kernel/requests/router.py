@@ -103,7 +103,10 @@ class RequestRouter:
                 ):
                     raise account.refusal(session.monotonic())
             long = len(request.body) > LONG and self._long_bodies.takes(request)
-            if (long or self._takes_long(session, request)) and not self._stops(session, request):
+            short = request.type == "write" and len(request.body) <= LONG
+            if (long or (not short and self._takes_long(session, request))) and not self._stops(
+                session, request
+            ):
                 stepped = None if long else self._stepped.get(request.type)
                 steps = None if stepped is None else stepped(session, request, answer)
                 work = self._slowly(session, request, answer, started, steps)

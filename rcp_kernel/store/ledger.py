@@ -75,6 +75,10 @@ class Ledger:
         """Number of records not committed yet."""
         return self._store.waiting
 
+    def behind(self, limit: int) -> bool:
+        """Return whether writing fails, or more records than `limit` are not committed yet."""
+        return self._store.trouble is not None or self._store.waiting > limit
+
     @property
     def trouble(self) -> str | None:
         """Why writing fails; None if it works."""

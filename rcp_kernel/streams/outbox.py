@@ -173,6 +173,7 @@ class Outbox:
         self.encoding = encoding
         self.text = encoding is Encoding.JSON
         self.dirty = False
+        """Whether a tick follows; a transport sets it during a read, to send the replies itself."""
         self.framing: Framing | None = None
         """Frames for the transport, see `send_frames`."""
         self.direct: Callable[[list[bytes]], bool] | None = None
@@ -232,18 +233,6 @@ class Outbox:
         """
         self.framing = self.direct = None
         self.takes_long = long
-
-    def gather(self) -> None:
-        """Suspend marking for the next tick until the transport calls `settle` at the end of a read."""
-        self.dirty = True
-
-    def settle(self, *, alone: bool) -> bytes | None:
-        """End `gather`; return the only queued message, if it may be sent `alone`."""
-        self.dirty = False
-        if alone and len(self.control) == 1 and not (self.pending or self.feedback):
-            self.waiting = 0
-            return self.control.pop()
-        return None
 
     def hand(self, buffered: int) -> None:
         """Set the number of bytes that the transport has written and the client has not read."""

@@ -204,11 +204,6 @@ class Sample(Body):
         key = b"\xa4body" if encoding is Encoding.MSGPACK else b"\x64body"
         return b"".join((facts[1:], key, body))  # without the map's own head
 
-    def forget_encodings(self) -> None:
-        """Discard the encodings; they are created again on use."""
-        self.bodies = {}
-        self.tails = {}
-
     def weight(self) -> int:
         """Estimate the memory of the value in bytes."""
         if self.native is not None:

@@ -145,7 +145,7 @@ class WsClient:
         outbox = self._outbox
         if not self._began:
             self._began = perf_counter()
-            outbox.gather()
+            outbox.dirty = True  # no tick: `settled` sends the replies
         try:
             # Segments are reassembled for authenticated clients only. `in` would take twice as
             # long as `find`: it first tries to take the word for the number of a byte.
@@ -172,7 +172,7 @@ class WsClient:
         """Count the time of a frame that is not a whole message."""
         if not self._began:
             self._began = perf_counter()
-            self._outbox.gather()
+            self._outbox.dirty = True
         elif perf_counter() - self._began > _TURN:
             self._gate.end_turn()
 
@@ -205,9 +205,15 @@ class WsClient:
         """Send the replies to the messages of one read."""
         outbox, socket = self._outbox, self._socket
         began, self._began = self._began, 0.0
-        only = outbox.settle(alone=self._plain and socket.writable)
-        if only is not None:
-            socket.reply(only)
+        outbox.dirty = False
+        if (
+            len(outbox.control) == 1
+            and self._plain
+            and socket.writable
+            and not (outbox.pending or outbox.feedback)
+        ):
+            outbox.waiting = 0
+            socket.reply(outbox.control.pop())
         elif not self._plain or outbox.control or outbox.feedback or outbox.pending:
             self.flush()
         # Kept messages are counted in the turn that they waited for.
