@@ -87,6 +87,13 @@ def test_a_missing_or_damaged_model_is_told(content: str | None, why: str, tmp_p
         robot_of(model)
 
 
+def test_a_trajectory_whose_speed_overflows_is_refused() -> None:
+    start, points = np.zeros(1), [Waypoint(100.0, np.zeros(1), np.array([1e308]))]
+    points.append(Waypoint(200.0, np.zeros(1), None))
+    with np.errstate(all="ignore"), pytest.raises(InvalidValue, match="waypoint 0"):
+        Spline(start, points, speed=1.0, names=["elbow"])
+
+
 @pytest.mark.parametrize(
     "part",
     [
