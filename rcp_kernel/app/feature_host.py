@@ -37,7 +37,7 @@ class GatewayFeatureHost:
         self,
         health: FeatureHealth,
         *,
-        robots: Callable[[str], Robots],
+        robots: Callable[[FeatureHealth], Robots],
         changes: ViewChanges,
         store: Store,
         events: EventBus,
@@ -54,7 +54,7 @@ class GatewayFeatureHost:
         clock: Clock,
     ) -> None:
         self._health = health
-        self.robots = robots(health.name)
+        self.robots = robots(health)
         self.changed = changes.tell
         """Has the view's subscribers get it again."""
         self.publish = changes.tell
