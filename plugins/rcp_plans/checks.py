@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
+from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
@@ -28,7 +29,6 @@ from rcp_kernel.features.approval import ApprovalService
 from rcp_kernel.features.control import ControlService
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.scope import Scope
 from rcp_kernel.values import Encoding, ValueType, dump
