@@ -151,6 +151,21 @@ class MujocoBackend(BaseBackend):
                 return await super().write(name, value)
         return None
 
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Set several controls between the same two steps."""
+        moves = any(value != self._drives[name].safe for name, value in values.items())
+        commanded = is_commanded()
+
+        def control(robot: Robot) -> None:
+            if moves:
+                robot.simulation.need_whole()
+                self._need_idle(robot)
+            for name, value in values.items():
+                self._control(robot, name, value, commanded=commanded)
+
+        await self.device.do(control, moves=moves)
+        return {}
+
     async def _drive(self, v: float, w: float) -> Any:
         valid_for = self.device.robot.config.valid_for
         commanded = is_commanded()

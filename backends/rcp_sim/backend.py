@@ -25,6 +25,7 @@ from rcp_kernel.spi import (
     RobotFacts,
     Watchdog,
     check_fence,
+    is_commanded,
 )
 from rcp_kernel.types import Point
 from rcp_sim import messages as m
@@ -97,7 +98,10 @@ class SimBackend(BaseBackend):
             if not stop:
                 check_fence()
                 self.device.need_feedback()
-            self._sim.drive(v, w)
+            if stop and not is_commanded():
+                self._sim.end_velocity()  # the dead-man
+            else:
+                self._sim.drive(v, w)
         elif name == "param/speed_limit":
             await self.device.reach(name)
             self._sim.set_limit(value)

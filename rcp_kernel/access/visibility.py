@@ -177,6 +177,12 @@ class Visibility:
             return self.sees_whole(rights, tenant)
         return any(map(rights.mask, paths))
 
+    def sees_backend(self, rights: Rights, tenant: str | None, name: str) -> bool:
+        """Return whether nothing of a backend is hidden."""
+        if "*" not in rights.tenants and tenant not in rights.tenants:
+            return False
+        return not self._sights.look(rights).hides(tenant, name).count
+
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
         """Return whether nothing of a tenant is hidden; None means all tenants.
 

@@ -10,7 +10,6 @@ from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.app.features import ActiveFeature, Features
-from rcp_kernel.app.guard import GuardLink
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.app.system import System
@@ -59,7 +58,6 @@ class Kernel:
     outbound: Outbound
     resume: SessionResume
     sessions: Sessions
-    guard: GuardLink
     status: StatusReport
     system: System
     features: Features

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ParamSpec
 
 import structlog
@@ -10,6 +10,7 @@ import structlog
 from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.features.health import FeatureHealth
+from rcp_kernel.features.robots import SupervisedBackend
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
@@ -55,10 +56,17 @@ class _Conditions:
 class GatewayRobots:
     """The `Robots` of one feature."""
 
-    def __init__(self, health: FeatureHealth, hub: Hub, conditions: Conditions) -> None:
+    def __init__(
+        self,
+        health: FeatureHealth,
+        hub: Hub,
+        conditions: Conditions,
+        backends: Sequence[SupervisedBackend],
+    ) -> None:
         self._health = health
         self._feature = health.name
         self._hub = hub
+        self.backends = backends
         self._watches: dict[str, list[_Watch]] = {}
         self.conditions = _Conditions(health.name, conditions)
         self._following = False

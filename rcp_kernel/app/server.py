@@ -148,10 +148,7 @@ async def running(
         status.start()
         stack.callback(status.stop)
         stack.push_async_callback(kernel.close)
-        await stack.enter_async_context(kernel.identities.running())
         await stack.enter_async_context(kernel.features.running())
-        kernel.guard.start()
-        stack.push_async_callback(kernel.guard.close)
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)

@@ -18,6 +18,7 @@ from rcp_kernel.errors import EstopActive
 __all__ = [
     "Fenced",
     "check_fence",
+    "end_permit",
     "fenced_off",
     "is_commanded",
     "permit",
@@ -61,6 +62,11 @@ class permitted:  # noqa: N801 - used as a function is
 def permit(unit: Fenced, stops: int) -> None:
     """Put the rest of the current task under such a permit."""
     _permit.set((unit, stops))
+
+
+def end_permit() -> None:
+    """Run the rest of the current task without one: its robot has answered."""
+    _permit.set(None)
 
 
 @contextmanager

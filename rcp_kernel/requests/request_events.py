@@ -97,7 +97,7 @@ class RequestEvents:
                     facts={"message": reply.message},
                 )
             )
-            answer(gate.confirmed(reply, lost))
+            answer(reply if gate.lost == lost else gate.confirmed(reply, lost))
 
         return done
 

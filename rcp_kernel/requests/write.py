@@ -84,7 +84,9 @@ class WriteHandler:
             return None
         call = Call(session, request, entry, value)
         self._admission.admit(call)
-        window = self._deadman.window(entry, request)
+        window = entry.resource.valid_for
+        if request.valid_for is not None:
+            window = self._deadman.window(entry, request)
         self._admission.ask(call)
         if request.dry_run:
             facts = {"valid_for": window, **self._dry_run(call)}

@@ -54,10 +54,9 @@ def check_hold(entry: Entry, value: Any) -> None:
 
     :raises AlreadyRunning: a hold has not ended yet.
     """
-    unit = entry.unit
-    if unit.is_held and entry.barred and not is_safe(entry, value):
+    if entry.unit.is_held and entry.barred and not is_safe(entry, value):
         raise AlreadyRunning(
-            f"{unit.name} is being brought to rest",
+            f"{entry.unit.name} is being brought to rest",
             path=entry.path,
             remedy="Send the command again when the robot is at rest.",
         )
@@ -103,7 +102,6 @@ class Deadman:
         self,
         loop: asyncio.AbstractEventLoop,
         *,
-        began: Callable[[Entry], None],
         sending: Callable[[Entry, Any], None],
         at_rest: Callable[[Entry, Any], None],
         untaken: Callable[[Entry], list[asyncio.Task[None]]],
@@ -111,15 +109,12 @@ class Deadman:
     ) -> None:
         """Create the dead-man, which brings expired commands to rest.
 
-        `began` is called before a write is sent, and when its window starts, and must be fast;
-        `sending`
-        when a safe value is being sent; `at_rest` when it is in force, or the whole robot is
-        brought to rest. `untaken` is called to stop the robot by other means while a safe value is
-        not accepted, and returns the tasks. `note` records expired commands and accepted safe
-        values.
+        `sending` is called when a safe value is being sent; `at_rest` when it is in force, or the
+        whole robot is brought to rest. `untaken` is called to stop the robot by other means while a
+        safe value is not accepted, and returns the tasks. `note` records expired commands and
+        accepted safe values.
         """
         self._loop = loop
-        self._began = began
         self._sending = sending
         self._at_rest = at_rest
         self._untaken = untaken
@@ -154,8 +149,6 @@ class Deadman:
 
         Return the task, to be passed to `arrived` when it has ended in any way.
         """
-        if entry.barred:
-            self._began(entry)
         task = asyncio.current_task()
         assert task is not None
         self._flights.setdefault(entry.path, set()).add(task)
@@ -258,7 +251,6 @@ class Deadman:
 
     def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
         """Start the window of a write that is now in force; return the argument of `disarm`."""
-        self._began(entry)
         self.begin(entry)
         with unfenced():  # it outlives the write
             timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
@@ -282,7 +274,6 @@ class Deadman:
                 self._note(entry, "lapsed")
 
         for entry in entries:
-            self._began(entry)
             self.begin(entry)
         with unfenced():  # it outlives the write
             timer = self._loop.call_later(seconds, lapse)

@@ -172,8 +172,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     """Whether it was passed to the robot, which may act on it from then on."""
     unrecorded: bool = False
     """Whether a step of it is missing in the record, so that its success is not confirmed."""
-    timer: asyncio.TimerHandle | None = None
-    """Ends the command at its deadline."""
+    deadline: int | None = None
+    """The slot of its deadline."""
     _listed: _Listed | None = None
     _names: frozenset[str] | None = None
     """What is named once it has ended: nothing changes after that."""

@@ -166,21 +166,24 @@ class DiskStore(Store):
                 self._latches.pop(key, None)
             else:
                 self._latches[key] = value
+        self._count += 1
         self._gather()
 
     def append(self, row: Row) -> None:
         """Add a row to the audit."""
         self._gathered.rows.append(row)
         self.waiting += 1
-        self._gather()
+        self._count += 1
+        if not self._scheduled:
+            self._gather()
 
     def prune(self, before: int) -> None:
         """Delete the audit's rows before a number."""
         self._gathered.before = before
+        self._count += 1
         self._gather()
 
     def _gather(self) -> None:
-        self._count += 1
         if not self._scheduled:
             self._scheduled = True
             self._loop.call_soon(self._hand_over)
@@ -197,6 +200,7 @@ class DiskStore(Store):
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
         """Run a query on the thread once everything put so far is committed."""
         self._gathered.looks.append((work, then))
+        self._count += 1
         self._gather()
 
     @property

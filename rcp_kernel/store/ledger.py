@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rcp_kernel.store.chain import GENESIS, Head, decoded, seal
@@ -34,7 +35,8 @@ class Ledger:
         """
         seq, digest, data = seal(self.head, what, facts)
         self.head = (seq, digest)
-        self._store.append((seq, digest, data))
+        if self._store.keeps:
+            self._store.append((seq, digest, data))
         return data
 
     def past(self, last: int) -> list[dict[str, Any]]:
@@ -54,6 +56,11 @@ class Ledger:
         self._store.look(work, then)
 
     @property
+    def path(self) -> Path | None:
+        """The database in use, which may have other tables; None if nothing is kept."""
+        return self._store.path
+
+    @property
     def keeps(self) -> bool:
         """Whether records survive a restart."""
         return self._store.keeps
@@ -67,6 +74,10 @@ class Ledger:
     def waiting(self) -> int:
         """Number of records not committed yet."""
         return self._store.waiting
+
+    def behind(self, limit: int) -> bool:
+        """Return whether writing fails, or more records than `limit` are not committed yet."""
+        return self._store.trouble is not None or self._store.waiting > limit
 
     @property
     def trouble(self) -> str | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from kernel.world import Client, Robot, World, world_of
+from kernel.world import CONFIG, Client, Robot, World, world_of
 from rcp_kernel.spi import MotionState, StopPlan, Watchdog
 from rcp_kernel.testing import SteppedClock
 
@@ -30,8 +30,10 @@ async def test_a_command_arms_before_it_runs_and_rest_disarms(
     client = world.client()
     assert (await report(client))["guard"]["armed"] is False
     go = client.send(type="execute", path="/action/go", body=1)
-    assert world.server.kernel.guard._arming.armed == {"robot"}  # before the loop has turned
     await world.robot.started.get()
+    assert world.server.status.plain()["guard"][
+        "armed"
+    ]  # before the robot had it, not a beat later
     world.robot.release.set()
     await client.final(go)
     stepped.advance(5)
@@ -67,6 +69,18 @@ async def test_a_latched_robot_is_armed(world: World) -> None:
     await until_armed(client, armed=True)
     await client.ask(type="execute", path="/system/estop", body={"reset": True})
     await until_armed(client, armed=False)
+
+
+async def test_a_gateway_without_it_stops_robots_as_before() -> None:
+    async with world_of(CONFIG + "\n[features]\nguard = false\n") as world:
+        client = world.client("admin-admin-admin")
+        found = await report(client)
+        assert "guard" not in found
+        go = client.send(type="execute", path="/action/go", body=1)
+        await world.robot.started.get()
+        await client.ask(type="execute", path="/system/estop", body={})
+        assert (await client.final(go))["status"] == "cancelled"
+        assert world.robot.halts
 
 
 async def test_what_is_wrong_with_one_backend_ends_no_heartbeat() -> None:

@@ -10,20 +10,18 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Iterable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from typing import Any
 
 import msgspec
 import structlog
+from prometheus_client.core import Metric
 
-from rcp_kernel.app.guard_arming import GuardArming
-from rcp_kernel.app.supervisor import BackendSupervisor
-from rcp_kernel.contract.events import EventBus
-from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.requests.commands import Commands
-from rcp_kernel.safety.retry import retry_until_confirmed
-from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.tree.registry import Registry
+from rcp_guard_link.arming import GuardArming
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.contract.metrics import counter, gauge
+from rcp_kernel.features import FeatureHost, StatusPart
+from rcp_kernel.features.robots import SupervisedBackend
 
 __all__ = ["GuardLink"]
 
@@ -37,32 +35,19 @@ _HOLD = 10.0  # s that a robot is commanded to rest after a stop by the guard
 class GuardLink:
     """Arms and feeds the guard, and says in the status what stops each robot without the gateway."""
 
-    def __init__(
-        self,
-        arming: GuardArming,
-        supervisors: Sequence[BackendSupervisor],
-        registry: Registry,
-        deadman: Deadman,
-        commands: Commands,
-        events: EventBus,
-        shutdown: Shutdown,
-        loop: asyncio.AbstractEventLoop,
-    ) -> None:
+    def __init__(self, arming: GuardArming, host: FeatureHost) -> None:
         self._arming = arming
         self._process = arming.process
         self._on = arming.on
-        self._supervisors = supervisors
-        self._registry = registry
-        self._deadman = deadman
-        self._commands = commands
-        self._events = events
-        self._shutdown = shutdown
-        self._loop = loop
+        self._host = host
+        self._backends = host.robots.backends
+        self._control = host.control
+        self._loop = host.loop
         arming.process.on_report.append(self._on_report)
         self._plans: dict[str, dict[str, Any]] = {}
         self._seen: list[tuple[str, int]] = []
         self._senders: dict[str, tuple[str, str]] = {}
-        self._ready: dict[BackendSupervisor, float] = {}
+        self._ready: dict[SupervisedBackend, float] = {}
         self._warned: set[tuple[str, str | None]] = set()
         self._holds: set[asyncio.Task[None]] = set()
         self._timer: asyncio.TimerHandle | None = None
@@ -100,7 +85,7 @@ class GuardLink:
         try:
             self._look()
             self._arming.armed = frozenset(
-                supervisor.name for supervisor in self._supervisors if self._may_move(supervisor)
+                supervisor.name for supervisor in self._backends if self._may_move(supervisor)
             )
         except Exception:  # a heartbeat that fails would have the robots stopped
             log.exception("guard_link_failed")
@@ -108,21 +93,21 @@ class GuardLink:
 
     def _look(self) -> None:
         """Update changed plans, and warn of robots that nothing would stop."""
-        seen = [(supervisor.name, supervisor.plans_changed) for supervisor in self._supervisors]
+        seen = [(supervisor.name, supervisor.plans_changed) for supervisor in self._backends]
         if self._on and seen != self._seen:
             self._seen = seen
             self._arming.moved = {
                 supervisor: at
                 for supervisor, at in self._arming.moved.items()
-                if supervisor in self._supervisors
+                if supervisor in self._backends
             }
             self._ready = {
                 supervisor: at
                 for supervisor, at in self._ready.items()
-                if supervisor in self._supervisors
+                if supervisor in self._backends
             }
             self._replace(dict(self._plans_now()))
-        for supervisor in self._supervisors:
+        for supervisor in self._backends:
             if supervisor not in self._ready:
                 if supervisor.backend is not None:
                     self._ready[supervisor] = self._loop.time()
@@ -139,7 +124,7 @@ class GuardLink:
         self._process.replace_plans(plans)
 
     def _plans_now(self) -> Iterable[tuple[str, dict[str, Any]]]:
-        for supervisor in self._supervisors:
+        for supervisor in self._backends:
             for name, plan in supervisor.plans.items():
                 try:
                     plain = json.loads(json.dumps(msgspec.structs.asdict(plan)))
@@ -148,7 +133,7 @@ class GuardLink:
                     continue
                 yield f"{supervisor.name}/{name}", {"group": supervisor.name, **plain}
 
-    def _may_move(self, supervisor: BackendSupervisor) -> bool:
+    def _may_move(self, supervisor: SupervisedBackend) -> bool:
         if any(unit.latch is not None for unit in supervisor.units):
             return True
         moved = self._arming.moved.get(supervisor)
@@ -163,17 +148,17 @@ class GuardLink:
             return False
         return True
 
-    def _is_commanded(self, supervisor: BackendSupervisor) -> bool:
-        entries = self._registry.entries
-        running = self._commands.running.values()
+    def _is_commanded(self, backend: SupervisedBackend) -> bool:
+        entries = self._host.robots.entries
         return any(
-            (entry := entries.get(path)) is not None and entry.owner is supervisor
-            for path in self._deadman.paths
+            (entry := entries.get(path)) is not None and entry.owner is backend
+            for path in self._control.in_force
         ) or any(
-            c.entry is not None and c.entry.owner is supervisor and c.entry.barred for c in running
+            (entry := command.entry) is not None and entry.owner is backend and entry.barred
+            for command in self._control.running()
         )
 
-    def _rests(self, supervisor: BackendSupervisor, since: float) -> bool:
+    def _rests(self, supervisor: SupervisedBackend, since: float) -> bool:
         """Return whether a backend is at rest: as measured, or else as far as can be known."""
         backend, state = supervisor.backend, None
         if backend is not None:
@@ -181,7 +166,7 @@ class GuardLink:
                 state = backend.motion(None)
         if state is not None and state.at_rest is not None:
             return state.at_rest
-        if any(self._deadman.holds(entry) for entry in supervisor.entries.values()):
+        if any(self._control.holds(entry) for entry in supervisor.entries.values()):
             return False
         measures_nothing = backend is not None and state is None
         return measures_nothing or since > _UNKNOWN
@@ -197,7 +182,7 @@ class GuardLink:
                     log.warning("guard_sender", backend=backend, plan=plan, reason=detail)
             case {"event": "stopped", "groups": [*groups], "reason": str(reason)}:
                 self.stops += 1
-                for supervisor in self._supervisors:
+                for supervisor in self._backends:
                     if supervisor.name in groups and supervisor.plans:
                         log.error("guard_stopped_robot", backend=supervisor.name, reason=reason)
                         self._end(supervisor, reason)
@@ -208,33 +193,15 @@ class GuardLink:
             case _:
                 pass
 
-    def _end(self, supervisor: BackendSupervisor, reason: str) -> None:
+    def _end(self, backend: SupervisedBackend, reason: str) -> None:
         """End the commands of a backend stopped by the guard: nothing may resume by itself."""
-        if self._shutdown.begun:
+        if self._host.closing:
             return
-        self._events.note(
-            "guard", principal=None, tenant=supervisor.tenant, robots=[supervisor.name]
-        )
-        supervisor.whole.count_stop()
-        for entry in supervisor.entries.values():
-            if entry.moves:
-                self._deadman.cancel_writes(entry)
-        for command in list(self._commands.running.values()):
-            if (
-                command.entry is not None
-                and command.entry.owner is supervisor
-                and command.entry.barred
-            ):
-                self._commands.cancel(command, f"the guard stopped the robot: {reason}")
-        if supervisor.backend is not None:
-            held = ExitStack()  # from now on, not from when the task first runs
-            held.enter_context(supervisor.whole.held())
-            hold = retry_until_confirmed(
-                supervisor.whole.hold, "hold_failed", backend=supervisor.name
-            )
+        self._host.note("guard", principal=None, tenant=backend.tenant, robots=[backend.name])
+        hold = self._control.end_stopped(backend, f"the guard stopped the robot: {reason}")
+        if hold is not None:
             self._holds.add(hold)
             hold.add_done_callback(self._holds.discard)
-            hold.add_done_callback(lambda _: held.close())
             self._loop.call_later(_HOLD, hold.cancel)
 
     # -- the status ------------------------------------------------------------------------------
@@ -253,18 +220,21 @@ class GuardLink:
             return "degraded"
         return "starting" if "opening" in states else "ready"
 
-    def plain(self, supervisors: Iterable[BackendSupervisor]) -> dict[str, Any]:
-        """Write the part of `/system/status` about some backends."""
-        shown = list(supervisors)
+    def status(self, rights: Rights | None) -> StatusPart:
+        """Write the part of `/system/status` about the backends that a principal sees as a whole."""
+        sees = self._host.visibility.sees_backend
+        shown = [
+            one for one in self._backends if rights is None or sees(rights, one.tenant, one.name)
+        ]
         names = {supervisor.name for supervisor in shown}
         plans: list[dict[str, Any]] = []
         for name, plan in self._plans.items():
             if plan["group"] in names:
                 state, detail = self._senders.get(name, ("opening", ""))
-                one = {"backend": plan["group"], "name": name.partition("/")[2]}
-                facts = {"sender": plan["sender"], "state": state, "detail": detail or None}
-                plans.append(one | facts)
-        return {
+                own = {"backend": plan["group"], "name": name.partition("/")[2]}
+                sender = {"sender": plan["sender"], "state": state, "detail": detail or None}
+                plans.append(own | sender)
+        facts = {
             "state": self.state,
             "armed": not names.isdisjoint(self._arming.armed),
             "stops": self.stops,
@@ -275,8 +245,28 @@ class GuardLink:
                 for watchdog in _watchdogs(supervisor)
             ],
         }
+        return StatusPart({"guard": facts})
 
-    def _warn(self, supervisor: BackendSupervisor) -> None:
+    def metrics(self) -> Iterable[Metric]:
+        """Return the families of `/metrics`."""
+        yield counter(
+            "rcp_guard_stops", "How often the guard has stopped robots.", (), [([], self.stops)]
+        )
+        for name, text, value in (
+            (
+                "rcp_event_loop_lag_max_seconds",
+                "The most that the event loop was late.",
+                self.lag,
+            ),
+            (
+                "rcp_guard_ready",
+                "Whether the guard is ready to send every plan, or has none.",
+                self.state in ("ready", "idle"),
+            ),
+        ):
+            yield gauge(name, text, (), [([], float(value))])
+
+    def _warn(self, supervisor: SupervisedBackend) -> None:
         if supervisor.plans and self._on:
             return
         verified = [
@@ -297,7 +287,7 @@ class GuardLink:
                 )
 
 
-def _watchdogs(supervisor: BackendSupervisor) -> Sequence[Any]:
+def _watchdogs(supervisor: SupervisedBackend) -> Sequence[Any]:
     backend = supervisor.backend
     if backend is None:
         return ()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import os
 import time
+from collections.abc import Sequence
 
-from rcp_kernel.app.guard_process import GuardProcess
-from rcp_kernel.app.supervisor import BackendSupervisor
+from rcp_guard_link.process import GuardProcess
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.errors import StaleCommand
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.features import Call, Slot
+from rcp_kernel.features.robots import SupervisedBackend
+from rcp_kernel.tree.entry import Owner
 
 __all__ = ["GuardArming"]
 
@@ -21,14 +23,21 @@ _THAW = 0.5  # s after a freeze during which received requests may be old
 class GuardArming:
     """Arms the guard before anything moves, and refuses requests that a freeze has delayed."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, safety: Safety) -> None:
+    slot = Slot.LEASE
+    """Called for safe values too: written late, one may stop what has begun since."""
+    active = True
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, safety: Safety, backends: Sequence[SupervisedBackend]
+    ) -> None:
         self._loop = loop
+        self._backends = backends
         self.on = safety.guard and os.name == "posix"
         self.after = safety.guard_after
         self.period = min(_PERIOD, safety.guard_after / 5)
         """Seconds between two heartbeats."""
         self.process = GuardProcess(loop, safety)
-        self.moved: dict[BackendSupervisor, float] = {}
+        self.moved: dict[Owner, float] = {}
         """When an armed backend last received a command."""
         self.armed: frozenset[str] = frozenset()
         self.expected = float("inf")
@@ -37,40 +46,40 @@ class GuardArming:
         self._frozen: frozenset[str] = frozenset()
         """The backends that were armed when the loop last stood still."""
 
-    def arm(self, entry: Entry) -> None:
-        """Arm the guard before something moves; does next to nothing where it is armed."""
-        supervisor = entry.owner
-        if not entry.barred or not isinstance(supervisor, BackendSupervisor):
-            return
-        self.moved[supervisor] = self._loop.time()
-        if supervisor.name not in self.armed:
-            self.armed |= {supervisor.name}
-            self.process.arm(self.armed)
-
-    def check_thaw(self, entry: Entry) -> None:
+    def admit(self, call: Call) -> None:
         """Refuse motion of a robot that the guard has stopped while requests were queued.
 
         The loop may read these requests before it is notified of the guard's stop.
 
         :raises StaleCommand: the event loop was blocked until just now.
         """
-        supervisor = entry.owner
-        if (
-            not self.on
-            or not entry.barred
-            or not isinstance(supervisor, BackendSupervisor)
-            or not supervisor.plans
-        ):
+        entry = call.entry
+        if not entry.barred or not self.process.plans:
             return
         self.look_for_freeze()
-        left = self._thawed + _THAW - time.monotonic()
-        if left > 0 and supervisor.name in self._frozen:
+        if self._thawed + _THAW > time.monotonic() and self._was_stopped(entry.owner.name):
             raise StaleCommand(
                 "the gateway froze and the guard stopped the robot; this command may be from "
                 "before",
                 path=entry.path,
                 remedy="Check the robot, then send a new command.",
             )
+
+    def _was_stopped(self, name: str) -> bool:
+        return name in self._frozen and any(
+            one.name == name and one.plans for one in self._backends
+        )
+
+    def confirm(self, call: Call) -> None:
+        """Arm the guard before something moves; does next to nothing where it is armed."""
+        entry = call.entry
+        if not entry.barred:
+            return
+        owner = entry.owner
+        self.moved[owner] = self._loop.time()
+        if owner.name not in self.armed:
+            self.armed |= {owner.name}
+            self.process.arm(self.armed)
 
     def look_for_freeze(self) -> None:
         """Detect a heartbeat later than the guard allows."""
