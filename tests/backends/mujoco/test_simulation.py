@@ -212,6 +212,16 @@ def test_a_command_lapses_in_the_simulations_time() -> None:
     until(robot, lambda: robot.snapshot().at_rest, 2.0)
 
 
+def test_a_keyframe_does_not_command_a_force(tmp_path: Path) -> None:
+    key = '<keyframe><key ctrl="5"/></keyframe></mujoco>'
+    robot = robot_of(model_of(PUCK.replace("</mujoco>", key), tmp_path))
+    run(robot, 1.0)
+    assert robot.simulation.data.qpos[0] == pytest.approx(0.0, abs=1e-6)
+    assert not robot.simulation.commanded
+    robot.reset(None)
+    assert not robot.simulation.commanded
+
+
 def test_a_newer_command_starts_the_window_anew() -> None:
     robot = robot_of()
     for _ in range(5):
