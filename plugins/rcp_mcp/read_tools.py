@@ -204,8 +204,7 @@ def _line(one: Facts, tenant: str | None, typed: dict[str, Any]) -> dict[str, An
         "operations": one["operations"],
         "description": one["description"],
     }
-    if "unit" in one:
-        line["unit"] = one["unit"]
+    line |= {key: one[key] for key in ("unit", "atomic") if key in one}
     if one.get("state") in ("stale", "down", "never"):
         line["state"] = one["state"]
     name = tool_name(one["path"], tenant)

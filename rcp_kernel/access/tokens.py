@@ -16,7 +16,7 @@ import msgspec
 from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import Grants, Principal, fingerprint
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.modes import check_store_modes
+from rcp_store.modes import check_store_modes
 
 __all__ = ["PREFIX", "Token", "TokenFile", "make_table"]
 

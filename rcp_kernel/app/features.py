@@ -29,6 +29,7 @@ from rcp_kernel.features import (
 )
 from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
+from rcp_kernel.features.resource import Releases
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -97,6 +98,11 @@ class Features:
     def actions(self) -> dict[str, Action]:
         """Their long-running actions, by path."""
         return {one.path: one.action for one in self.resources if one.action is not None}
+
+    @property
+    def releases(self) -> dict[str, Releases]:
+        """What tells which requests only release something, by path."""
+        return {one.path: one.releases for one in self.resources if one.releases is not None}
 
     def resources_of(self, name: str) -> list[SystemResource]:
         """The resources of one feature."""

@@ -17,6 +17,7 @@ from prometheus_client.core import Metric
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import Hear
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.description import Describe
@@ -111,3 +112,5 @@ class FeatureKind(msgspec.Struct, frozen=True):
     """Checks this table against the rest of the configuration and raises `ConfigError`; also
     called by
     `rcpd check`."""
+    grants: Mapping[str, tuple[Rule, ...]] = {}
+    """Rules that the built-in roles `viewer`, `operator` and `agent` have with the feature."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from typing import Any, TypeVar
 
 import msgspec
@@ -15,6 +15,7 @@ from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
+from rcp_kernel.requests.atomic_write import check_group
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.read import READ_OPTIONS
@@ -97,6 +98,13 @@ class GatewayActionHost:
             raise entry.owner.unavailable()
         if complete:
             self._foresee(session, entry, value)
+
+    def check_group(self, entries: Sequence[Entry]) -> None:
+        """Check that a backend can write several paths as one.
+
+        :raises NotImplementedByRobot: they are not of one group of one robot.
+        """
+        check_group(entries)
 
     def goal(self, session: Session, entry: Entry, value: Any) -> Any:
         """Return the input of an execute in the robot's own frame."""

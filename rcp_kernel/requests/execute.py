@@ -13,6 +13,7 @@ import msgspec
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
@@ -23,7 +24,7 @@ from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.exempt import is_exempt
+from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
@@ -82,6 +83,7 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
+        exempt: Exemptions,
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
@@ -100,6 +102,7 @@ class ExecuteHandler:
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
+        self._is_exempt = exempt
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
@@ -165,7 +168,7 @@ class ExecuteHandler:
             value = None
         else:
             value = self._input(session, request, entry)
-        if entry.path == "/system/estop":
+        if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
@@ -243,7 +246,9 @@ class ExecuteHandler:
             return False
         action = self._actions.get(request.path or "")
         if action is not None:
-            return action.stops(request, lambda one: is_exempt(one) or self.stops(session, one))
+            return action.stops(
+                request, lambda one: self._is_exempt(one) or self.stops(session, one)
+            )
         try:
             return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
         except RcpError:
