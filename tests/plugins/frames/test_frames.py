@@ -285,6 +285,18 @@ async def test_a_fence_checks_the_converted_goal(served: Served) -> None:
     assert (await client.request("execute", MOVE_TO, body=inside))["status"] == "completed"
 
 
+async def test_a_fence_refuses_goals_in_frames_that_only_the_robot_knows() -> None:
+    async with serve(CONFIG, scripted(rover, "rover")) as served:
+        served.life.backend.host.describe(RobotFacts(kind="rover"))
+        goal = {"position": {"x": 1.0, "y": 0.0}, "frame": "dock"}
+        reply = await served.client(ADMIN).request("execute", MOVE_TO, body=goal)
+        assert (reply["status"], ran(served).frame) == ("completed", "dock")
+        fenced = await served.client(FENCED).request("execute", MOVE_TO, body=goal)
+        assert fenced["error"]["code"] == "out_of_range", fenced
+        assert "'dock'" in fenced["message"]
+        assert len(served.life.backend.ran) == 1
+
+
 async def test_a_dry_run_shows_the_converted_goal(served: Served) -> None:
     goal = {"position": {"x": 2.0, "y": 1.0}, "frame": "base_link"}
     reply = await served.client(ADMIN).request("execute", MOVE_TO, body=goal, dry_run=True)
