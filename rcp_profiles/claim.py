@@ -40,6 +40,7 @@ class Particulars(TypedDict, total=False):
     safe: Any
     moves: bool
     energises: bool
+    atomic: str
     history: int
     native: str
     meta: dict[str, Any]

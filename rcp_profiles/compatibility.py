@@ -6,6 +6,7 @@ sentences that start with the place in the value; none means compatible.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ __all__ = ["unaccepted", "unexpected"]
 _LOWER = ("minimum", "exclusiveMinimum", "minLength", "minItems")
 _UPPER = ("maximum", "exclusiveMaximum", "maxLength", "maxItems")
 _TEXT = ("pattern", "format")
+_RANGES = (("minimum", "maximum"), ("minLength", "maxLength"), ("minItems", "maxItems"))
 
 
 class _Node(NamedTuple):
@@ -54,7 +56,7 @@ def _alternatives(node: _Node) -> list[_Node]:
     if "anyOf" in found:
         rest = {key: found[key] for key in ("unit",) if key in found}
         return [
-            one.at({**rest, **one.schema})
+            one.at({**rest, **one.schema}) if rest else one
             for option in found["anyOf"]
             for one in _alternatives(node.at(option))
         ]
@@ -89,6 +91,23 @@ def _where(place: str) -> str:
 class _Comparison:
     """The common part of both directions."""
 
+    def __init__(self) -> None:
+        self._entered: set[tuple[int, int]] = set()
+        """The pairs of objects being compared, which types that contain themselves come back to."""
+
+    def _once(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        pair = id(old.schema), id(new.schema)
+        if pair in self._entered:
+            return
+        self._entered.add(pair)
+        try:
+            yield from self._object(old, new, place)
+        finally:
+            self._entered.discard(pair)
+
+    def _object(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
+        raise NotImplementedError
+
     def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
         """Yield the reasons against `new` in place of `old`."""
         raise NotImplementedError
@@ -104,6 +123,7 @@ class _Accepts(_Comparison):
     """A client continues to send values of the old schema."""
 
     def __init__(self, *, limits: bool) -> None:
+        super().__init__()
         self._limits = limits
 
     def compare(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
@@ -129,16 +149,20 @@ class _Accepts(_Comparison):
         yield from self._units(old, new, place)
         match _type(old):
             case "object":
-                yield from self._object(old, new, place)
+                yield from self._once(old, new, place)
             case "array":
                 yield from self._array(old, new, place)
             case _:
                 pass
-        if not self._limits:
+        known, taken = _words(old), _words(new)
+        if self._limits:
+            yield from _disjoint(old, new, place)
+            refused = known is not None and taken is not None and not known & taken
+        else:
             yield from _narrowed(old, new, place)
-            known, taken = _words(old), _words(new)
-            if taken is not None and (known is None or known - taken):
-                yield f"{_where(place)} takes only {_listed(taken)}"
+            refused = taken is not None and (known is None or bool(known - taken))
+        if refused and taken is not None:
+            yield f"{_where(place)} takes only {_listed(taken)}"
 
     def _object(self, old: _Node, new: _Node, place: str) -> Iterator[str]:
         mine: dict[str, Any] = old.schema.get("properties", {})
@@ -148,6 +172,7 @@ class _Accepts(_Comparison):
             inner = f"{place}/{name}"
             if name in theirs:
                 yield from self.compare(old.at(schema), new.at(theirs[name]), inner)
+                yield from _defaulted(schema, theirs[name], inner)
             elif rest is False:
                 yield f"{inner} is not taken"
             else:
@@ -156,6 +181,8 @@ class _Accepts(_Comparison):
             if name not in old.schema.get("required", ()):
                 yield f"{place}/{name} is required"
         keyed = old.schema.get("additionalProperties", True)
+        if mine and keyed is not False and rest is False and not self._limits:
+            yield f"{_where(place)} does not take further fields"
         if mine or keyed is False:
             return
         yield from self._map(old.at(keyed), new, place)
@@ -203,7 +230,7 @@ class _Yields(_Comparison):
             yield f"{_where(place)} may be {more}"
         match _type(old):
             case "object":
-                yield from self._object(old, new, place)
+                yield from self._once(old, new, place)
             case "array":
                 for mine, theirs in _items(old, new):
                     yield from self.compare(mine, theirs, f"{place}/*")
@@ -217,6 +244,8 @@ class _Yields(_Comparison):
             inner = f"{place}/{name}"
             if name in theirs:
                 yield from self.compare(old.at(schema), new.at(theirs[name]), inner)
+                if name in old.schema.get("required", ()) and _may_be_missing(new, name):
+                    yield f"{inner} may be missing"
             elif name in old.schema.get("required", ()) or _is_always_there(schema):
                 yield f"{inner} is missing"
         keyed = old.schema.get("additionalProperties", True)
@@ -234,12 +263,37 @@ def _is_always_there(schema: Any) -> bool:
     return isinstance(schema, dict) and "default" in schema and schema["default"] is not None
 
 
+def _may_be_missing(node: _Node, name: str) -> bool:
+    """Return whether a field is left out at times: one with a default is sent with it."""
+    schema: Any = node.schema["properties"][name]
+    given = schema not in (True, False) and "default" in schema
+    return name not in node.schema.get("required", ()) and not given
+
+
+def _defaulted(old: Any, new: Any, place: str) -> Iterator[str]:
+    """Yield that an omitted field means something else; null leaves it to the robot."""
+    if not _is_always_there(old):
+        return
+    before, after = old["default"], None if new in (True, False) else new.get("default")
+    if after is not None and before != after:
+        yield f"{place} is {after} if left out, not {before}"
+
+
 def _items(old: _Node, new: _Node) -> Iterator[tuple[_Node, _Node]]:
     mine, theirs = old.schema.get("prefixItems", []), new.schema.get("prefixItems", [])
-    if len(mine) == len(theirs):
-        for one, other in zip(mine, theirs, strict=True):
-            yield old.at(one), new.at(other)
-    yield old.at(old.schema.get("items", {})), new.at(new.schema.get("items", {}))
+    rest, others = old.schema.get("items", {}), new.schema.get("items", {})
+    for one, other in itertools.zip_longest(mine, theirs):
+        yield old.at(rest if one is None else one), new.at(others if other is None else other)
+    yield old.at(rest), new.at(others)
+
+
+def _disjoint(old: _Node, new: _Node, place: str) -> Iterator[str]:
+    """Yield the bounds that leave none of the values of `old`."""
+    for lower, upper in _RANGES:
+        for ours, theirs, sign in ((upper, lower, 1), (lower, upper, -1)):
+            bound, own = new.schema.get(theirs), old.schema.get(ours)
+            if bound is not None and own is not None and sign * bound > sign * own:
+                yield f"{_where(place)} is bounded by {theirs} {bound:g}"
 
 
 def _narrowed(wide: _Node, narrow: _Node, place: str, says: str = "is bounded by") -> Iterator[str]:

@@ -15,7 +15,7 @@ __all__ = ["Change", "changes", "document", "unannounced"]
 _PARTS = ("value", "input", "output", "feedback")
 _WORDS = ("$id", "title", "description", "examples")
 _BEHAVIOUR = ("valid_for", "max_age", "timeout")
-_PROMISES = ("kind", "frame", "energises")
+_PROMISES = ("kind", "frame", "energises", "gateway")
 
 
 class Change(NamedTuple):
@@ -143,6 +143,9 @@ def _changed(
     for one in mine["operations"]:
         if one not in theirs["operations"]:
             yield Change(f"{name} does not offer {one}", breaks=True)
+    for one in theirs["operations"]:
+        if one not in mine["operations"]:
+            yield Change(f"{name} offers {one}", breaks=True)
     writable = "write" in mine["operations"]
     for part in _PARTS:
         yield from _type_changed(

@@ -131,8 +131,8 @@ def _opened(path: Path) -> Generator[TokenFile]:
     :raises ConfigError: they cannot be read or written.
     """
     from rcp_kernel.access.tokens import TokenFile
-    from rcp_kernel.store.damage import find_damage, interim_of
-    from rcp_kernel.store.file import store_errors
+    from rcp_store.damage import find_damage, interim_of
+    from rcp_store.file import store_errors
 
     with store_errors(path):
         damage = find_damage(path, bound=_GLANCE)

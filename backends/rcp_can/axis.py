@@ -211,6 +211,10 @@ class Axis(AxisState):
             self.step(1 / self.config.rate)
         self.show()
 
+    def await_cycle(self) -> None:
+        """Send the next set-point in the next cycle, together with those of the other motors."""
+        self._step_due = False
+
     def rest(self) -> None:
         """Decelerate along the ramp and stay at rest."""
         if self.status.enabled:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Coroutine, Iterable, Sequence
+from collections.abc import AsyncGenerator, Coroutine, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
@@ -21,7 +21,14 @@ from rcp_can.group_power import group_powers
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
-from rcp_can.motor_group import by_rate, make_axes, run_axes, simulated, wait_for_motors
+from rcp_can.motor_group import (
+    by_rate,
+    make_axes,
+    run_axes,
+    shared_modes,
+    simulated,
+    wait_for_motors,
+)
 from rcp_can.raw import BusPart
 from rcp_can.sdo import Sdo
 from rcp_can.standstill import motion_of_all
@@ -33,8 +40,17 @@ from rcp_kernel.errors import (
     ModeForbids,
     RcpError,
     UnknownPath,
+    UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotFacts, Watchdog
+from rcp_kernel.spi import (
+    BaseBackend,
+    Host,
+    MotionState,
+    Progress,
+    RobotFacts,
+    Watchdog,
+    check_fence,
+)
 
 __all__ = ["CanBackend", "open_buses"]
 
@@ -75,6 +91,24 @@ class CanBackend(BaseBackend):
     async def write(self, name: str, value: Any) -> Any:
         """Write a value."""
         return await self._part(name).write(name, value)
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Set the set-points of several motors in one cycle, or of none."""
+        motors = {name: self._part(name) for name in values}
+        targets = [(name, part) for name, part in motors.items() if isinstance(part, MotorPart)]
+        if len(targets) < len(values):
+            raise UnsupportedOperation("only set-points of motors are written as one")
+        for name, motor in targets:
+            try:
+                motor.check(name, values[name])
+            except RcpError as error:
+                error.path = name
+                raise
+        check_fence()
+        for name, motor in targets:
+            motor.axis.await_cycle()
+            motor.command(name, values[name])
+        return {}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service."""
@@ -184,7 +218,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         for name, group in config.joint_groups.items()
     ]
     powers = group_powers(config, drives, groups)
-    motors = map(MotorPart, axes.values())
+    motors = [MotorPart(axis, shared_modes(axis, axes.values())) for axis in axes.values()]
     for part in (*lines, *motors, *devices, *nodes, *drives, *groups, *powers):
         backend.add(part)
     host.describe(RobotFacts(kind=_kind(drives, groups, axes)))

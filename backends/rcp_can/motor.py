@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Coroutine
-from typing import Any
+from collections.abc import Container, Coroutine
+from typing import Any, cast
 
 import anyio
 
@@ -31,35 +31,54 @@ __all__ = ["MotorPart", "abandon", "drive_to", "released"]
 _FEEDBACK = 0.1  # s between two progress reports of a move
 _SETTLE = 3.0  # s the joint may need to settle after its set-point has arrived
 _POLL_PERIOD = 0.01  # s
+_ZEROED = "a zero set-point ended the move"
 
 
 class MotorPart(Part):
     """The resources of one motor."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: Axis, shared: Container[str] = ()) -> None:
+        """`shared` are the modes of which other motors take set-points in the same cycle."""
         self.axis = axis
         self._prefix = axis.name
+        self._shared = shared
 
     def resources(self) -> list[Resource]:
         """List the resources of a motor, according to its drive."""
-        return motor_resources(self.axis)
+        return motor_resources(self.axis, self._shared)
 
     async def write(self, name: str, value: float) -> None:
         """Set a set-point; zero is accepted also while the motor is off."""
+        if self.axis.owner is not None and _is_zero(name, value):
+            self.axis.forget(ModeForbids(_ZEROED))
+        self.check(name, value)
+        self.command(name, value)
+
+    def check(self, name: str, value: float) -> None:
+        """Check that a set-point would be accepted now.
+
+        :raises RcpError: the motor is driven by an action, or as `guard.check`.
+        """
         axis = self.axis
-        mode: Any = name.rpartition("/")[2]
-        if axis.owner is not None:
-            if value != 0.0 or mode == "position":
-                raise ModeForbids(
-                    f"motor '{axis.name}' is driven by {axis.owner}",
-                    remedy="Cancel that command first.",
-                )
-            axis.forget(ModeForbids("a zero set-point ended the move"))
-        if value == 0.0 and mode != "position":
+        if _is_zero(name, value):
             check_link(axis)
+            if not axis.status.enabled or axis.stopped:
+                return
+        elif axis.owner is not None:
+            raise ModeForbids(
+                f"motor '{axis.name}' is driven by {axis.owner}",
+                remedy="Cancel that command first.",
+            )
+        check(axis)
+
+    def command(self, name: str, value: float) -> None:
+        """Set a set-point that has been checked."""
+        axis, mode = self.axis, cast("m.Mode", name.rpartition("/")[2])
+        if _is_zero(name, value):
+            if axis.owner is not None:
+                axis.forget(ModeForbids(_ZEROED))
             if not axis.status.enabled or axis.stopped:  # and a zero does not end a stop
                 return
-        check(axis)
         axis.command(mode, value)
 
     async def read(self, name: str) -> Any:
@@ -187,6 +206,11 @@ class MotorPart(Part):
         finally:
             axis.owner = axis.ended = None
         return m.Moved(position=axis.position or 0.0, duration=time.monotonic() - started)
+
+
+def _is_zero(name: str, value: float) -> bool:
+    """Return whether a set-point brings the motor to rest."""
+    return value == 0.0 and not name.endswith("/position")
 
 
 async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:

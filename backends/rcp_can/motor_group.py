@@ -18,7 +18,7 @@ from rcp_can.ticker import Ticker
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import Host
 
-__all__ = ["by_rate", "make_axes", "run_axes", "simulated", "wait_for_motors"]
+__all__ = ["by_rate", "make_axes", "run_axes", "shared_modes", "simulated", "wait_for_motors"]
 
 _LATE = 0.1  # s: a longer gap counts as this, so that no ramp jumps
 _COARSE = 100.0  # Hz above which the event loop's own timers are too coarse
@@ -73,6 +73,15 @@ def by_rate(axes: Iterable[Axis]) -> list[list[Axis]]:
     for axis in axes:
         groups.setdefault(axis.config.rate, []).append(axis)
     return list(groups.values())
+
+
+def shared_modes(axis: Axis, axes: Iterable[Axis]) -> set[str]:
+    """Return the modes of a motor in which others with its rate take set-points too.
+
+    These are sent in the same cycle, so they can be written as one.
+    """
+    others = [one for one in axes if one is not axis and one.config.rate == axis.config.rate]
+    return {mode for mode in axis.drive.modes if any(mode in one.drive.modes for one in others)}
 
 
 async def run_axes(axes: list[Axis]) -> None:

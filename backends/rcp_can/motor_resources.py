@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import TYPE_CHECKING, Any
 
 from rcp_can import motor_messages as m
@@ -17,7 +18,7 @@ _MOVE = 120.0  # s, the longest that a move may take
 _SERVICE = 5.0  # s, the longest that a service may take
 
 
-def motor_resources(axis: Axis) -> list[Resource]:
+def motor_resources(axis: Axis, shared: Container[str] = ()) -> list[Resource]:
     """List the resources of one motor, depending on its drive."""
     name, config = axis.name, axis.config
     meta = {"profile": config.profile, "bus": config.bus, "node": config.node}
@@ -51,12 +52,12 @@ def motor_resources(axis: Axis) -> list[Resource]:
             value=m.MotorFault,
             live=True,
         ),
-        *_set_points(axis),
+        *_set_points(axis, shared),
         *_services(axis),
     ]
 
 
-def _set_points(axis: Axis) -> list[Resource]:
+def _set_points(axis: Axis, shared: Container[str]) -> list[Resource]:
     name, valid_for = axis.name, axis.config.valid_for
     found: list[Resource] = []
 
@@ -68,6 +69,7 @@ def _set_points(axis: Axis) -> list[Resource]:
                 value=quantity(unit, ge=low, le=high),
                 examples=(_between(low, high, 0.55), _between(low, high, 0.6)),
                 max_age=1.0,
+                atomic=f"{mode} at {axis.config.rate:g} Hz" if mode in shared else None,
                 meta={"profile": axis.config.profile},
                 **more,
             )

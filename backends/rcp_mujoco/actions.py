@@ -248,6 +248,8 @@ class Actions:
             with anyio.move_on_after(_REST, shield=True):
                 # It may have begun before its result arrives here: jobs run in order.
                 await device.do(lambda _: [abandon(task) for task in begun])
+                number = device.snapshot.number  # an earlier one may be of before it began
+                await device.waiting.until(lambda: device.snapshot.number > number)
                 await device.waiting.until(
                     lambda: (
                         device.snapshot.at_rest

@@ -68,6 +68,8 @@ class Arm:
                 )
             self.joints.append(drive.joint)
         self._controls = [drive.number for drive in drives]
+        self._ratio = np.array([drive.ratio for drive in drives])
+        self._offset = np.array([drive.offset for drive in drives])
         self._qpos = [joint.qpos for joint in self.joints]
         self._dofs = [joint.dof for joint in self.joints]
         self.motion: Motion | None = None
@@ -114,7 +116,7 @@ class Arm:
             return
         self._advance(motion, dt)
         target = motion.path.at(motion.seconds)
-        self._simulation.data.ctrl[self._controls] = target
+        self._aim(target)
         here = self.positions
         off = np.abs(target - here)
         motion.error = float(off.max())
@@ -146,8 +148,11 @@ class Arm:
 
     def _give_up(self, reason: str, here: Any) -> None:
         """Hold the current position: pushing on would not help."""
-        self._simulation.data.ctrl[self._controls] = here
+        self._aim(here)
         self.stop(reason)
+
+    def _aim(self, positions: Any) -> None:
+        self._simulation.data.ctrl[self._controls] = self._ratio * positions + self._offset
 
     def _is_slow(self) -> bool:
         return bool((np.abs(self._simulation.data.qvel[self._dofs]) < _SLOW).all())

@@ -14,7 +14,15 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotFacts, Watchdog
+from rcp_kernel.spi import (
+    BaseBackend,
+    Host,
+    MotionState,
+    Progress,
+    RobotFacts,
+    Watchdog,
+    is_commanded,
+)
 from rcp_kernel.values import value_type
 from rcp_mujoco.actions import Actions
 from rcp_mujoco.config import MujocoConfig
@@ -124,8 +132,10 @@ class MujocoBackend(BaseBackend):
     async def write(self, name: str, value: Any) -> Any:
         """Set a control, a velocity, or the pace."""
         if name in self._drives:
-            moves = value != self._drives[name].safe
-            await self.device.do(lambda robot: self._control(robot, name, value), moves=moves)
+            moves, commanded = value != self._drives[name].safe, is_commanded()
+            await self.device.do(
+                lambda robot: self._control(robot, name, value, commanded=commanded), moves=moves
+            )
             return None
         stepper, wheels = self.device.stepper, self.device.robot.wheels
         match name:
@@ -141,19 +151,40 @@ class MujocoBackend(BaseBackend):
                 return await super().write(name, value)
         return None
 
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Set several controls between the same two steps."""
+        moves = any(value != self._drives[name].safe for name, value in values.items())
+        commanded = is_commanded()
+
+        def control(robot: Robot) -> None:
+            if moves:
+                robot.simulation.need_whole()
+                self._need_idle(robot)
+            for name, value in values.items():
+                self._control(robot, name, value, commanded=commanded)
+
+        await self.device.do(control, moves=moves)
+        return {}
+
     async def _drive(self, v: float, w: float) -> Any:
         valid_for = self.device.robot.config.valid_for
+        commanded = is_commanded()
 
         def drive(robot: Robot) -> tuple[float, float]:
             assert robot.wheels is not None
-            robot.wheels.drive(v, w, valid_for)
+            if commanded or (v, w) != (0.0, 0.0):
+                robot.wheels.drive(v, w, valid_for)
+            else:  # the dead-man of a velocity that a trip may have replaced
+                robot.wheels.end_velocity()
             return robot.wheels.target
 
         return self._velocity(*await self.device.do(drive, moves=(v, w) != (0.0, 0.0)))
 
-    def _control(self, robot: Robot, name: str, value: float) -> None:
+    def _control(self, robot: Robot, name: str, value: float, *, commanded: bool = True) -> None:
         drive = self._drives[name]
         if value == drive.safe:
+            if commanded and robot.wheels is not None and robot.wheels.moves(drive):
+                robot.wheels.yield_wheels()  # they would set it again at the next step
             robot.simulation.neutral(drive)
             return
         self._need_idle(robot)

@@ -7,6 +7,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from rcp_kernel.clock import iso
@@ -70,7 +71,8 @@ class CameraThread:
                 self._frames.put_nowait(None)
                 break
             except queue.Full:
-                self._frames.get_nowait()
+                with suppress(queue.Empty):  # the thread may have taken them
+                    self._frames.get_nowait()
         self._thread.join(_JOIN)
 
     def _run(self) -> None:

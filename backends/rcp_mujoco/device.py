@@ -130,7 +130,10 @@ class Device:
     def _ticked(self) -> None:
         lapsed = self.robot.simulation.lapsed
         while lapsed:
-            name = lapsed.pop(0)
+            try:
+                name = lapsed.pop(0)
+            except IndexError:  # the stepping thread took it back: there is a newer command
+                break
             self._host.publish(f"actuator/{name}", self._safe[name], self.publisher.stamp)
         self.waiting.poll()
         if self._troubles() != self._reported and self.stalled is None:

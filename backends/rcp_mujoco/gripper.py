@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rcp_kernel.errors import ConfigError, InvalidValue
 from rcp_mujoco.config import GripperConfig
+from rcp_mujoco.joints import Joint
 from rcp_mujoco.simulation import Simulation
 
 __all__ = ["Grip", "Gripper"]
@@ -34,13 +36,19 @@ class Grip:
 class Gripper:
     """The fingers.
 
+    :raises ConfigError: the actuator is not a position actuator of a joint.
     :raises DeviceRejected: the model has no such actuator.
     """
 
     def __init__(self, config: GripperConfig, simulation: Simulation) -> None:
         self.config = config
         self._simulation = simulation
-        self._drive = simulation.drive(config.actuator)
+        self._drive = drive = simulation.drive(config.actuator)
+        if drive.mode != "position" or drive.joint is None:
+            raise ConfigError(
+                f"gripper.actuator: '{drive.name}' is not a position actuator of a joint"
+            )
+        self._joint: Joint = drive.joint
         sensors = [simulation.model.sensor(name) for name in config.contacts]
         self._pads = [int(sensor.adr[0]) for sensor in sensors]
         self.grip: Grip | None = None
@@ -53,9 +61,13 @@ class Gripper:
     @property
     def width(self) -> float:
         """Distance between the fingers, m."""
-        joint = self._drive.joint
-        here = self._simulation.data.qpos[joint.qpos] if joint else self.config.closed
-        return max(0.0, float(abs(here - self.config.closed)) * self.config.width)
+        return abs(self._here - self.config.closed) * self.config.width
+
+    @property
+    def _here(self) -> float:
+        """The control that would hold the fingers where they are."""
+        joint = float(self._simulation.data.qpos[self._joint.qpos])
+        return self._drive.ratio * joint + self._drive.offset
 
     @property
     def force(self) -> float | None:
@@ -71,7 +83,15 @@ class Gripper:
         return None if force is None else force > _TOUCH and self.width > _NEAR
 
     def move(self, grip: Grip) -> None:
-        """Start to move the fingers."""
+        """Start to move the fingers.
+
+        :raises InvalidValue: the force is to be limited, and nothing measures it.
+        """
+        if grip.force is not None and not self._pads:
+            raise InvalidValue(
+                "the gripper has no touch sensors to limit its force by",
+                details={"pointer": "/force"},
+            )
         self._simulation.need_whole()
         self.stop("another motion was commanded")
         self._simulation.release()
@@ -112,8 +132,7 @@ class Gripper:
         if not (enough and not opening):
             most = _SPEED * dt
             data.ctrl[self._drive.number] = here + max(-most, min(most, goal - here))
-        joint = self._drive.joint
-        slow = joint is None or abs(data.qvel[joint.dof]) < _SLOW
+        slow = abs(data.qvel[self._joint.dof]) < _SLOW
         grip.still = grip.still + dt if slow else 0.0
         if grip.still >= _STOPPED and (enough or here == goal):
             self._end(grip)
@@ -126,6 +145,4 @@ class Gripper:
             self.stop(f"the fingers stopped {self.width:.3f} m apart")
 
     def _hold(self) -> None:
-        joint, data = self._drive.joint, self._simulation.data
-        if joint is not None:
-            data.ctrl[self._drive.number] = data.qpos[joint.qpos]
+        self._simulation.data.ctrl[self._drive.number] = self._here

@@ -71,7 +71,7 @@ class Publisher:
         return self._shown != _facts(self._state())
 
     def _due(self, name: str, fastest: float) -> bool:
-        wanted = self._wanted.get(name)
+        wanted = tuple(self._wanted.get(name, ()))  # the event loop changes it meanwhile
         if not wanted:
             return False
         elapsed = time.monotonic()

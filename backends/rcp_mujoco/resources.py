@@ -145,12 +145,14 @@ def _drives(robot: Robot, valid_for: float) -> list[Resource]:
                 examples=(middle,),
                 max_age=_COMMAND_AGE,
                 safe=drive.safe,
+                atomic=_CONTROLS if len(robot.simulation.drives) > 1 else None,
                 meta=bounds,
             )
         )
     return found
 
 
+_CONTROLS = "controls"  # which are set in the same step of the simulation
 _DRIVES = {
     "position": "Position that actuator '{}' brings its joint to and holds.",
     "velocity": "Velocity of actuator '{}', in force for a time of the simulation.",

@@ -12,6 +12,7 @@ from rcp_mujoco.arm import Arm
 from rcp_mujoco.bindings import mujoco
 from rcp_mujoco.config import MujocoConfig
 from rcp_mujoco.gripper import Gripper
+from rcp_mujoco.joints import distinct
 from rcp_mujoco.kinematics import Kinematics
 from rcp_mujoco.loading import load_model
 from rcp_mujoco.messages import Odometry, SimulationState
@@ -100,7 +101,14 @@ class Robot:
 
     def readings(self) -> list[Reading]:
         """List its readings, apart from cameras and the simulation's state."""
-        found = list(self.sensors.readings)
+        own = self._own()
+        taken = {"sensor/simulation", "sensor/camera", *(reading.name for reading in own)}
+        named = [r._replace(name=distinct(r.name, taken)) for r in self.sensors.readings]
+        return [*named, *own]
+
+    def _own(self) -> list[Reading]:
+        """List the readings of the joints and parts, whose names the profiles give."""
+        found: list[Reading] = []
         if self.simulation.joints:
             text = "Position, velocity and force of each joint."
             found.append(Reading("sensor/joint_states", text, p.JointStates, self._joints))

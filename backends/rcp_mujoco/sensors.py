@@ -20,7 +20,7 @@ from rcp_kernel.types import (
     quantity,
 )
 from rcp_mujoco.bindings import mujoco
-from rcp_mujoco.joints import plain
+from rcp_mujoco.joints import distinct, plain
 from rcp_mujoco.messages import Force, Imu, Torque, Wrench
 
 __all__ = ["Reading", "Sensors"]
@@ -32,8 +32,6 @@ _FEW = 3  # minimum number of beams of a scan
 _UNITS: dict[Any, str] = {
     _Kind.mjSENS_TOUCH: "N",
     _Kind.mjSENS_RANGEFINDER: "m",
-    _Kind.mjSENS_JOINTACTFRC: "N.m",
-    _Kind.mjSENS_ACTUATORFRC: "N.m",
     _Kind.mjSENS_VELOCIMETER: "m/s",
     _Kind.mjSENS_ACCELEROMETER: "m/s2",
     _Kind.mjSENS_GYRO: "rad/s",
@@ -45,11 +43,25 @@ _UNITS: dict[Any, str] = {
     _Kind.mjSENS_FRAMEANGVEL: "rad/s",
     _Kind.mjSENS_FRAMELINACC: "m/s2",
     _Kind.mjSENS_FRAMEANGACC: "rad/s2",
+    _Kind.mjSENS_SUBTREECOM: "m",
+    _Kind.mjSENS_SUBTREELINVEL: "m/s",
     _Kind.mjSENS_CLOCK: "s",
     _Kind.mjSENS_E_KINETIC: "J",
     _Kind.mjSENS_E_POTENTIAL: "J",
 }
-_BY_JOINT = {_Kind.mjSENS_JOINTPOS: ("rad", "m"), _Kind.mjSENS_JOINTVEL: ("rad/s", "m/s")}
+_BY_JOINT = {
+    _Kind.mjSENS_JOINTPOS: ("rad", "m"),
+    _Kind.mjSENS_JOINTVEL: ("rad/s", "m/s"),
+    _Kind.mjSENS_JOINTACTFRC: ("N.m", "N"),
+    _Kind.mjSENS_JOINTLIMITPOS: ("rad", "m"),
+    _Kind.mjSENS_JOINTLIMITVEL: ("rad/s", "m/s"),
+    _Kind.mjSENS_JOINTLIMITFRC: ("N.m", "N"),
+}
+_BY_ACTUATOR = {  # of its own length: without a gear these are the joint's
+    _Kind.mjSENS_ACTUATORPOS: ("rad", "m"),
+    _Kind.mjSENS_ACTUATORVEL: ("rad/s", "m/s"),
+    _Kind.mjSENS_ACTUATORFRC: ("N.m", "N"),
+}
 
 
 class Reading(NamedTuple):
@@ -84,6 +96,7 @@ class Sensors:
         self._noisy = bool(self._noise.any())
         self.seed(seed)
         self.readings: list[Reading] = []
+        self._taken: set[str] = set()
         left = {sensor.name: sensor for sensor in map(self._sensor, range(model.nsensor))}
         for group in (self._imus, self._scans, self._poses, self._wrenches, self._contacts):
             for reading, used in group(list(left.values())):
@@ -113,7 +126,7 @@ class Sensors:
         model = self._model
         first, count = int(model.sensor_adr[index]), int(model.sensor_dim[index])
         return _Sensor(
-            plain(model.sensor(index).name) or f"sensor_{index}",
+            distinct(plain(model.sensor(index).name) or f"sensor_{index}", self._taken),
             _Kind(model.sensor_type[index]),
             (int(model.sensor_objtype[index]), int(model.sensor_objid[index])),
             slice(first, first + count),
@@ -255,9 +268,21 @@ class Sensors:
 
     def _unit(self, sensor: _Sensor) -> str:
         if sensor.kind in _BY_JOINT:
-            slides = self._model.jnt_type[sensor.on[1]] == int(mujoco.mjtJoint.mjJNT_SLIDE)
-            return _BY_JOINT[sensor.kind][1 if slides else 0]
+            return _BY_JOINT[sensor.kind][self._slides(sensor.on[1])]
+        if sensor.kind in _BY_ACTUATOR:
+            return self._unit_of_actuator(sensor)
         return _UNITS.get(sensor.kind, "1")
+
+    def _unit_of_actuator(self, sensor: _Sensor) -> str:
+        model, index = self._model, sensor.on[1]
+        on_joint = model.actuator_trntype[index] == int(mujoco.mjtTrn.mjTRN_JOINT)
+        if not on_joint or abs(model.actuator_gear[index][0]) != 1.0:
+            return "1"
+        slides = self._slides(int(model.actuator_trnid[index][0]))
+        return _BY_ACTUATOR[sensor.kind][slides]
+
+    def _slides(self, joint: int) -> bool:
+        return bool(self._model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def quaternion(wxyz: Sequence[float]) -> Quaternion:

@@ -6,6 +6,7 @@ Used by one thread; never blocks. All times are simulation time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Protocol
 
 import numpy as np
@@ -144,6 +145,8 @@ class Simulation:
     def lapse(self, name: str, seconds: float, stop: Callable[[], None]) -> None:
         """Let a command expire after a number of seconds of simulation time."""
         self._due[name] = (self.time + seconds, stop)
+        with suppress(ValueError):
+            self.lapsed.remove(name)  # an earlier one, which is told no more
 
     def forget(self, name: str) -> bool:
         """Cancel the expiry of a command; return whether there was one."""
@@ -187,6 +190,9 @@ class Simulation:
     def _place(self) -> None:
         if self._key is not None:
             mujoco.mj_resetDataKeyframe(self.model, self.data, self._key)
+            for drive in self.drives:
+                if drive.safe is not None:  # nobody commanded it, and it would never expire
+                    self.data.ctrl[drive.number] = 0.0
         else:
             self._hold_here()
         self._held = set()
@@ -197,7 +203,7 @@ class Simulation:
         for drive in self.drives:
             if drive.mode == "position" and drive.joint is not None:
                 here = float(self.data.qpos[drive.joint.qpos])
-                self.data.ctrl[drive.number] = min(drive.high, max(drive.low, here))
+                self.data.ctrl[drive.number] = drive.control(here)
 
     # Time
 
@@ -242,7 +248,7 @@ class Simulation:
             joint = drive.joint
             if drive.mode != "position" or joint is None or drive.number in self._held:
                 continue
-            data.ctrl[drive.number] = min(drive.high, max(drive.low, data.qpos[joint.qpos]))
+            data.ctrl[drive.number] = drive.control(float(data.qpos[joint.qpos]))
             if abs(data.qvel[joint.dof]) < _SLOW[joint.unit]:
                 self._held.add(drive.number)
 

@@ -15,6 +15,7 @@ __all__ = ["Job", "Pace", "Stepper"]
 _SLICE = 0.005  # s of wall-clock time between checks for jobs
 _LATE = 0.25  # s, maximum delay that is caught up
 _IDLE = 0.1  # s between heartbeats of a paused simulation
+_OVERDUE = 1.5  # times the period, after which a tick is due although no time was simulated for it
 _MEASURED = 0.5  # s, window of the measured real-time factor
 _JOIN = 2.0  # s for the thread to end
 
@@ -73,6 +74,7 @@ class Stepper:
         self._wake = threading.Event()
         self._closing = False
         self._next_tick = 0.0
+        self._tick_by = 0.0
         self._from = (0.0, 0.0)
         self._since = (0.0, 0.0)
         self._thread = threading.Thread(target=self._run, name="mujoco", daemon=True)
@@ -165,7 +167,7 @@ class Stepper:
         if behind > _LATE * factor:
             # The process was suspended, or the machine is too slow: the robot must not rush on to
             # catch up before it sees pending commands.
-            self._rebase()
+            self._from = (now, simulation.elapsed)
             behind = simulation.dt
         until = now + _SLICE
         while behind >= simulation.dt and simulation.fault is None and not self._jobs:
@@ -174,14 +176,15 @@ class Stepper:
             if simulation.elapsed >= self._next_tick:
                 self._tick()
             if time.perf_counter() > until:
-                return
-        if simulation.fault is not None:
+                break
+        if simulation.fault is not None or time.perf_counter() >= self._tick_by:
             self._tick()
         elif behind < simulation.dt:
             self._wake.wait(_SLICE)  # several steps at once: waking up costs more than one
 
     def _tick(self) -> None:
         simulation, now = self._simulation, time.perf_counter()
+        self._tick_by = now + _OVERDUE / self._rate
         period = max(simulation.dt, self.pace.factor / self._rate)
         self._next_tick += period
         if not simulation.elapsed < self._next_tick <= simulation.elapsed + period:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from rcp_kernel.errors import ModeForbids
+from rcp_kernel.errors import ConfigError, ModeForbids
 from rcp_mujoco.config import WheelsConfig
+from rcp_mujoco.joints import Drive
 from rcp_mujoco.simulation import Simulation
 
 __all__ = ["Trip", "Wheels"]
@@ -21,7 +21,6 @@ _PROGRESS = 0.02  # m or rad of progress required …
 _PATIENCE = 5.0  # … within so many seconds
 _BRAKING = 0.6  # fraction of the acceleration planned for braking
 _CREEP = 0.05  # m/s
-_TAKEN_OVER = 2.0  # s
 _LEAN = 0.5  # fraction of the speed in a turn
 
 Phase = Literal["turning", "driving", "aligning", "braking", "done"]
@@ -63,6 +62,7 @@ class Trip:
 class Wheels:
     """The base of a robot and its wheels.
 
+    :raises ConfigError: an actuator is not a velocity actuator of a joint.
     :raises DeviceRejected: the model has no such actuators.
     """
 
@@ -71,6 +71,9 @@ class Wheels:
         self._simulation = simulation
         self._left = [simulation.drive(name) for name in config.left]
         self._right = [simulation.drive(name) for name in config.right]
+        for drive in (*self._left, *self._right):
+            if drive.mode != "velocity" or drive.joint is None:
+                raise ConfigError(f"wheels: '{drive.name}' is not a velocity actuator of a joint")
         body = simulation.model.body(config.base)
         self._body = int(body.id)
         self.limit = config.speed
@@ -78,8 +81,6 @@ class Wheels:
         """Commanded speed, m/s, and yaw rate, rad/s."""
         self.trip: Trip | None = None
         self._ramp = (0.0, 0.0)
-        self._zero_expected = 0.0
-        """Time until which the gateway's dead-man may end the velocity that a trip has replaced."""
         self._driving = False
         self.odometry = (0.0, 0.0, 0.0)
         self._turned = self._wheel_angles()
@@ -92,12 +93,8 @@ class Wheels:
         :raises ModeForbids: the robot is on a trip.
         """
         if v == 0.0 and w == 0.0:
-            if time.monotonic() < self._zero_expected:
-                self._zero_expected = 0.0
-                return
             self._end_trip("stopped by actuator/cmd_vel")
-            self._simulation.forget("cmd_vel")
-            self.target = (0.0, 0.0)
+            self.end_velocity()
             return
         self._simulation.need_whole()
         if self.trip is not None:
@@ -109,6 +106,11 @@ class Wheels:
         self.target = (max(-self.limit, min(self.limit, v)), w)
         self._simulation.lapse("cmd_vel", valid_for, self._lapse)
 
+    def end_velocity(self) -> None:
+        """End the commanded velocity, but not a trip that has replaced it."""
+        self._simulation.forget("cmd_vel")
+        self.target = (0.0, 0.0)
+
     def _lapse(self) -> None:
         self.target = (0.0, 0.0)
 
@@ -119,16 +121,22 @@ class Wheels:
         self.target = (max(-limit, min(limit, v)), w)
 
     def yield_wheels(self) -> None:
-        """Give up control of the wheels, which are now commanded individually."""
+        """Give up control of the wheels, which are now commanded individually, and stop them."""
+        if self._driving:  # otherwise no command would end the speed of the other wheels
+            for drive in (*self._left, *self._right):
+                self._simulation.neutral(drive)
         self._simulation.forget("cmd_vel")
         self.stop("the wheels are commanded one by one")
+
+    def moves(self, drive: Drive) -> bool:
+        """Whether a velocity or a trip sets the speed of a wheel now."""
+        return self._driving and drive in (*self._left, *self._right)
 
     def go(self, trip: Trip) -> None:
         """Start a trip."""
         self._simulation.need_whole()
         self._end_trip("another goal was given")
-        if self._simulation.forget("cmd_vel"):
-            self._zero_expected = time.monotonic() + _TAKEN_OVER
+        self._simulation.forget("cmd_vel")
         self._simulation.release()
         self._driving = True
         self.trip = trip
@@ -218,7 +226,7 @@ class Wheels:
         for side, sign in ((self._left, -1), (self._right, 1)):
             speed = (v + sign * w * config.track / 2) / config.radius
             for drive in side:
-                controls[drive.number] = max(drive.low, min(drive.high, speed))
+                controls[drive.number] = drive.control(speed)
 
     def _count(self) -> None:
         old, self._turned = self._turned, self._wheel_angles()
@@ -261,7 +269,7 @@ class Wheels:
 
     def _arrive(self, trip: Trip) -> None:
         """End a trip at rest, by its current pose."""
-        if trip.left > trip.tolerance * 2:
+        if trip.left > trip.tolerance:
             trip.enter("turning")
             return
         trip.phase = "done"

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
@@ -17,6 +17,7 @@ from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import Graph, GraphWatch
+from rcp_ros2.parameters import Setting
 from rcp_ros2.ros import guarded, open_ros
 from rcp_ros2.stops import Stops
 
@@ -46,6 +47,21 @@ class Ros2Backend(BaseBackend):
     async def write(self, name: str, value: Any) -> Any:
         """Publish a command, or set a parameter."""
         return await self._binding(name).write(value)
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Set several parameters of one node atomically."""
+        settings = {
+            binding: value
+            for name, value in values.items()
+            if isinstance(binding := self._binding(name), Setting)
+        }
+        if len(settings) < len(values) or len({one.node for one in settings}) > 1:
+            raise AdapterUnavailable("the parameters are no longer those of one node")
+        [node] = {one.node for one in settings}
+        await node.set_together(
+            {one.described.name: (one.described.kind, value) for one, value in settings.items()}
+        )
+        return {}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Call a service, or run an action."""

@@ -272,7 +272,14 @@ class Setting(Binding):
         facts = common(name, mapping, text, node=node.node, parameter=described.name)
         if described.read_only:
             facts["operations"] = Operation.READ | Operation.SUBSCRIBE
+        else:
+            facts["atomic"] = f"parameters of {node.node}"
         super().__init__(shared, Resource(value=described.type(mapping.unit), **facts), mapping)
+
+    @property
+    def node(self) -> NodeParameters:
+        """The node that has it."""
+        return self._node
 
     async def read(self) -> Any:
         """Read the parameter from the node.

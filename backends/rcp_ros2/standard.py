@@ -121,6 +121,7 @@ class SpeedLimit(Setting):
             mapping,
             value=value,
             operations=self.resource.operations,
+            atomic=self.resource.atomic,
             meta=self.resource.meta,
             examples=(),
         )

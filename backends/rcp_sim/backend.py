@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from typing import Any
 
@@ -25,6 +25,7 @@ from rcp_kernel.spi import (
     RobotFacts,
     Watchdog,
     check_fence,
+    is_commanded,
 )
 from rcp_kernel.types import Point
 from rcp_sim import messages as m
@@ -97,13 +98,28 @@ class SimBackend(BaseBackend):
             if not stop:
                 check_fence()
                 self.device.need_feedback()
-            self._sim.drive(v, w)
+            if stop and not is_commanded():
+                self._sim.end_velocity()  # the dead-man
+            else:
+                self._sim.drive(v, w)
         elif name == "param/speed_limit":
             await self.device.reach(name)
             self._sim.set_limit(value)
         else:
             return await super().write(name, value)
         return self.device.publisher.taken(name)
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Apply the speed limit and a velocity in one tick."""
+        twist, limit = values["actuator/cmd_vel"], values["param/speed_limit"]
+        stop = twist.linear.x == 0.0 and twist.angular.z == 0.0
+        for name in values:
+            await self.device.reach(name, stop=stop and name == "actuator/cmd_vel")
+        if not stop:
+            check_fence()
+            self.device.need_feedback()
+        self._sim.drive_within(limit, twist.linear.x, twist.angular.z)
+        return {name: self.device.publisher.taken(name) for name in values}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service; those that inject and clear faults need no link."""

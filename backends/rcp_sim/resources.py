@@ -14,6 +14,7 @@ __all__ = ["PROFILES", "resources"]
 _DRIVE_TIME = 900.0  # s, enough for the longest path in the largest hall at walking pace
 _TURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 PROFILES = ("mobile", "battery", "camera", "lidar", "power")
+_DRIVE = "drive"  # what can be written as one
 _BOX = {"x": 3.0, "y": 1.0, "size_x": 0.5, "size_y": 2.0}
 
 
@@ -158,8 +159,13 @@ def _commands() -> list[Resource | Offer]:
         "speed": (None, m.TOP_SPEED),
     }
     return [
-        offer("actuator/cmd_vel", twist_limits(x=m.TOP_SPEED, yaw=m.TOP_TURN), live=True),
-        offer("param/speed_limit", (0, m.TOP_SPEED), examples=(1.0, 0.5), live=True),
+        offer(
+            "actuator/cmd_vel",
+            twist_limits(x=m.TOP_SPEED, yaw=m.TOP_TURN),
+            live=True,
+            atomic=_DRIVE,
+        ),
+        offer("param/speed_limit", (0, m.TOP_SPEED), examples=(1.0, 0.5), live=True, atomic=_DRIVE),
         offer(
             "action/move_to",
             goal,

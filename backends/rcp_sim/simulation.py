@@ -25,7 +25,6 @@ __all__ = ["DEFAULT_LIMIT", "Simulation", "Trip"]
 DEFAULT_LIMIT = 1.0  # m/s
 _MAX_STEP = 0.02  # s, step of the physics and the controller
 _RELEASE = 0.02  # m, spring travel of the bumper
-_HANDOVER = 2.0  # s of real time after a velocity within which its stop is expected
 
 _EMPTY_TEXT = ("The battery is charged again.", "The battery is empty; the motors are off.")
 _LOW_TEXT = ("The battery has enough charge again.", "The battery is low: dock soon.")
@@ -70,8 +69,6 @@ class Simulation:
         self.happenings: list[Happening] = []
         """Events since the owner last emptied the list."""
         self._hard = False
-        self._grace = _HANDOVER * config.time_scale
-        self._handover = -math.inf
         self._low = self._empty = False
         self._touching = False
 
@@ -80,14 +77,13 @@ class Simulation:
     def drive(self, v: float, w: float) -> tuple[float, float]:
         """Apply a velocity command, limited to the speed limit; return the result.
 
-        A stop ends a trip, except the stop of a velocity that the trip replaced.
+        A stop ends a trip.
 
         :raises ModeForbids: a trip is running.
         :raises DeviceRejected: the battery is empty.
         """
         stop = v == 0.0 and w == 0.0
         if self.trip is None:
-            self._handover = self.seconds + self._grace
             if stop:
                 self.stop("stopped")
             else:
@@ -100,11 +96,14 @@ class Simulation:
                 f"the rover drives itself: action/{self.trip.task} is running",
                 remedy="Cancel the action first, or wait until it ends.",
             )
-        elif self.seconds < self._handover:
-            self._handover = -math.inf  # the dead-man stop of the velocity that the trip replaced
         else:
             self.stop("stopped by actuator/cmd_vel")
         return self.velocity
+
+    def end_velocity(self) -> None:
+        """Brake to rest, unless a trip has replaced the velocity."""
+        if self.trip is None:
+            self.stop("stopped")
 
     def stop(self, reason: str, *, hard: bool = False) -> None:
         """Brake to rest; a running trip fails with this reason."""
@@ -124,6 +123,18 @@ class Simulation:
         self.limit = limit
         v, w = self.velocity
         self.velocity = (max(-limit, min(limit, v)), w)
+
+    def drive_within(self, limit: float, v: float, w: float) -> None:
+        """Change the speed limit and apply a velocity, or neither.
+
+        :raises ModeForbids, DeviceRejected: as `drive` does.
+        """
+        before, self.limit = self.limit, limit
+        try:
+            self.drive(v, w)
+        except BaseException:
+            self.limit = before
+            raise
 
     def go(
         self,

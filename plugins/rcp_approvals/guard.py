@@ -51,11 +51,26 @@ class ApprovalGuard:
         session, request, entry = call.session, call.request, call.entry
         if request.dry_run or not self.wanted(session, entry, call.value):
             return
+        if call.together:
+            self._admit_together(call)
+            return
         covered = self._tokens.get(request.approval or "")
         if covered is not None and entry.path in covered:
             return
         about = About((entry.path,), (entry.path,))
         self._questions.demand(session, request, entry, call.value, about)
+
+    def _admit_together(self, call: Call) -> None:
+        """Demand one approval for all values of a write of several paths: at the first of them."""
+        session, entry = call.session, call.entry
+        asked = [e for e, value in call.together if self.wanted(session, e, value)]
+        covered = self._tokens.get(call.request.approval or "", frozenset())
+        if entry is not asked[0] or all(e.path in covered for e in asked):
+            return
+        paths = tuple(e.path for e in asked)
+        seen = tuple(e.path for e, _ in call.together)
+        value = {e.path: value for e, value in call.together}
+        self._questions.demand(session, call.request, entry, value, About(paths, seen))
 
     def confirm(self, call: Call) -> None:
         """Do nothing: the approval was used up on admission."""

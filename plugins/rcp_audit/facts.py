@@ -60,7 +60,7 @@ def ended(command: Command, last: Record) -> Event:
     """Return the event of a command's outcome, with the robot's message."""
     asker, error, work = command.asker, last.error, command.work
     outline = None if work is None else work.outline(last.body)
-    own = command.is_system
+    own = command.path.startswith("/system/")
     return Event(
         what="command",
         principal=None if asker is None else asker.principal,

@@ -12,16 +12,16 @@ import msgspec
 
 from rcp_audit.config import AuditConfig
 from rcp_audit.facts import ACTS, accepted, ended, requested
-from rcp_audit.owner import owners_of, who_did
+from rcp_audit.owner import who_did
 from rcp_audit.retention import Retention
 from rcp_audit.throttle import DenialThrottle
 from rcp_kernel.contract.digest import bounded
 from rcp_kernel.contract.events import Event
+from rcp_kernel.contract.touches import bounded_touches
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.sessions.command import Command, Record
-from rcp_kernel.store.chain import written
-from rcp_kernel.store.touches import bounded_touches
 from rcp_kernel.wire import FINAL
+from rcp_store.chain import written
 
 __all__ = ["FULL", "PATH", "AuditLog"]
 
@@ -68,6 +68,7 @@ class AuditLog:
 
     def __init__(self, config: AuditConfig, host: FeatureHost) -> None:
         self._host = host
+        self._publish = host.publish
         self._ledger = host.ledger
         self.throttle = DenialThrottle(host.loop, config.denials, partial(self._write, "denials"))
         self.retention = Retention(host, config)
@@ -114,20 +115,19 @@ class AuditLog:
 
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)
-        who = who_did(event, owners_of(event, touches))
+        facts = who_did(event, touches)
         # A flood of refusals gets one common record.
         if (what == "denial" or self._ledger.waiting > _MOST) and not self._passes(
-            what, event, who
+            what, event, dict(facts)
         ):
             return False
-        facts = {**who, "path": event.path and event.path[:_TEXT], **more}
+        facts["path"] = event.path and event.path[:_TEXT]
+        facts |= more
         if event.request is not None:
             facts |= requested(event.request, event.what, hide=event.hide)
-        facts |= {
-            key: value[:_TEXT] if isinstance(value, str) and key != "value" else value
-            for key, value in event.facts.items()
-            if value is not None
-        }
+        for key, value in event.facts.items():
+            if value is not None:
+                facts[key] = value[:_TEXT] if isinstance(value, str) and key != "value" else value
         value = facts.get("value")
         if value is not None and type(value) is not msgspec.Raw:
             facts["value"] = bounded(value)
@@ -152,10 +152,7 @@ class AuditLog:
             data = self._ledger.add(what, facts)
         except (TypeError, ValueError, OverflowError, RecursionError):
             data = self._ledger.add(what, {k: v and bounded(v) for k, v in facts.items()})
-        self._ledger.settled(partial(self._publish, data))
-
-    def _publish(self, data: bytes) -> None:
-        self._host.publish(PATH, _Sealed(data))
+        self._ledger.settled(partial(self._publish, PATH, _Sealed(data)))
 
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the log for `/system/status`; `head` adds its head, which not everybody may see."""

@@ -8,25 +8,34 @@ from typing import Any
 
 from rcp_kernel.contract.events import Event
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.model import tenant_of
-from rcp_kernel.store.touches import EVERYTHING
 
-__all__ = ["owners_of", "who_did"]
+__all__ = ["who_did"]
 
 _KNOWN = 1024  # cached principals
 _NAME = 500  # characters of a name
 
 
-def owners_of(event: Event, touches: Iterable[str] | None) -> tuple[str, ...]:
-    """Return the tenants of an event, including those of the paths in `touches`."""
-    path, session = event.path, event.session
+def who_did(event: Event, touches: Iterable[str] | None) -> dict[str, Any]:
+    """Return the principal, tenants and session of an event; its tenants include those in `touches`."""
+    path, session, principal = event.path, event.session, event.principal
     acting = event.tenant or (tenant_of(path) if path is not None and path[:1] == "/" else None)
-    if event.principal is not None:
-        acting = _tenant(event.principal, acting, None if session is None else session.tenant)
+    if principal is not None:
+        acting = _tenant(principal, acting, None if session is None else session.tenant)
     if touches is None:
-        return () if acting is None else (acting,)
-    tenants = {acting, *(tenant_of(path) for path in touches if path != EVERYTHING)}
-    return tuple(sorted(filter(None, tenants)))
+        owners = () if acting is None else (acting,)
+    else:
+        tenants = {acting, *(tenant_of(path) for path in touches if path != EVERYTHING)}
+        owners = tuple(sorted(filter(None, tenants)))
+    facts = {} if principal is None else {**_person(principal, owners)}
+    if len(owners) == 1:
+        facts["tenant"] = owners[0]
+    elif owners:
+        facts["tenants"] = list(owners)
+    if session is not None:
+        facts["session"], facts["transport"] = session.id[:8], session.transport
+    return facts
 
 
 @lru_cache(_KNOWN)
@@ -42,16 +51,3 @@ def _tenant(principal: Principal, acting: str | None, own: str | None) -> str | 
 def _person(principal: Principal, owners: tuple[str, ...]) -> dict[str, Any]:
     roles = [r for t, held in principal.grants if t in ("*", *owners) for r in held]
     return {"principal": principal.name[:_NAME], "roles": roles, "proof": principal.proof}
-
-
-def who_did(event: Event, owners: tuple[str, ...]) -> dict[str, Any]:
-    """Return the principal, tenants and session of an event."""
-    principal, session = event.principal, event.session
-    facts = {} if principal is None else {**_person(principal, owners)}
-    if len(owners) == 1:
-        facts["tenant"] = owners[0]
-    elif owners:
-        facts["tenants"] = list(owners)
-    if session is not None:
-        facts["session"], facts["transport"] = session.id[:8], session.transport
-    return facts

@@ -13,8 +13,8 @@ from rcp_audit.log import FULL
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.sessions.session import Answer
 from rcp_kernel.sessions.unrecorded import unrecorded
-from rcp_kernel.store.ledger import Ledger
 from rcp_kernel.wire import Reply
+from rcp_store.ledger import Ledger
 
 __all__ = ["HeldReplies"]
 
@@ -68,7 +68,7 @@ class HeldReplies:
         :raises QueueFull: the store fails, or too many records are pending.
         """
         ledger = self._ledger
-        if ledger.trouble is not None or ledger.waiting > FULL:
+        if ledger.behind(FULL):
             raise QueueFull(
                 f"cannot write the audit log ({ledger.trouble or 'the disk is slow'}); commands "
                 "and writes are refused until this works again",
@@ -77,21 +77,20 @@ class HeldReplies:
                 retry_after=1.0,
             )
 
-    def hold(self, send: Answer, until: float, reply: Reply) -> None:
-        """Send a reply once all records made so far are committed."""
-        self._hold(send, until, reply)
-
     def hold_estop(self, send: Answer, reply: Reply) -> None:
         """Send the reply to an e-stop likewise, but after `_ESTOP` seconds at the latest."""
-        self._hold(send, self._loop.time() + _ESTOP, reply, anyway=True)
+        self.hold(send, self._loop.time() + _ESTOP, reply, anyway=True)
 
-    def _hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
+    def hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
+        """Send a reply once all records made so far are committed."""
         moment = self._loop.time()
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
         held = _Held(reply, send, until, anyway=anyway)
         self._ledger.settled(held.release)  # called at once if all are committed
         if held.reply is None:
             return
+        while self._held and self._held[0].reply is None:  # released in order: few are kept
+            self._held.popleft()
         self._held.append(held)
         if not self._watching:
             self._watching = True

@@ -248,5 +248,6 @@ def checked(reply: Reply) -> Reply:
         retry_after=described.get("retry_after"),
         details=described.get("details"),
     )
+    error.retryable = described.get("retryable", error.retryable)
     error.trace_id = described.get("trace_id")
     raise error

@@ -11,7 +11,21 @@ from msgspec import Meta
 from rcp_kernel.values import ValueType, value_type
 from rcp_mcp.schemas import ERROR, arguments, result, worded
 
-__all__ = ["FIXED", "Cancel", "Discover", "Execute", "Read", "Status", "Watch", "Write"]
+__all__ = [
+    "FIXED",
+    "INVENTORY",
+    "Cancel",
+    "Discover",
+    "Execute",
+    "Read",
+    "Robots",
+    "Status",
+    "Watch",
+    "Write",
+    "WriteAll",
+]
+
+INVENTORY = "/system/robots"
 
 _Seconds = Meta(gt=0, le=86_400, extra_json_schema={"unit": "s"})
 _PATH = "Such as `/sensor/pose`, or with its tenant `/tenant/alpha/sensor/pose`."
@@ -19,8 +33,42 @@ _APPROVAL = "Id of the approval for exactly this command, from the refusal."
 _KEY = "Idempotency key: a repeated call with the same key is not executed again."
 
 
+_ValidFor = Annotated[
+    float,
+    Meta(
+        gt=0,
+        le=3600,
+        description="Time after which the robot is stopped unless the value is written again.",
+        extra_json_schema={"unit": "s"},
+    ),
+]
+
+
 class _Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base of the arguments; unknown ones are refused."""
+
+
+class Robots(_Call, frozen=True):
+    """Which robots to list; all arguments are optional."""
+
+    q: (
+        Annotated[
+            str,
+            Meta(
+                description="Words that must all occur in the path, kind, model or profiles, such "
+                "as `drone` or `arm`."
+            ),
+        ]
+        | None
+    ) = None
+    details: Annotated[
+        bool, Meta(description="Include vendor, model, limits, dimensions and frames (long).")
+    ] = False
+    limit: Annotated[int, Meta(ge=1, le=200)] = 50
+    cursor: (
+        Annotated[str, Meta(description="`cursor` from the previous result, for the next page.")]
+        | None
+    ) = None
 
 
 class Discover(_Call, frozen=True):
@@ -53,6 +101,16 @@ class Read(_Call, frozen=True):
     fresh: Annotated[
         bool, Meta(description="Read from the robot, even if a recent value is available.")
     ] = False
+    frame: (
+        Annotated[
+            str,
+            Meta(
+                description="Frame of the values: `map`, `base_link`, `earth` (latitude, longitude). "
+                "`frames` of a resource lists them."
+            ),
+        ]
+        | None
+    ) = None
     cursor: (
         Annotated[
             str, Meta(description="`cursor` from the previous result, for the rest of a pattern.")
@@ -66,19 +124,22 @@ class Write(_Call, frozen=True):
 
     path: Annotated[str, Meta(description=_PATH)]
     value: Any
-    valid_for: (
-        Annotated[
-            float,
-            Meta(
-                gt=0,
-                le=3600,
-                description="Time after which the robot is stopped unless the value is written "
-                "again.",
-                extra_json_schema={"unit": "s"},
-            ),
-        ]
-        | None
-    ) = None
+    valid_for: _ValidFor | None = None
+    dry_run: Annotated[bool, Meta(description="Check the request without changing anything.")] = (
+        False
+    )
+    idempotency_key: Annotated[str, Meta(max_length=256, description=_KEY)] | None = None
+    approval: Annotated[str, Meta(max_length=128, description=_APPROVAL)] | None = None
+
+
+class WriteAll(_Call, frozen=True):
+    """The values to write as one."""
+
+    values: Annotated[
+        dict[str, Any],
+        Meta(min_length=1, max_length=64, description="Each path with its value."),
+    ]
+    valid_for: _ValidFor | None = None
     dry_run: Annotated[bool, Meta(description="Check the request without changing anything.")] = (
         False
     )
@@ -141,6 +202,8 @@ class Fixed(NamedTuple):
     takes: ValueType
     needs: str | None
     """The operation that the caller must be allowed somewhere."""
+    of: str | None
+    """A resource that the caller must see."""
 
 
 def _answer(**properties: Any) -> dict[str, Any]:
@@ -155,6 +218,7 @@ def _fixed(
     answer: dict[str, Any],
     *,
     needs: str | None = None,
+    of: str | None = None,
     changes: bool = False,
     stops: bool = False,
 ) -> Fixed:
@@ -162,18 +226,18 @@ def _fixed(
     hints = types.ToolAnnotations(
         read_only_hint=not changes,
         destructive_hint=changes and not stops,
-        idempotent_hint=not changes or stops or name == "write",
+        idempotent_hint=not changes or stops or name.startswith("write"),
         open_world_hint=changes,
     )
     tool = types.Tool(
         name=name,
-        title=name.capitalize(),
+        title=name.replace("_", " ").capitalize(),
         description=words,
         input_schema=arguments(type_.schema, examples, {}).schema,
         output_schema=answer,
         annotations=hints,
     )
-    return Fixed(tool, type_, needs)
+    return Fixed(tool, type_, needs, of)
 
 
 _TEXT, _OBJECT, _LIST = {"type": "string"}, {"type": "object"}, {"type": "array"}
@@ -203,10 +267,20 @@ FIXED: dict[str, Fixed] = {
     one.tool.name: one
     for one in (
         _fixed(
+            "robots",
+            Robots,
+            "List the robots: path, kind, state, mode, battery (0 to 1), position, profiles, and "
+            "who has control. Start here; then `discover` the resources of one, such as "
+            "`/tenant/alpha/*/r1/**` for the robot `/tenant/alpha/r1`.",
+            [{}, {"q": "drone"}],
+            _answer(robots={**_LIST, "items": _OBJECT}, cursor=_TEXT, note=_TEXT),
+            of=INVENTORY,
+        ),
+        _fixed(
             "discover",
             Discover,
             "List the resources: paths of sensors, actuators, parameters, actions, services and "
-            "events, with the operations you may use, the unit and the tool for each. Start here; "
+            "events, with the operations you may use, the unit and the tool for each; "
             "search with `q`; use `schemas` for one path before you write to it.",
             [{}, {"q": "battery"}, {"path": "/action/*", "schemas": True}],
             _answer(resources={**_LIST, "items": _OBJECT}, cursor=_TEXT, note=_TEXT),
@@ -231,6 +305,16 @@ FIXED: dict[str, Fixed] = {
             "Set a parameter or command an actuator. A velocity command is valid for a short "
             "time only: the robot stops unless it is written again.",
             [{"path": "/param/speed_limit", "value": 0.5}],
+            _COMMAND,
+            needs="write",
+            changes=True,
+        ),
+        _fixed(
+            "write_all",
+            WriteAll,
+            "Write several paths of one robot as one, such as both wheels: all of them come into "
+            "force at once, or none. They must have the same `atomic` group in `discover`.",
+            [{"values": {"/actuator/left/velocity": 1.0, "/actuator/right/velocity": 1.0}}],
             _COMMAND,
             needs="write",
             changes=True,

@@ -25,7 +25,7 @@ _PAGE = 250
 _NOT_FOUND = -32002  # error code of older versions for an unknown resource
 _TTL = 2000  # ms for which a list is fresh
 _INSTRUCTIONS = (
-    "This gateway connects you to robots. Call `discover` first. Paths without a tenant refer to "
+    "This gateway connects you to robots. Call `robots` first, then `discover`. Paths without a tenant refer to "
     "your own tenant. Schemas give the units of numbers. Actions move real machines: "
     "use `dry_run` when in doubt, `cancel` to end a command, a robot's `hold` tool to pause it, and "
     "`system-estop` in an emergency. The gateway refuses commands by rule: each error says what "

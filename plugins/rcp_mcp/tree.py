@@ -24,6 +24,7 @@ from rcp_mcp.offers import Context, Method, Offer, Outcome
 from rcp_mcp.prompts import PROMPTS, written
 from rcp_mcp.read_tools import ReadTools
 from rcp_mcp.resources import Resources
+from rcp_mcp.robots import RobotTools
 from rcp_mcp.urgent import Urgent
 from rcp_mcp.watch_tools import WatchTools
 
@@ -57,10 +58,12 @@ class Tree(Offer):
         self._completing = Completion(self._catalogue)
         looking = ReadTools(config, client_api, self._catalogue)
         self._handlers: dict[str, Handler] = {
+            "robots": RobotTools(config, client_api).robots,
             "discover": looking.discover,
             "read": looking.read,
             "status": looking.status,
             "write": commanding.write,
+            "write_all": commanding.write_all,
             "execute": commanding.execute,
             "cancel": commanding.cancel,
             "watch": WatchTools(config, client_api).watch,
@@ -83,7 +86,12 @@ class Tree(Offer):
         """List the fixed tools that the caller can use, then those of actions and services."""
         session = self._paying(ctx)
         held = {name for one in self._catalogue.all(session) for name in one["operations"]}
-        found = [one.tool for one in FIXED.values() if one.needs is None or one.needs in held]
+        found = [
+            one.tool
+            for one in FIXED.values()
+            if (one.needs is None or one.needs in held)
+            and (one.of is None or self._catalogue.find(session, one.of) is not None)
+        ]
         return [*found, *(one.tool for one in self._catalogue.tools(session).values())]
 
     async def call(self, ctx: Context, params: types.CallToolRequestParams) -> Outcome | None:

@@ -330,5 +330,6 @@ def _of_step(node: Node, error: RcpError) -> RcpError:
         retry_after=error.retry_after,
         details={**(error.details or {}), "step": node.id},
     )
+    found.retryable = error.retryable
     found.trace_id = error.trace_id
     return found

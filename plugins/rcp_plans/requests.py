@@ -142,5 +142,6 @@ def _error_of(body: dict[str, Any]) -> RcpError:
         retry_after=body.get("retry_after"),
         details=body.get("details"),
     )
+    error.retryable = body["retryable"]  # false once the robot may have acted
     error.trace_id = body.get("trace_id")
     return error

@@ -22,9 +22,9 @@ class TokenIssuer(msgspec.Struct, frozen=True):
 
 
 class Authenticator(ABC):
-    """Verifies tokens not created by the gateway. For the event loop's thread.
+    """Verifies tokens other than the keys of the configuration. For the event loop's thread.
 
-    The gateway checks its own keys and tokens first. Any other token goes to the first
+    The gateway checks those keys first. Any other token goes to the first
     authenticator, by name, that recognises it. The gateway limits how often an address may try
     invalid tokens, checks
     `expires`, and compares the principal with the client certificate of the connection.
@@ -36,6 +36,10 @@ class Authenticator(ABC):
     signed: bool = False
     """Whether its tokens cannot be guessed: an address that has sent too many invalid ones may then
     still try others, at a slow pace."""
+
+    local: bool = False
+    """Whether the operator of this gateway assigns the names it proves, as for keys: only then may
+    it be called `token`, whose principals are the same persons as those of keys."""
 
     def __init__(self) -> None:
         self.on_change: list[Callable[[], None]] = []

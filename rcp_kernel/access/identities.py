@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncGenerator, Callable, Iterable
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -18,14 +18,11 @@ import structlog
 from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
 from rcp_kernel.access.certificates import Certificates
-from rcp_kernel.access.tokens import Token, TokenWatch, changes
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
-from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.events import EventBus
-from rcp_kernel.contract.identity import Grants, Keyring, Principal, check_time, fingerprint
+from rcp_kernel.contract.identity import Keyring, Principal, check_time, fingerprint
 from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.errors import (
     ConfigError,
@@ -36,12 +33,11 @@ from rcp_kernel.errors import (
     TokenExpired,
     Unauthenticated,
 )
-from rcp_kernel.store.store import Store
 
 __all__ = ["Identities", "check_proofs", "store_file"]
 
 log = structlog.get_logger("rcp.identity")
-_OWN = ("none", "key", "token", "certificate")
+_OWN = ("none", "key", "certificate")
 """Proofs of the gateway itself."""
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -70,23 +66,18 @@ class Identities:
     def __init__(
         self,
         settings: Settings,
-        store: Store,
-        events: EventBus,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
     ) -> None:
         self._clock = clock
         self._settings = settings
-        self._store = store
-        self._events = events
         self._loop = loop
         self._authenticators: dict[str, Authenticator] = {}
         self.on_change: list[Callable[[], None]] = []
         """Called when proofs may be worth something else than before."""
         config = settings.config
-        self._tokens: list[Token] = []
         self._certificates = Certificates(config.certificates, clock)
-        self._keyring = _keyring(config, self._tokens)
+        self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
 
@@ -96,52 +87,20 @@ class Identities:
         :raises PluginError: two authenticators have the same name, or one has a reserved name.
         """
         for one in sorted(authenticators, key=lambda each: each.name):
-            if one.name in self._authenticators or one.name in _OWN:
+            own = _OWN if one.local else (*_OWN, "token")
+            if one.name in self._authenticators or one.name in own:
                 raise PluginError(f"the name '{one.name}' of an authenticator is taken")
             self._authenticators[one.name] = one
             one.on_change.append(self._review)
-
-    # -- its own time --------------------------------------------------------------------------
-
-    @asynccontextmanager
-    async def running(self) -> AsyncGenerator[None]:
-        """Watch the tokens of the store while entered.
-
-        :raises ConfigError: the store cannot be opened.
-        """
-        async with AsyncExitStack() as stack:
-            path = self._store.path
-            if path is not None:
-                loop = self._loop
-
-                def on_change(tokens: list[Token]) -> None:
-                    loop.call_soon_threadsafe(self._take, tokens)
-
-                watch = TokenWatch(path, on_change)
-                self._tokens = watch.tokens
-                self._keyring = _keyring(self._settings.config, self._tokens)
-                watch.start()
-                stack.callback(watch.close)
-            yield
 
     def _review(self) -> None:
         for changed in self.on_change:
             changed()
 
-    def _take(self, tokens: list[Token]) -> None:
-        news, self._tokens = changes(self._tokens, tokens), tokens
-        self._keyring = _keyring(self._settings.config, tokens)
-        for outcome, token in news:
-            log.info("token", name=token.name, id=token.id, outcome=outcome)
-            self._events.note(
-                "token", principal=None, outcome=outcome, name=token.name, id=token.id
-            )
-        self._review()
-
     def reconfigure(self, config: GatewayConfig) -> None:
         """Apply the credentials of another configuration; the caller reviews the sessions."""
         self._certificates = Certificates(config.certificates, self._clock, self._certificates)
-        self._keyring = _keyring(config, self._tokens)
+        self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
         self._attempts.allowance = config.limits.failed_logins
 
@@ -154,9 +113,7 @@ class Identities:
     @property
     def serves(self) -> bool:
         """Whether an authenticator outside the kernel's configuration can prove a principal."""
-        return any(t.state(self._clock.now()) == "good" for t in self._tokens) or any(
-            one.serves for one in self._authenticators.values()
-        )
+        return any(one.serves for one in self._authenticators.values())
 
     @property
     def issuers(self) -> list[TokenIssuer]:
@@ -213,7 +170,7 @@ class Identities:
             return None
         if principal.proof == "certificate":
             return self._certificates.renewed(principal)
-        if principal.proof in ("key", "token"):
+        if principal.proof == "key":
             return self._keyring.proves(principal.credential or "")
         authenticator = self._authenticators.get(principal.proof.partition(" ")[0])
         return None if authenticator is None else authenticator.renewed(principal)
@@ -343,27 +300,10 @@ def _anonymous(config: GatewayConfig) -> Principal | None:
     return Principal("anonymous", grants) if any(roles for _, roles in grants) else None
 
 
-def _keyring(config: GatewayConfig, tokens: list[Token]) -> Keyring:
+def _keyring(config: GatewayConfig) -> Keyring:
     found: dict[str, Principal] = {}
-    for token in tokens:
-        if token.revoked is None:
-            found[token.hash] = token.principal(_there(token, config))
     for key in config.keys:
         digest = key.sha256 or fingerprint(key.key or "")
         expires = None if key.expires is None else instant(key.expires)
         found[digest] = Principal(key.name, key.grants, "key", digest, expires)
     return Keyring(found)
-
-
-def _there(token: Token, config: GatewayConfig) -> Grants:
-    """Return the grants of a token whose tenants and roles are still configured."""
-    known = {**BUILTIN_ROLES, **config.roles}
-    tenants = ("*", *config.tenant_names)
-    held = tuple(
-        (tenant, tuple(role for role in roles if role in known))
-        for tenant, roles in token.grants
-        if tenant in tenants
-    )
-    if held != token.grants:
-        log.warning("token_grants_missing", name=token.name, id=token.id)
-    return held

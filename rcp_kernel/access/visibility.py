@@ -16,8 +16,8 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
+from rcp_kernel.contract.touches import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
-from rcp_kernel.store.touches import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.values import Encoding, dump
 
 if TYPE_CHECKING:
@@ -176,6 +176,12 @@ class Visibility:
         if paths is None:
             return self.sees_whole(rights, tenant)
         return any(map(rights.mask, paths))
+
+    def sees_backend(self, rights: Rights, tenant: str | None, name: str) -> bool:
+        """Return whether nothing of a backend is hidden."""
+        if "*" not in rights.tenants and tenant not in rights.tenants:
+            return False
+        return not self._sights.look(rights).hides(tenant, name).count
 
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
         """Return whether nothing of a tenant is hidden; None means all tenants.

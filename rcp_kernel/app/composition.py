@@ -7,7 +7,7 @@ which the other adds itself when it is created.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,8 +19,6 @@ from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.app.feature_host import GatewayFeatureHost
 from rcp_kernel.app.features import ActiveFeature, Features, make
-from rcp_kernel.app.guard import GuardLink
-from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.robots import GatewayRobots
@@ -30,9 +28,11 @@ from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi, ClientApiParts
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
+from rcp_kernel.config.role import Rule
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
@@ -40,15 +40,18 @@ from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
 from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.atomic_write import AtomicWriteHandler
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.discover import DiscoverHandler
 from rcp_kernel.requests.discovery import Discovery
 from rcp_kernel.requests.execute import ExecuteHandler
+from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
+from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.ping import PingHandler
 from rcp_kernel.requests.read import ReadHandler
@@ -73,13 +76,13 @@ from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.ledger import Ledger
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
+from rcp_store.ledger import Ledger
+from rcp_store.store import Store
 
 __all__ = ["compose"]
 
@@ -102,6 +105,7 @@ class _Base:
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
+    deadlines: Deadlines
     inflight: InFlight
     changes: ViewChanges
     events: CommandEvents
@@ -123,7 +127,6 @@ class _Records:
 class _Motion:
     """Motion and stops of robots."""
 
-    arming: GuardArming
     partners: Partners
     deadman: Deadman
     commands: Commands
@@ -148,6 +151,7 @@ class _Requests:
     """Checks of a request before its handler."""
 
     router: RequestRouter
+    exempt: Exemptions
     long_bodies: LongBodies
     resolver: Resolver
     admission: Admission
@@ -160,7 +164,6 @@ class _System:
     """The gateway's own branch, and its sources."""
 
     estop: Estop
-    guard: GuardLink
     status: StatusReport
     branch: System
 
@@ -183,12 +186,12 @@ def compose(
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway without backends that does not serve yet."""
-    base = _base(config, loop, clock)
+    base = _base(config, loop, clock, _grants(features))
     records = _records(base, store)
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
     made = _features(base, records, motion, clients, features)
-    requests = _requests(base, records, motion, made)
+    requests = _requests(base, records, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
@@ -211,7 +214,6 @@ def compose(
         outbound=clients.outbound,
         resume=clients.resume,
         sessions=clients.sessions,
-        guard=system.guard,
         status=system.status,
         system=system.branch,
         features=made,
@@ -222,12 +224,27 @@ def compose(
     )
 
 
-def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) -> _Base:
+def _grants(features: Sequence[ActiveFeature]) -> dict[str, tuple[Rule, ...]]:
+    """Return the rules that features add to built-in roles."""
+    found: dict[str, tuple[Rule, ...]] = {}
+    for feature in features:
+        for role, rules in feature.kind.grants.items():
+            found[role] = (*found.get(role, ()), *rules)
+    return found
+
+
+def _base(
+    config: GatewayConfig,
+    loop: asyncio.AbstractEventLoop,
+    clock: Clock,
+    grants: Mapping[str, Sequence[Rule]],
+) -> _Base:
     registry, turns = Registry(clock), Turns(loop)
     sights = Sights(registry, turns)
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub, clock)
     settings, counts = Settings(config), RequestCounts()
+    deadlines = Deadlines(loop)
     return _Base(
         settings=settings,
         shutdown=Shutdown(),
@@ -241,10 +258,11 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
         conditions=conditions,
         sights=sights,
         visibility=Visibility(registry, sights),
-        rules=Rules(config.roles, conditions),
+        rules=Rules(config.roles, conditions, grants),
         counts=counts,
-        inflight=InFlight(settings, counts, turns, loop),
-        changes=ViewChanges(),
+        deadlines=deadlines,
+        inflight=InFlight(settings, counts, turns, deadlines, loop),
+        changes=ViewChanges(registry),
         events=CommandEvents(),
         supervisors=[],
     )
@@ -272,6 +290,7 @@ def _features(
             GatewayRobots,
             hub=base.hub,
             conditions=base.conditions,
+            backends=base.supervisors,
         ),
         changes=base.changes,
         store=records.store,
@@ -290,8 +309,8 @@ def _features(
     )
     made = make(active, host)
     services.ask(made)
-    records.events.on_event += made.event_listeners
-    records.journal.on_step += made.command_listeners
+    records.events.listeners += made.event_listeners
+    records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
     clients.identities.ask(made.authenticators)
@@ -302,22 +321,25 @@ def _features(
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
-    config = base.settings.config
-    arming = GuardArming(base.loop, config.safety)
     partners = Partners(base.registry)
     deadman = Deadman(
         base.loop,
-        began=arming.arm,
         sending=base.events.stopping,
         at_rest=base.events.rested,
         untaken=partners.halt,
         note=records.safety_events.dead_man,
     )
-    commands = Commands(records.journal, arming.arm, base.turns, base.loop, base.clock)
+    commands = Commands(
+        records.journal,
+        base.turns,
+        base.deadlines,
+        base.loop,
+        base.clock,
+        base.settings,
+    )
     latches = Latches(records.store)
     latches.on_change.append(base.registry.state_changed)
     return _Motion(
-        arming,
         partners,
         deadman,
         commands,
@@ -328,7 +350,7 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.events, loop, base.clock)
+    identities = Identities(settings, loop, base.clock)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     accounting = SessionAccounting(known, records.journal.running)
@@ -358,7 +380,6 @@ def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
 def _requests(
     base: _Base,
     records: _Records,
-    motion: _Motion,
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
@@ -369,11 +390,11 @@ def _requests(
         base.events,
         records.replies,
         base.shutdown,
-        motion.arming.check_thaw,
         features.guards,
     )
     keys = Keys(records.store, base.loop, base.clock)
     keys.load(records.journal.find)
+    exempt = Exemptions(features.releases)
     return _Requests(
         RequestRouter(
             base.settings,
@@ -382,7 +403,9 @@ def _requests(
             events,
             long_bodies,
             features.actions,
+            exempt,
         ),
+        exempt,
         long_bodies,
         resolver,
         admission,
@@ -413,19 +436,8 @@ def _system(
         loop=base.loop,
         clock=base.clock,
     )
-    guard = GuardLink(
-        motion.arming,
-        base.supervisors,
-        base.registry,
-        motion.deadman,
-        motion.commands,
-        records.events,
-        base.shutdown,
-        base.loop,
-    )
     status = StatusReport(
         base.supervisors,
-        guard,
         recent,
         registry=base.registry,
         hub=base.hub,
@@ -453,10 +465,9 @@ def _system(
         recent=recent,
         features=features.resources,
         reader_status=features.reader_status,
-        changes=base.changes,
         loop=base.loop,
     )
-    return _System(estop, guard, status, branch)
+    return _System(estop, status, branch)
 
 
 def _handlers(
@@ -480,6 +491,7 @@ def _handlers(
         views=system.branch.views,
         pages=system.branch.pages,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     subscribe = SubscribeHandler(
@@ -491,7 +503,20 @@ def _handlers(
         clients.sessions,
         views=system.branch.views,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
+    )
+    keyed = KeyedWrites(requests.keys, inflight, base.loop)
+    atomic = AtomicWriteHandler(
+        requests.resolver,
+        requests.admission,
+        inflight,
+        motion.deadman,
+        events=base.events,
+        dry_run=features.dry_run,
+        keyed=keyed,
+        replies=records.replies,
+        request_events=requests.events,
     )
     write = WriteHandler(
         requests.resolver,
@@ -500,11 +525,11 @@ def _handlers(
         motion.deadman,
         events=base.events,
         dry_run=features.dry_run,
-        keys=requests.keys,
+        keyed=keyed,
         replies=records.replies,
         request_events=requests.events,
         turns=base.turns,
-        loop=base.loop,
+        atomic=atomic,
     )
     execute = ExecuteHandler(
         requests.resolver,
@@ -516,13 +541,14 @@ def _handlers(
         services=system.branch.services,
         actions=_actions(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
+        exempt=requests.exempt,
         keys=requests.keys,
         inflight=inflight,
         counts=base.counts,
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
-        settings=base.settings,
+        frames=features.frames,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
@@ -551,6 +577,7 @@ def _actions(
         handle=requests.router.handle,
         resolver=requests.resolver,
         foresee=features.foresee,
+        frames=features.frames,
         commands=motion.commands,
         journal=records.journal,
         conditions=base.conditions,
@@ -604,7 +631,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, features.describe)
+    discovery = Discovery(base.registry, base.sights, features.describe, features.frames)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     ping = PingHandler(base.counts)
     requests.router.add("ping", ping.ping)

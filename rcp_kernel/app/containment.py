@@ -11,7 +11,7 @@ import asyncio
 import os
 import sys
 import threading
-from collections.abc import AsyncGenerator, Coroutine, Generator, Sequence
+from collections.abc import AsyncGenerator, Coroutine, Generator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, suppress
 from typing import Any, TypeVar
 
@@ -88,6 +88,11 @@ class ContainedBackend:
             raise
         except BaseException as error:
             raise _plugin_exit(error) from error
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Write several values as one."""
+        with contained():
+            return await self._backend.write_together(values)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or a service."""

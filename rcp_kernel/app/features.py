@@ -13,7 +13,6 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.app.recorder import Listener, Recorder
 from rcp_kernel.config.file import GatewayConfig, decode_table
-from rcp_kernel.contract.events import Hear
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (
     Accounting,
@@ -28,8 +27,9 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
+from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
-from rcp_kernel.sessions.command import CommandListener
+from rcp_kernel.features.resource import Releases
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -99,6 +99,11 @@ class Features:
         """Their long-running actions, by path."""
         return {one.path: one.action for one in self.resources if one.action is not None}
 
+    @property
+    def releases(self) -> dict[str, Releases]:
+        """What tells which requests only release something, by path."""
+        return {one.path: one.releases for one in self.resources if one.releases is not None}
+
     def resources_of(self, name: str) -> list[SystemResource]:
         """The resources of one feature."""
         return [one for own, feature in self._made if own == name for one in feature.resources]
@@ -118,20 +123,26 @@ class Features:
         ]
 
     @property
+    def frames(self) -> FrameConverter:
+        """The converter of frames."""
+        found = (feature.frames for _, feature in self._made)
+        return next((one for one in found if one is not None), NoFrames())
+
+    @property
     def authenticators(self) -> list[Authenticator]:
         """The authenticators of tokens."""
         found = (feature.authenticator for _, feature in self._made)
         return [one for one in found if one is not None]
 
     @property
-    def event_listeners(self) -> list[Hear]:
+    def event_listeners(self) -> list[Listener]:
         """The listeners for events."""
-        return [one.hear for one in self._listeners if one.on_event is not None]
+        return [one for one in self._listeners if one.hears_events]
 
     @property
-    def command_listeners(self) -> list[CommandListener]:
+    def command_listeners(self) -> list[Listener]:
         """The listeners for steps of commands."""
-        return [one.follow for one in self._listeners if one.on_command is not None]
+        return [one for one in self._listeners if one.hears_commands]
 
     @property
     def recorders(self) -> list[Recorder]:

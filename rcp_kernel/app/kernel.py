@@ -10,7 +10,6 @@ from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.app.features import ActiveFeature, Features
-from rcp_kernel.app.guard import GuardLink
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.app.system import System
@@ -28,10 +27,10 @@ from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.registry import Registry
+from rcp_store.store import Store
 
 __all__ = ["Kernel"]
 
@@ -59,7 +58,6 @@ class Kernel:
     outbound: Outbound
     resume: SessionResume
     sessions: Sessions
-    guard: GuardLink
     status: StatusReport
     system: System
     features: Features

@@ -13,39 +13,34 @@ from rcp_kernel.wire import Reply
 __all__ = ["Listener", "Recorder"]
 
 
+def _ignore(_command: Command, _step: Record) -> None:
+    """Hear nothing of commands."""
+
+
+def _ignore_event(_event: Event) -> None:
+    """Hear no events."""
+
+
 class Listener:
-    """Passes events to a feature, whose errors must not prevent commands or stops."""
+    """A feature's listeners, and what follows from their errors."""
 
     def __init__(
         self, on_event: Hear | None, on_command: CommandListener | None, health: FeatureHealth
     ) -> None:
-        self.on_event = on_event
-        self.on_command = on_command
+        self.hears_events = on_event is not None
+        self.on_event = on_event or _ignore_event
+        self.failing = False
+        self.hears_commands = on_command is not None
+        self.on_command = on_command or _ignore
         self.health = health
 
-    def hear(self, event: Event) -> bool:
-        """Pass an event to the feature; return whether replies about it should wait."""
-        try:
-            return self.on_event is not None and bool(self.on_event(event))
-        except Exception as error:
-            self.health.failed("on_event", error, what=event.what, path=event.path)
-            self.missed(event)
-            return False
+    def missed_event(self, event: Event, error: Exception) -> None:
+        """Note that the feature did not accept an event."""
+        self.health.failed("on_event", error, what=event.what, path=event.path)
 
-    def follow(self, command: Command, step: Record) -> None:
-        """Pass a step of a command to the feature."""
-        try:
-            if self.on_command is not None:
-                self.on_command(command, step)
-        except Exception as error:
-            self.health.failed("on_command", error, command=command.id, path=command.path)
-            self.missed_step(command, step)
-
-    def missed(self, event: Event) -> None:
-        """Handle an event that the feature did not accept: do nothing."""
-
-    def missed_step(self, command: Command, step: Record) -> None:
-        """Handle a step that the feature did not accept: do nothing."""
+    def missed_step(self, command: Command, step: Record, error: Exception) -> None:
+        """Note that the feature did not accept a step."""
+        self.health.failed("on_command", error, command=command.id, path=command.path)
 
 
 class Recorder(Listener):
@@ -66,23 +61,18 @@ class Recorder(Listener):
     ) -> None:
         super().__init__(on_event, on_command, health)
         self._durability = durability
-        self._failing = False
         self.hold = durability.hold
         self.lost = 0
         """Number of events that were not recorded."""
 
-    def hear(self, event: Event) -> bool:
-        """Pass an event to the feature; return whether replies about it should wait."""
-        lost = self.lost
-        waits = super().hear(event)
-        if self.lost == lost:
-            self._failing = False
-        return waits
+    def missed_event(self, event: Event, error: Exception) -> None:
+        """Record the gap for an event, with the few facts known to be valid."""
+        super().missed_event(event, error)
+        self._missed(event)
 
-    def missed(self, event: Event) -> None:
-        """Record the gap, with the few facts known to be valid."""
+    def _missed(self, event: Event) -> None:
         self.lost += 1
-        if self.on_event is None:
+        if not self.hears_events:
             return
         gap = Event(
             what="unrecorded",
@@ -95,14 +85,15 @@ class Recorder(Listener):
         try:
             self.on_event(gap)
         except Exception as error:
-            self._failing = True
+            self.failing = True
             self.health.failed("on_event", error, what=gap.what)
 
-    def missed_step(self, command: Command, step: Record) -> None:
+    def missed_step(self, command: Command, step: Record, error: Exception) -> None:
         """Record the gap for a step of a command, which is then not confirmed."""
+        super().missed_step(command, step, error)
         command.unrecorded = True
         requester = command.asker
-        self.missed(
+        self._missed(
             Event(
                 what="execute" if step.status == "accepted" else "command",
                 principal=None if requester is None else requester.principal,
@@ -116,7 +107,7 @@ class Recorder(Listener):
 
         :raises QueueFull: it could not.
         """
-        if self._failing:
+        if self.failing:
             raise QueueFull(
                 f"nothing can be recorded ({self.health.name}: {self.health.fault}); commands and "
                 "writes are refused until this works again",
@@ -127,6 +118,6 @@ class Recorder(Listener):
 
     def hold_estop(self, send: Answer, reply: Reply) -> None:
         """Send the reply to an e-stop, in any case."""
-        if self._failing:
+        if self.failing:
             reply.message = f"{reply.message or ''} There is no audit record of it.".lstrip()
         self._durability.hold_estop(send, reply)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import ParamSpec
 
 import structlog
 
 from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.features.health import FeatureHealth
+from rcp_kernel.features.robots import SupervisedBackend
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
@@ -15,6 +18,7 @@ from rcp_kernel.tree.samples import Sample
 __all__ = ["GatewayRobots"]
 
 log = structlog.get_logger("rcp.features")
+P = ParamSpec("P")
 
 
 class _Watch:
@@ -52,11 +56,19 @@ class _Conditions:
 class GatewayRobots:
     """The `Robots` of one feature."""
 
-    def __init__(self, feature: str, hub: Hub, conditions: Conditions) -> None:
-        self._feature = feature
+    def __init__(
+        self,
+        health: FeatureHealth,
+        hub: Hub,
+        conditions: Conditions,
+        backends: Sequence[SupervisedBackend],
+    ) -> None:
+        self._health = health
+        self._feature = health.name
         self._hub = hub
+        self.backends = backends
         self._watches: dict[str, list[_Watch]] = {}
-        self.conditions = _Conditions(feature, conditions)
+        self.conditions = _Conditions(health.name, conditions)
         self._following = False
 
     @property
@@ -66,12 +78,23 @@ class GatewayRobots:
 
     def follow(self, added: Callable[[Entry], None], removed: Callable[[Entry], None]) -> None:
         """Tell of changes of the tree."""
-        self._hub.registry.on_added.append(added)
-        self._hub.registry.on_removed.append(removed)
+        self._hub.registry.on_added.append(self._contained("follow", added))
+        self._hub.registry.on_removed.append(self._contained("follow", removed))
 
     def follow_state(self, changed: Callable[[], None]) -> None:
         """Tell of changes of state."""
-        self._hub.registry.on_state.append(changed)
+        self._hub.registry.on_state.append(self._contained("follow_state", changed))
+
+    def _contained(self, part: str, callback: Callable[P, None]) -> Callable[P, None]:
+        """Keep errors of the feature from whoever changes something: a backend, or an e-stop."""
+
+        def call(*args: P.args, **kwargs: P.kwargs) -> None:
+            try:
+                callback(*args, **kwargs)
+            except Exception as error:
+                self._health.failed(part, error)
+
+        return call
 
     def watch(self, path: str, offer: Callable[[Sample], None]) -> Callable[[], None]:
         """Offer each sample of a path."""

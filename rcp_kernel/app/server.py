@@ -25,8 +25,8 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.safety.retry import retry_until_confirmed
-from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.store import Store
+from rcp_store.disk_store import DiskStore
+from rcp_store.store import Store
 
 __all__ = [
     "Prepared",
@@ -148,10 +148,7 @@ async def running(
         status.start()
         stack.callback(status.stop)
         stack.push_async_callback(kernel.close)
-        await stack.enter_async_context(kernel.identities.running())
         await stack.enter_async_context(kernel.features.running())
-        kernel.guard.start()
-        stack.push_async_callback(kernel.guard.close)
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)

@@ -15,7 +15,6 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.sights import Hidden, Sights
 from rcp_kernel.access.visibility import Visibility, names_in
-from rcp_kernel.app.guard import GuardLink
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
@@ -27,12 +26,12 @@ from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import is_system
 from rcp_kernel.tree.registry import Registry
+from rcp_store.store import Store
 
 __all__ = ["StatusReport"]
 
@@ -46,7 +45,6 @@ class StatusReport:
     def __init__(
         self,
         supervisors: Sequence[BackendSupervisor],
-        guard: GuardLink,
         recent: Recent,
         *,
         registry: Registry,
@@ -64,7 +62,6 @@ class StatusReport:
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._supervisors = supervisors
-        self._guard = guard
         self._recent = recent
         self._registry = registry
         self._hub = hub
@@ -144,7 +141,6 @@ class StatusReport:
             "backends": robots,
             "transports": self.transports if every else [_part(one) for one in self.transports],
             "adapters": adapters if every else [_part(one) for one in self.adapters],
-            "guard": self._guarded(supervisors, rights),
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
             "resources": self._count_resources(rights),
@@ -163,14 +159,6 @@ class StatusReport:
                 "cpus": psutil.cpu_count() or 0,
             }
         return report
-
-    def _guarded(
-        self, supervisors: list[BackendSupervisor], rights: Rights | None
-    ) -> dict[str, Any]:
-        """Tell what stops the robots without the gateway: of backends that are seen as a whole."""
-        return self._guard.plain(
-            s for s in supervisors if rights is None or not self._hides(s, rights).count
-        )
 
     def _count_resources(self, rights: Rights | None) -> int:
         if rights is None:
@@ -354,21 +342,7 @@ class StatusReport:
 
     def _gauges(self) -> Iterable[Metric]:
         queues = self._queues(("*",))
-        guard = self._guard
-        yield counter(
-            "rcp_guard_stops", "How often the guard has stopped robots.", (), [([], guard.stops)]
-        )
         for name, text, value in (
-            (
-                "rcp_event_loop_lag_max_seconds",
-                "The most that the event loop was late.",
-                guard.lag,
-            ),
-            (
-                "rcp_guard_ready",
-                "Whether the guard is ready to send every plan, or has none.",
-                guard.state in ("ready", "idle"),
-            ),
             (
                 "rcp_store_degraded",
                 "Whether the store is damaged, gone, or cannot be written.",

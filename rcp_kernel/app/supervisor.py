@@ -32,9 +32,11 @@ from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.spi import (
+    Anchor,
     Backend,
     BackendKind,
     BaseBackend,
+    FrameTree,
     Publication,
     RobotFacts,
     StopPlan,
@@ -298,6 +300,14 @@ class BackendSupervisor:
         if unit.facts != facts:
             unit.facts = facts
             self._registry.state_changed()
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        """Note where one of a robot's frames is."""
+        self.unit(robot).anchor = anchor
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        """Note where to look transforms up."""
+        self.unit(robot).frames = tree
 
     def discovering(self, *, active: bool) -> None:
         """Record whether an open backend is still discovering resources."""

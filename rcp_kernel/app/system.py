@@ -11,9 +11,9 @@ import msgspec
 
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.status import StatusReport
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.features import Filter, Pages, Service, SystemResource, View
-from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.requests.action_list import ActionList
 from rcp_kernel.requests.command_access import CommandAccess
@@ -71,7 +71,6 @@ class System(BaseBackend):
         recent: Recent,
         features: Sequence[SystemResource],
         reader_status: Callable[[Session], dict[str, Any]],
-        changes: ViewChanges,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._status = status
@@ -91,7 +90,7 @@ class System(BaseBackend):
             "/system/status": self._health,
             "/system/sessions": self._list_sessions,
             "/system/commands": self._list_commands,
-            "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
+            ESTOP: lambda session: msgspec.to_builtins(estop.state(session)),
         }
         """Resources whose value depends on the reader, by path."""
         self.filters: dict[str, Filter] = {_LOG: self._shown}
@@ -104,7 +103,6 @@ class System(BaseBackend):
         """Other executable resources of `/system`, by path."""
         for one in features:
             self._add(one)
-        changes.on_change.append(self._changed)
         hub.keep(self.entries[_LOG])
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
@@ -135,11 +133,7 @@ class System(BaseBackend):
             view = ActionList(own.path, own.action, self._access).view
         if view is not None:
             self.views[own.path] = view
-            self._changed(own.path)
-
-    def _changed(self, path: str, value: Any = ()) -> None:
-        """Publish a sample of a feature's; by default one that says that its view has changed."""
-        self.entries[path].publish(value, None)
+            self.entries[own.path].publish((), None)  # its view has changed
 
     def _publish(self, name: str, value: Any) -> None:
         """Notify subscribers that a view has changed."""

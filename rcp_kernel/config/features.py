@@ -9,12 +9,15 @@ __all__ = ["BUILTIN", "active_features"]
 BUILTIN: tuple[str, ...] = (
     "approvals",
     "audit",
+    "frames",
+    "guard",
     "inventory",
     "jwt",
     "leases",
     "motion_limits",
     "plans",
     "quotas",
+    "tokens",
 )
 """Active unless `[features] <name> = false` takes one out."""
 

@@ -10,7 +10,7 @@ import msgspec
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.wire import Request
 
-__all__ = ["Acting", "Event", "EventBus", "Hear"]
+__all__ = ["Acting", "Event", "EventBus", "EventListener", "Hear"]
 
 
 class Acting(Protocol):
@@ -58,12 +58,23 @@ Hear = Callable[[Event], bool | None]
 """Takes an event, at once; returns whether replies about it should wait (`Durability`)."""
 
 
+class EventListener(Protocol):
+    """A feature that hears all events."""
+
+    on_event: Hear
+    failing: bool
+    """Whether it could not even take the event that another one is missing."""
+
+    def missed_event(self, event: Event, error: Exception, /) -> None:
+        """Handle an event at which the feature failed."""
+        ...
+
+
 class EventBus:
     """Passes each event to all listeners; costs nothing without any."""
 
     def __init__(self) -> None:
-        self.on_event: list[Hear] = []
-        """Those who listen; they raise nothing."""
+        self.listeners: list[EventListener] = []
 
     def note(
         self,
@@ -80,7 +91,7 @@ class EventBus:
         **facts: Any,
     ) -> bool:
         """Tell that something happened; return whether replies about it should wait."""
-        if not self.on_event:
+        if not self.listeners:
             return False
         return self.tell(
             Event(
@@ -100,6 +111,11 @@ class EventBus:
     def tell(self, event: Event) -> bool:
         """Tell of an event; return whether replies about it should wait."""
         wait = False
-        for listener in self.on_event:  # every listener gets the event
-            wait = bool(listener(event)) or wait
+        for listener in self.listeners:  # every listener gets the event
+            try:
+                if listener.on_event(event):
+                    wait = True
+                listener.failing = False
+            except Exception as error:  # a feature must not prevent commands or stops
+                listener.missed_event(event, error)
         return wait

@@ -15,7 +15,16 @@ from typing import Protocol
 
 from rcp_kernel.errors import EstopActive
 
-__all__ = ["Fenced", "check_fence", "fenced_off", "permit", "permitted", "unfenced"]
+__all__ = [
+    "Fenced",
+    "check_fence",
+    "end_permit",
+    "fenced_off",
+    "is_commanded",
+    "permit",
+    "permitted",
+    "unfenced",
+]
 
 
 class Fenced(Protocol):
@@ -55,6 +64,11 @@ def permit(unit: Fenced, stops: int) -> None:
     _permit.set((unit, stops))
 
 
+def end_permit() -> None:
+    """Run the rest of the current task without one: its robot has answered."""
+    _permit.set(None)
+
+
 @contextmanager
 def unfenced() -> Generator[None]:
     """Run the body without a permit: a stop, or work that outlives its request."""
@@ -69,6 +83,11 @@ def fenced_off() -> bool:
     """Tell whether the robot was stopped since what runs now was admitted."""
     permit = _permit.get()
     return permit is not None and permit[0].stops != permit[1]
+
+
+def is_commanded() -> bool:
+    """Tell whether what runs now was requested, and is not a stop of the gateway's own."""
+    return _permit.get() is not None
 
 
 def check_fence() -> None:

@@ -145,13 +145,14 @@ class Turns:
         """Begin something whose cost comes later: now if there is time, and in its owner's order."""
         if self._spent > _TURN or self._calls.get(owner):
             self.call(owner, partial(self._begin, start))
-        else:
-            self._begin(start)
-
-    def _begin(self, start: Callable[[], None]) -> None:
+            return
         self._spent += _START
         if not self._scheduled:
             self._schedule()
+        start()
+
+    def _begin(self, start: Callable[[], None]) -> None:
+        self._spent += _START
         start()
 
     async def wait(self, owner: Hashable) -> None:

@@ -45,6 +45,10 @@ class Call(msgspec.Struct, frozen=True):
     """The target: `entry.path`, `entry.resource`, `entry.moves`, `entry.tenant`."""
     value: Any
     """The value to be sent, of the resource's type."""
+    together: tuple[tuple[Entry, Any], ...] = ()
+    """All targets and values of a write of several paths as one, this one among them.
+
+    Each of them is a call of its own; guards are called for all of them before the robot is."""
 
     @property
     def rests(self) -> bool:

@@ -9,14 +9,20 @@ from typing import Any, Protocol
 from rcp_kernel.features.action import Action
 from rcp_kernel.model import Resource
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.registry import Registry
+from rcp_kernel.wire import Request
 
-__all__ = ["Filter", "Pages", "Service", "SystemResource", "View", "ViewChanges"]
+__all__ = ["Filter", "Pages", "Releases", "Service", "SystemResource", "View", "ViewChanges"]
 
 View = Callable[[Session], Any]
 """Returns the value of a resource for one reader."""
 
 Filter = Callable[[Session, Any], Any]
 """Returns the part of a sample that a session may see; None hides it."""
+
+
+Releases = Callable[[Request], bool]
+"""Returns whether a request only releases something; must neither block nor raise."""
 
 
 class Pages(Protocol):
@@ -56,6 +62,9 @@ class SystemResource:
     of its
     commands, filtered for each reader."""
 
+    releases: Releases | None = None
+    """Tells which `execute` only gives something up: it is never counted or refused by limits."""
+
     @property
     def path(self) -> str:
         """Its path in the tree."""
@@ -63,13 +72,13 @@ class SystemResource:
 
 
 class ViewChanges:
-    """Passes on samples and view changes of features."""
+    """Publishes samples and view changes of features."""
 
-    def __init__(self) -> None:
-        self.on_change: list[Callable[[str, Any], None]] = []
-        """Called with the path and the published sample."""
+    def __init__(self, registry: Registry) -> None:
+        self._entries = registry.entries
 
     def tell(self, path: str, value: Any = ()) -> None:
-        """Pass a sample on; the default only announces that a view has changed."""
-        for changed in self.on_change:
-            changed(path, value)
+        """Publish a sample; the default only announces that a view has changed."""
+        entry = self._entries.get(path)
+        if entry is not None:  # features are made before the tree of the gateway
+            entry.publish(value, None)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from rcp_conditions import Condition, Ref
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.spi import StopPlan
+from rcp_kernel.tree.entry import Entry, Owner
 from rcp_kernel.tree.samples import Sample
 
-__all__ = ["RobotConditions", "Robots"]
+__all__ = ["RobotConditions", "Robots", "SupervisedBackend"]
 
 
 class RobotConditions(Protocol):
@@ -32,8 +33,27 @@ class RobotConditions(Protocol):
         ...
 
 
+class SupervisedBackend(Owner, Protocol):
+    """A backend of the configuration, over all its lives; the `owner` of its entries."""
+
+    @property
+    def plans(self) -> Mapping[str, StopPlan]:
+        """What stops its robots without the gateway, by name: see `Host.guard`."""
+        ...
+
+    @property
+    def plans_changed(self) -> int:
+        """Number of changes of these."""
+        ...
+
+
 class Robots(Protocol):
     """The tree with all robots; only for the event loop's thread."""
+
+    @property
+    def backends(self) -> Sequence[SupervisedBackend]:
+        """The backends of the configuration; a live list."""
+        ...
 
     @property
     def entries(self) -> Mapping[str, Entry]:

@@ -5,7 +5,7 @@ In between, a command may be queued and the state may change. A dry run ends aft
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shutdown import Shutdown
@@ -17,7 +17,6 @@ from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
-from rcp_kernel.tree.entry import Entry
 
 __all__ = ["Admission"]
 
@@ -31,16 +30,12 @@ class Admission:
         events: CommandEvents,
         replies: ReplyGate,
         shutdown: Shutdown,
-        check_thaw: Callable[[Entry], None],
         guards: Sequence[Guard],
     ) -> None:
         self._resolver = resolver
         self._events = events
         self._replies = replies
         self._shutdown = shutdown
-        self._check_thaw = check_thaw
-        """Refuses requests that may have waited while the event loop was blocked and the robot
-        was stopped."""
         self._every = sorted(guards, key=lambda guard: guard.slot)
         self.active: tuple[Guard, ...] = ()
         """The active guards, in order."""
@@ -63,8 +58,7 @@ class Admission:
     def admit(self, call: Call) -> None:
         """Refuse a call that is not allowed now, before quotas and the last guards.
 
-        :raises StaleCommand: the request is older than its path allows, or was received in a
-            freeze.
+        :raises StaleCommand: the request is older than its path allows.
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises AlreadyRunning: the path moves something, and its robot is being brought to rest.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
@@ -77,16 +71,16 @@ class Admission:
         if entry.is_hold:  # everyone with the right to execute it may bring a robot to rest
             self._shutdown.check()
             return
-        if entry.barred:
+        if entry.barred and entry.unit.latch is not None:
             check_motion(entry)
-            self._check_thaw(entry)
-            check_hold(entry, call.value)
         if self.control and entry.tenant is not None:
             _ask(self.control, call)
+        if entry.barred and entry.unit.is_held:
+            check_hold(entry, call.value)
         if self._shutdown.begun:
             self._shutdown.check()
-        if self._replies.demands:
-            self._replies.check()
+        for demand in self._replies.demands:
+            demand.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if self._early:
@@ -99,6 +93,17 @@ class Admission:
         """
         if self._late:
             self._ask(self._late, call)
+
+    def ask_all(self, calls: Sequence[Call]) -> None:
+        """Call the last guards for several calls: each guard for all of them before the next.
+
+        The last one uses an approval up, after which nothing may refuse.
+
+        :raises RcpError: one refuses.
+        """
+        for guard in self._late:
+            for call in calls:
+                self._ask((guard,), call)
 
     def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
         if _concerns_guards(call):
@@ -125,13 +130,16 @@ class Admission:
         """
         entry, request = call.entry, call.request
         called = Operation.EXECUTE if request.type == "execute" else Operation.WRITE
-        self._resolver.check(call.session, entry, called)
+        if not call.session.rights.masks.get(entry.path, 0) & called.value:
+            self._resolver.check(call.session, entry, called)
         if request.timestamp is not None:
             check_age(entry, request.timestamp)
         if not entry.is_hold:
             if entry.barred:
-                check_motion(entry)
-                check_hold(entry, call.value)
+                if entry.unit.latch is not None:
+                    check_motion(entry)
+                if entry.unit.is_held:
+                    check_hold(entry, call.value)
             if self.control and entry.tenant is not None:
                 _confirm(self.control, call)
         backend = entry.owner.backend

@@ -14,7 +14,9 @@ from functools import partial
 from typing import Any
 
 from rcp_kernel.clock import Clock
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.fence import permit
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -48,6 +50,7 @@ __all__ = ["Commands"]
 
 Confirm = Callable[[Call], Backend]
 """Returns the backend of a command, or refuses the command under the current state."""
+_SERVICE_TIMEOUT = 10.0  # s for a service that declares none
 _QUEUE = 16  # commands queued per path
 _CANCEL_GRACE = 5.0  # s for a backend to bring a cancelled command to rest
 
@@ -58,17 +61,18 @@ class Commands:
     def __init__(
         self,
         journal: CommandJournal,
-        began: Callable[[Entry], None],
         turns: Turns,
+        deadlines: Deadlines,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
+        settings: Settings,
     ) -> None:
-        """`began` is called before a command runs, and must be cheap."""
         self._journal = journal
-        self._began = began
         self._turns = turns
+        self._deadlines = deadlines
         self._loop = loop
         self._now = clock.now
+        self._settings = settings
         self._active: dict[str, Command] = {}
         """The command that occupies each path whose policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -104,21 +108,22 @@ class Commands:
             details={"command": busy.id},
         )
 
-    def start(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
+    def start(self, command: Command, call: Call, confirm: Confirm) -> None:
         """Accept an admitted command and run it, now or when its path is free.
 
-        `timeout` (s) counts from its start, the request's deadline from now. `confirm` is called
-        when its turn comes, because the state may have changed while it waited.
+        The timeout of its path counts from its start, the request's deadline from now. `confirm` is
+        called when its turn comes, because the state may have changed while it waited.
         """
-        self._journal.open(command)
+        accepted = Record("accepted", self._now(), message="Command accepted.")
+        self._journal.write(command, accepted)
         entry = call.entry
         busy = self._active.get(entry.path)
-        if busy is None or _shared(entry):
-            self._run(command, call, timeout, confirm)
+        if busy is None or entry.parallel:
+            self._run(command, call, confirm)
         else:
             text = f"Waiting for command {busy.id} on {entry.path}."
             self._journal.write(command, Record("pending", self._now(), message=text))
-            self._starts[command.id] = partial(self._run, command, call, timeout, confirm)
+            self._starts[command.id] = partial(self._run, command, call, confirm)
             self._queue(command, call, busy)
 
     def _queue(self, command: Command, call: Call, busy: Command) -> None:
@@ -130,21 +135,28 @@ class Commands:
             self.cancel(busy, "preempted by a newer command")
         self._queues.setdefault(path, deque()).append(command)
         if deadline is not None:
-            command.timer = self._loop.call_later(deadline, self._expire, command, deadline)
+            missed = partial(self._expire, command, deadline)
+            command.deadline = self._deadlines.set(deadline, command, missed)
 
-    def _run(self, command: Command, call: Call, timeout: float | None, confirm: Confirm) -> None:
-        entry = call.entry
-        if entry.barred:
-            self._began(entry)
-        if not _shared(entry):
+    def _run(self, command: Command, call: Call, confirm: Confirm) -> None:
+        entry, deadline = call.entry, call.request.deadline
+        if not entry.parallel:
             self._active[entry.path] = command
         if entry.moves:
             entry.unit.lost = None
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")
         command.task.add_done_callback(partial(self._ended, command))
-        if timeout and command.timer is None:
-            command.timer = self._loop.call_later(timeout, self._expire, command, timeout)
+        if command.deadline is None:
+            timeout = entry.resource.timeout or (
+                _SERVICE_TIMEOUT
+                if entry.kind is Kind.SERVICE
+                else self._settings.limits.action_timeout
+            )
+            if deadline is not None:
+                timeout = min(timeout, deadline)
+            missed = partial(self._expire, command, timeout)
+            command.deadline = self._deadlines.set(timeout, command, missed)
 
     async def _carry_out(self, command: Command, call: Call, confirm: Confirm) -> Any:
         entry, work = call.entry, command.work
@@ -272,9 +284,9 @@ class Commands:
         self._starts.pop(following.id)()
 
     def _end(self, command: Command, outcome: Any) -> None:
-        if command.timer is not None:
-            command.timer.cancel()
-            command.timer = None
+        if command.deadline is not None:
+            self._deadlines.clear(command.deadline, command)
+            command.deadline = None
         if isinstance(outcome, RcpError):
             self._journal.write(command, _failed(command, outcome, self._now()))
         else:
@@ -301,12 +313,6 @@ class Commands:
             self.cancel(command, "the gateway is closing")
         if tasks:
             await asyncio.wait(tasks, timeout=_CANCEL_GRACE)
-
-
-def _shared(entry: Entry) -> bool:
-    """Return whether a path runs commands in parallel: the default of services."""
-    policy = entry.resource.policy
-    return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
 
 
 def _failed(command: Command, error: RcpError, moment: int) -> Record:

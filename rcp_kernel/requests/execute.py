@@ -12,18 +12,19 @@ from typing import Any, Protocol
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
-from rcp_kernel.model import Kind, Operation
+from rcp_kernel.features.frames import FrameConverter
+from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.exempt import is_exempt
+from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
@@ -45,7 +46,7 @@ from rcp_kernel.wire import FINAL, Reply, Request
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
-_SERVICE_TIMEOUT = 10.0  # s for a service that declares none
+_NOTHING = (b"", b"{}", b"null", b"\x80")  # bodies for a path without input
 
 
 class EstopLane(Protocol):
@@ -82,13 +83,14 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
+        exempt: Exemptions,
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
         replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
-        settings: Settings,
+        frames: FrameConverter,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._resolver = resolver
@@ -100,13 +102,14 @@ class ExecuteHandler:
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
+        self._is_exempt = exempt
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
         self._replies = replies
         self._partners = partners
         self._deadman = deadman
-        self._settings = settings
+        self._frames = frames
         self._loop = loop
 
     def execute_in_steps(
@@ -159,8 +162,13 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
-        value = self._input(request, entry) if prepared is None else prepared.run.input
-        if entry.path == "/system/estop":
+        if prepared is not None:
+            value = prepared.run.input
+        elif entry.resource.input is None and bytes(request.body) in _NOTHING:
+            value = None
+        else:
+            value = self._input(session, request, entry)
+        if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
@@ -203,7 +211,7 @@ class ExecuteHandler:
             self._keys.note(session, request, entry.path, command)
         if session.account is not None:
             count_command(session.account, command)
-        self._start(command, call)
+        self._commands.start(command, call, self._admission.confirm)
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
         return None
@@ -230,16 +238,7 @@ class ExecuteHandler:
         units = [entry.unit, *self._partners.of(entry)]
         command.work = Hold(units, self._commands, self._deadman)
         self._journal.follow(command, session, request, answer, started)
-        self._start(command, call)
-
-    def _start(self, command: Command, call: Call) -> None:
-        entry, deadline = call.entry, call.request.deadline
-        timeout = entry.resource.timeout or (
-            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._settings.limits.action_timeout
-        )
-        if deadline is not None:
-            timeout = min(timeout, deadline)
-        self._commands.start(command, call, timeout, self._admission.confirm)
+        self._commands.start(command, call, self._admission.confirm)
 
     def stops(self, session: Session, request: Request) -> bool:
         """Return whether a request brings a robot to rest."""
@@ -247,7 +246,9 @@ class ExecuteHandler:
             return False
         action = self._actions.get(request.path or "")
         if action is not None:
-            return action.stops(request, lambda one: is_exempt(one) or self.stops(session, one))
+            return action.stops(
+                request, lambda one: self._is_exempt(one) or self.stops(session, one)
+            )
         try:
             return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
         except RcpError:
@@ -338,9 +339,10 @@ class ExecuteHandler:
             self._keys.settle(session, request, entry.path, reply)
         return reply
 
-    def _input(self, request: Request, entry: Entry) -> Any:
-        if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
-            return None
+    def _input(self, session: Session, request: Request, entry: Entry) -> Any:
+        goal = self._frames.goal(session, request, entry)
+        if goal is not None:
+            return goal
         return request.decode_body(entry.input_type, f"input of {entry.label}")
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:

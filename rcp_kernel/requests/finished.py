@@ -39,7 +39,12 @@ class Finished:
 
     def add(self, command: Command) -> None:
         """Remember a command, at the cost of the oldest."""
-        size = _size(command)
+        size = _EMPTY
+        if not isinstance(command.input, SCALARS):
+            size += _length(command.input)
+        for step in command.history:
+            if step.body is not NO_BODY and not isinstance(step.body, SCALARS):
+                size += _length(step.body)
         self._known[command.id] = (command, size)
         self._bytes += size
         while len(self._known) > _KEPT or (self._bytes > _BYTES and len(self._known) > 1):
@@ -48,17 +53,7 @@ class Finished:
             self._forget(oldest)
 
 
-def _size(command: Command) -> int:
-    size = _EMPTY + _length(command.input)
-    for record in command.history:
-        if record.body is not NO_BODY:
-            size += _length(record.body)
-    return size
-
-
 def _length(value: Any) -> int:
-    if isinstance(value, SCALARS):
-        return 0
     if isinstance(value, LongValue):
         return value.size
     try:

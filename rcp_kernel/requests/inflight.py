@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from time import perf_counter
 from typing import Any
 
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.pending import Pending, to_internal_error
+from rcp_kernel.contract.fence import end_permit
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
-from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
+from rcp_kernel.errors import Cancelled, DeadlineExceeded, DuplicateRequest, QueueFull, RcpError
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Reply, Request, failure
 
 __all__ = ["InFlight"]
+
+Make = Callable[[Any], Reply]
+"""Makes the reply from the result of the work."""
 
 
 class InFlight:
@@ -28,20 +33,22 @@ class InFlight:
         settings: Settings,
         counts: RequestCounts,
         turns: Turns,
+        deadlines: Deadlines,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._settings = settings
-        self._counts = counts
+        self.counts = counts
         self._turns = turns
-        self._loop = loop
+        self.deadlines = deadlines
+        self.loop = loop
 
     def later(
         self,
         session: Session,
         request: Request,
         answer: Answer,
-        work: Any,
-        make: Callable[[Any], Reply],
+        work: Coroutine[Any, Any, Any],
+        make: Make,
         timeout: float,
         path: str | None,
         *,
@@ -54,51 +61,28 @@ class InFlight:
         :raises DuplicateRequest: the request's id is in flight in this session.
         :raises QueueFull: too many requests are in flight.
         """
-        started = perf_counter()
         try:
-            key = f"\0{secrets.token_hex(8)}" if urgent else self.claim(session, request)
+            key = f"\0{secrets.token_hex(8)}" if urgent else self.place(session, request)
         except RcpError:
             work.close()
             raise
-
-        def settle(result: Any, error: RcpError | None) -> None:
-            session.inflight.pop(key, None)
-            try:
-                reply = make(result) if error is None else None
-            except Exception as trouble:
-                reply, error = None, to_internal_error(trouble, path=path)
-            if reply is None:
-                assert error is not None
-                reply = failure(error, request.type, request.id, path)
-            reply.custom = request.custom
-            self._counts.conclude(session, reply, started)
-            answer(reply)
-
-        pending = session.inflight[key] = Pending(self._loop, work, timeout, settle, path)
+        session.inflight.add(key)
+        pending = _Pending(self, session, request, answer, work, make, timeout, path, key)
         if urgent:
             pending.start()
         else:
             self._turns.begin(session.principal.identity, pending.start)
 
-    def claim(self, session: Session, request: Request) -> str:
-        """Reserve a place among the session's unanswered requests.
+    def place(self, session: Session, request: Request) -> str:
+        """Return the place of a request among its session's unanswered ones.
 
         :raises DuplicateRequest: the id is in use.
         :raises QueueFull: there is no place left.
         """
-        key = self.place(session, request)
-        session.inflight[key] = None
-        return key
-
-    def place(self, session: Session, request: Request) -> str:
-        """Return the place that a request would have, and reserve none.
-
-        :raises DuplicateRequest, QueueFull: as `claim` does.
-        """
         inflight = session.inflight
         if len(inflight) >= self._settings.limits.in_flight:
             raise QueueFull(f"this session already has {len(inflight)} unanswered requests")
-        if request.id is None or session.stateless:
+        if request.id is None or (session.connection is None and session.stateless):
             return f"\0{secrets.token_hex(8)}"
         if request.id in inflight:
             raise DuplicateRequest(f"a request with the id '{request.id}' is still unanswered")
@@ -108,3 +92,95 @@ class InFlight:
         """Return the seconds a read or write may take."""
         own = entry.resource.timeout or self._settings.limits.deadline
         return min(own, request.deadline) if request.deadline is not None else own
+
+
+class _Pending:
+    """One request: its coroutine, its deadline, and exactly one final reply.
+
+    The deadline counts from now on; the coroutine runs from `start` on.
+    """
+
+    __slots__ = (
+        "_answer",
+        "_inflight",
+        "_key",
+        "_make",
+        "_path",
+        "_request",
+        "_session",
+        "_slot",
+        "_started",
+        "_task",
+        "_timeout",
+        "_work",
+    )
+
+    def __init__(
+        self,
+        inflight: InFlight,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        work: Coroutine[Any, Any, Any],
+        make: Make,
+        timeout: float,
+        path: str | None,
+        key: str,
+    ) -> None:
+        self._started = perf_counter()
+        self._inflight = inflight
+        self._session = session
+        self._request = request
+        self._answer: Answer | None = answer
+        self._work = work
+        self._make = make
+        self._timeout = timeout
+        self._path = path
+        self._key = key
+        self._task: asyncio.Task[None] | None = None
+        self._slot = inflight.deadlines.set(timeout, self, self._expire)
+
+    def start(self) -> None:
+        """Run the coroutine, unless the deadline has passed."""
+        if self._answer is None:
+            self._work.close()
+        else:
+            self._task = self._inflight.loop.create_task(self._run())
+
+    async def _run(self) -> None:
+        try:
+            result = await self._work
+        except asyncio.CancelledError:
+            self._finish(None, Cancelled("the request was cancelled", path=self._path))
+            raise
+        except Exception as error:
+            self._finish(None, to_internal_error(error, path=self._path))
+        else:
+            self._finish(result, None)
+
+    def _expire(self) -> None:
+        text = f"no answer from {self._path or 'the gateway'} within {self._timeout:g} s"
+        self._finish(None, DeadlineExceeded(text, path=self._path))
+        if self._task is not None:
+            self._task.cancel()
+
+    def _finish(self, result: Any, error: RcpError | None) -> None:
+        answer, self._answer = self._answer, None
+        if answer is None:
+            return
+        end_permit()  # what follows from the reply is not the robot's any more
+        inflight, session, request = self._inflight, self._session, self._request
+        inflight.deadlines.clear(self._slot, self)
+        session.inflight.discard(self._key)
+        reply = None
+        if error is None:
+            try:
+                reply = self._make(result)
+            except Exception as trouble:
+                error = to_internal_error(trouble, path=self._path)
+        if reply is None:
+            assert error is not None
+            reply = failure(error, request.type, request.id, self._path)
+        reply.custom = request.custom
+        inflight.counts.conclude(session, reply, self._started)
+        answer(reply)

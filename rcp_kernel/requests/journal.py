@@ -7,7 +7,7 @@ it is recorded; features decide whether its reply waits until the record is stor
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import structlog
 
@@ -19,8 +19,8 @@ from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.store.store import Store
 from rcp_kernel.wire import FINAL, Request
+from rcp_store.store import Store
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Answer, OwnCommand, Session
@@ -30,6 +30,16 @@ __all__ = ["CommandJournal"]
 log = structlog.get_logger("rcp.commands")
 _HISTORY = 64  # steps kept per command, always including the first and last
 _FOLLOWED = 256  # own commands remembered per session
+
+
+class StepListener(Protocol):
+    """A feature that hears each step of all commands."""
+
+    on_command: CommandListener
+
+    def missed_step(self, command: Command, step: Record, error: Exception, /) -> None:
+        """Handle a step at which the feature failed."""
+        ...
 
 
 class CommandJournal:
@@ -49,8 +59,8 @@ class CommandJournal:
         self._requests = counts
         self._replies = replies
         self._now = clock.now
-        self.on_step: list[CommandListener] = []
-        """Listeners of all commands, called before followers; they must not raise."""
+        self.listeners: list[StepListener] = []
+        """Listeners of all commands, called before followers."""
         self.running: dict[str, Command] = {}
         """Commands that have not ended, by id."""
         self.cut_off: list[Command] = []
@@ -77,14 +87,11 @@ class CommandJournal:
         """Return all known commands, newest first."""
         return [*reversed(self.running.values()), *self._finished.newest_first()]
 
-    def open(self, command: Command) -> None:
-        """Add an accepted command."""
-        self.running[command.id] = command
-        self.write(command, Record("accepted", self._now(), message="Command accepted."))
-
     def write(self, command: Command, step: Record) -> None:
-        """Record and report a step; a final one closes the command."""
+        """Record and report a step; the first one adds the command, a final one closes it."""
         status, history = step.status, command.history
+        if not history:
+            self.running[command.id] = command
         history.append(step)
         if len(history) > _HISTORY:
             del history[1]
@@ -92,13 +99,19 @@ class CommandJournal:
             self._close(command, step)
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
-        for hear in self.on_step:
-            hear(command, step)
+        self._tell(command, step)
         for follower in tuple(command.followers):
             follower(command, step)
         if status in FINAL:
             command.asker = command.request = command.work = None
             command.followers.clear()
+
+    def _tell(self, command: Command, step: Record) -> None:
+        for listener in self.listeners:
+            try:
+                listener.on_command(command, step)
+            except Exception as error:  # a feature must not prevent commands or stops
+                listener.missed_step(command, step, error)
 
     def _close(self, command: Command, last: Record) -> None:
         command.finished = last.time
@@ -123,19 +136,20 @@ class CommandJournal:
     def tell_cut_off(self) -> None:
         """Report the interrupted commands to the listeners of all commands."""
         for command in self.cut_off:
-            for hear in self.on_step:
-                hear(command, command.history[-1])
+            self._tell(command, command.history[-1])
 
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float
     ) -> None:
         """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: see `InFlight.claim`.
+        :raises DuplicateRequest, QueueFull: see `InFlight.place`.
         """
-        key = self._inflight.claim(session, request)
-        answer = self._replies.held(answer, request)
-        if not session.stateless:
+        key = self._inflight.place(session, request)
+        session.inflight.add(key)
+        if self._replies.demands:
+            answer = self._replies.held(answer, request)
+        if session.connection is not None or not session.stateless:
             session.commands[command.id] = command
             if len(session.commands) > _FOLLOWED:
                 _forget_finished(session.commands)
@@ -144,7 +158,7 @@ class CommandJournal:
             reply = command.reply(step)
             reply.id = request.id  # others may follow the same command with their own request ids
             if step.status in FINAL:
-                session.inflight.pop(key, None)
+                session.inflight.discard(key)
                 self._requests.conclude(session, reply, started)
             answer(reply)
 

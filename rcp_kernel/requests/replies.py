@@ -33,14 +33,6 @@ class ReplyGate:
         self._settings = settings
         self._loop = loop
 
-    def check(self) -> None:
-        """Refuse a write or command whose reply could not be released.
-
-        :raises QueueFull: a feature cannot store its records.
-        """
-        for demand in self.demands:
-            demand.check()
-
     @property
     def lost(self) -> int:
         """Number of unrecorded events; if it has increased, the last one is unconfirmed."""
@@ -62,14 +54,14 @@ class ReplyGate:
         limit = request.deadline or self._settings.limits.deadline
         if entry is not None:
             limit = min(limit, entry.resource.timeout or limit)
-        return self._until(answer, limit)
+        until = self._loop.time() + limit
+        for demand in self.demands:
+            answer = partial(demand.hold, answer, until)
+        return answer
 
     def follower(self, answer: Answer) -> Answer:
         """Return a callback that passes on the replies to a further follower of a command."""
-        return self._until(answer, self._settings.limits.deadline)
-
-    def _until(self, answer: Answer, limit: float) -> Answer:
-        until = self._loop.time() + limit
+        until = self._loop.time() + self._settings.limits.deadline
         for demand in self.demands:
             answer = partial(demand.hold, answer, until)
         return answer

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Sequence
 from typing import Any
 
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import RcpError
+from rcp_kernel.features import Call
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.sessions.session import Answer, Session
@@ -32,16 +35,22 @@ class RequestEvents:
         `hide`: the value belongs to other paths than the request's.
         """
         error = reply.error or {}
-        wait = self._events.note(
-            "denial",
-            principal=session.principal,
-            session=session,
-            request=request,
-            hide=hide,
-            path=reply.path,
-            outcome=error.get("code", "internal"),
-            message=reply.message,
-        )
+        faults: list[dict[str, Any]] = [{**error, "path": reply.path}]
+        if request.type == "write" and request.path is None:  # its value has those of all paths
+            details: dict[str, Any] = error.get("details") or {}
+            hide, faults = True, details.get("faults", faults)
+        wait = False
+        for fault in faults:
+            wait |= self._events.note(
+                "denial",
+                principal=session.principal,
+                session=session,
+                request=request,
+                hide=hide,
+                path=fault.get("path"),
+                outcome=fault.get("code", "internal"),
+                message=fault.get("message", reply.message),
+            )
         return self._gate.held(answer, request) if wait else answer
 
     def unwelcome(self, session: Session, reply: Reply, answer: Answer) -> Answer:
@@ -88,6 +97,32 @@ class RequestEvents:
                     facts={"message": reply.message},
                 )
             )
+            answer(reply if gate.lost == lost else gate.confirmed(reply, lost))
+
+        return done
+
+    def written_together(self, session: Session, calls: Sequence[Call], answer: Answer) -> Answer:
+        """Return a receiver that reports the outcome of each write of several, as `written` does.
+
+        They share a `together`, because a client need not give an id.
+        """
+        gate, together = self._gate, secrets.token_hex(8)
+
+        def done(reply: Reply) -> None:
+            lost = gate.lost
+            for call in calls:
+                self._events.tell(
+                    Event(
+                        what="write",
+                        principal=session.principal,
+                        session=session,
+                        request=call.request,
+                        tenant=call.entry.tenant,
+                        path=call.entry.path,
+                        outcome="ok" if reply.error is None else reply.error["code"],
+                        facts={"message": reply.message, "together": together},
+                    )
+                )
             answer(gate.confirmed(reply, lost))
 
         return done

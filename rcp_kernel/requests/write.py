@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable, Mapping
-from copy import copy
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -19,11 +16,13 @@ from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.admission import Admission
-from rcp_kernel.requests.idempotency import Keys
+from rcp_kernel.requests.atomic_write import AtomicWriteHandler, DryRun
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
+from rcp_kernel.sessions.command import LinkLost
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -35,9 +34,6 @@ from rcp_kernel.wire import Body, Reply, Request
 from rcp_protocol.structure import LONG
 
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
-
-DryRun = Callable[[Call], Mapping[str, Any]]
-"""Returns the features' part of the reply to a dry run."""
 
 _UNCHANGED = (Refused, DeviceRejected)
 """Errors that mean that the robot's state is unchanged."""
@@ -55,11 +51,11 @@ class WriteHandler:
         *,
         events: CommandEvents,
         dry_run: DryRun,
-        keys: Keys,
+        keyed: KeyedWrites,
         replies: ReplyGate,
         request_events: RequestEvents,
         turns: Turns,
-        loop: asyncio.AbstractEventLoop,
+        atomic: AtomicWriteHandler,
     ) -> None:
         self._resolver = resolver
         self._admission = admission
@@ -67,32 +63,37 @@ class WriteHandler:
         self._deadman = deadman
         self._events = events
         self._dry_run = dry_run
-        self._keys = keys
+        self._keyed = keyed
         self._replies = replies
         self._request_events = request_events
         self._turns = turns
-        self._loop = loop
+        self._atomic = atomic
 
     def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Start a write; a repetition with the same idempotency key waits for the first outcome."""
+        if request.path is None:
+            return self._atomic.write(session, request, answer)
         entry = self._resolver.resolve(session, request.path, Operation.WRITE)
         value = request.decode_body(entry.value_type, entry.label)
         keyed = request.idempotency_key is not None
-        first = self._keys.find(session, request, entry.path) if keyed else None
-        if isinstance(first, asyncio.Future):
+        first = self._keyed.find(session, request, entry.path) if keyed else None
+        if first is not None:
             held = self._replies.held(answer, request, entry)
-            self._repeat(first, session, request, entry, held)
+            timeout = self._inflight.deadline(request, entry)
+            self._keyed.repeat(first, session, request, entry.path, timeout, held)
             return None
         call = Call(session, request, entry, value)
         self._admission.admit(call)
-        window = self._deadman.window(entry, request)
+        window = entry.resource.valid_for
+        if request.valid_for is not None:
+            window = self._deadman.window(entry, request)
         self._admission.ask(call)
         if request.dry_run:
             facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
         held = self._replies.held(answer, request, entry)
         if keyed:
-            held = self._noting(session, request, entry, held)
+            held = self._keyed.note(session, request, entry.path, held)
         noted = self._request_events.written(session, request, entry, held)
         try:
             self._inflight.later(
@@ -105,7 +106,7 @@ class WriteHandler:
                 entry.path,
             )
         except RcpError:
-            self._keys.forget(session, request, entry.path)
+            self._keyed.forget(session, request, entry.path)
             raise
         return None
 
@@ -113,6 +114,8 @@ class WriteHandler:
         """Return whether a request brings an actuator to rest, so that no rate limit may refuse it."""
         if request.type != "write" or len(request.body) > LONG:
             return False
+        if request.path is None:
+            return self._atomic.stops(session, request)
         try:
             entry = self._resolver.resolve(session, request.path, Operation.WRITE)
             if entry.resource.safe is None:
@@ -124,7 +127,7 @@ class WriteHandler:
     async def _bring_into_force(self, call: Call, window: float | None, stops: int) -> Sample:
         request, entry, value = call.request, call.entry, call.value
         if request.idempotency_key is not None:
-            await self._keys.committed()
+            await self._keyed.committed()
         permit(entry.unit, stops)
         task = self._deadman.departed(entry)
         try:
@@ -167,6 +170,9 @@ class WriteHandler:
                 deadman.disarm(entry, guard)
             if isinstance(error, RcpError):
                 error.origin = error.origin or entry.owner.name
+            elif isinstance(error, (ConnectionError, TimeoutError)):
+                text = f"the link to the robot failed: {error or type(error).__name__}"
+                raise LinkLost(text, origin=entry.owner.name) from error
             elif isinstance(error, Exception):
                 raise attribute_error(error, entry.owner.name, entry.path) from error
             raise
@@ -178,38 +184,6 @@ class WriteHandler:
         if window is not None and value != safe_value(entry):
             deadman.arm(entry, window)
         return entry.publish(actual, None)
-
-    def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
-        """Store a write under its idempotency key, so that a repetition is not executed."""
-        outcome: asyncio.Future[Reply] = self._loop.create_future()
-        self._keys.note(session, request, entry.path, outcome)
-
-        def noted(reply: Reply) -> None:
-            outcome.set_result(reply)
-            self._keys.settle(session, request, entry.path, reply)
-            answer(reply)
-
-        return noted
-
-    def _repeat(
-        self,
-        first: asyncio.Future[Reply],
-        session: Session,
-        request: Request,
-        entry: Entry,
-        answer: Answer,
-    ) -> None:
-        def again(done: Reply) -> Reply:
-            reply = copy(done)
-            reply.id = request.id
-            return reply
-
-        timeout = self._inflight.deadline(request, entry)
-        self._inflight.later(session, request, answer, _outcome(first), again, timeout, entry.path)
-
-
-async def _outcome(first: asyncio.Future[Reply]) -> Reply:
-    return await asyncio.shield(first)
 
 
 def _written(request: Request, entry: Entry, sample: Sample) -> Reply:

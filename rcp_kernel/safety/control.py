@@ -6,14 +6,17 @@ principal as a whole: `Session.holder`.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 
 from rcp_kernel.errors import Refused
 from rcp_kernel.model import Kind, Operation
+from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.command import Command, CommandTable
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.entry import Entry, Owner
 
 __all__ = ["Control"]
 
@@ -61,6 +64,38 @@ class Control:
         """
         if entry.resource.safe is not None:
             self._deadman.stop(entry)
+
+    @property
+    def in_force(self) -> set[str]:
+        """The paths with a write that is valid for a time, in flight, or to be stopped."""
+        return self._deadman.paths
+
+    def holds(self, entry: Entry) -> bool:
+        """Return whether a command, or a stop that is not confirmed, is in force on an actuator."""
+        return self._deadman.holds(entry)
+
+    def end_stopped(self, owner: Owner, reason: str) -> asyncio.Task[None] | None:
+        """End the commands of a backend whose robots were stopped by something else.
+
+        Nothing that was admitted before reaches them. Return the hold that keeps them at rest until
+        they confirm it or it is cancelled; None without a connection.
+        """
+        whole = owner.unit(None)
+        whole.count_stop()
+        for entry in owner.entries.values():
+            if entry.moves:
+                self._deadman.cancel_writes(entry)
+        for command in list(self._commands.running.values()):
+            entry = command.entry
+            if entry is not None and entry.owner is owner and entry.barred:
+                self._commands.cancel(command, reason)
+        if owner.backend is None:
+            return None
+        held = ExitStack()  # from now on, not from when the task first runs
+        held.enter_context(whole.held())
+        hold = retry_until_confirmed(whole.hold, "hold_failed", backend=owner.name)
+        hold.add_done_callback(lambda _: held.close())
+        return hold
 
     def bring_to_rest(self, entries: Iterable[Entry]) -> None:
         """Stop the values in force or in flight on some resources; returns at once.

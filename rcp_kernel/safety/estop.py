@@ -19,6 +19,7 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import Stop, StopController
@@ -381,7 +382,7 @@ class Estop:
         return DeviceTimeout(
             f"latched, but not confirmed at rest: {', '.join(names)}; the gateway keeps "
             "sending the stop",
-            path="/system/estop",
+            path=ESTOP,
             remedy="Use the robot's own emergency stop. /system/estop shows when it is at rest.",
             details={"robots": {stop.unit.name: stop.plain() for stop in shown}},
         )

@@ -7,13 +7,16 @@ repeated until the robot confirms, and stays latched.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
+
+import structlog
 
 from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
 from rcp_kernel.safety.retry import retry_until_confirmed
+from rcp_kernel.safety.shared_handle import Cancellable, Shared
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
@@ -27,6 +30,7 @@ __all__ = [
     "safe_value",
 ]
 
+log = structlog.get_logger("rcp.safety")
 _UNTAKEN = 0.25  # s that the robot may not take a safe value before its other backends are halted
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 
@@ -50,10 +54,9 @@ def check_hold(entry: Entry, value: Any) -> None:
 
     :raises AlreadyRunning: a hold has not ended yet.
     """
-    unit = entry.unit
-    if unit.is_held and entry.barred and not is_safe(entry, value):
+    if entry.unit.is_held and entry.barred and not is_safe(entry, value):
         raise AlreadyRunning(
-            f"{unit.name} is being brought to rest",
+            f"{entry.unit.name} is being brought to rest",
             path=entry.path,
             remedy="Send the command again when the robot is at rest.",
         )
@@ -99,7 +102,6 @@ class Deadman:
         self,
         loop: asyncio.AbstractEventLoop,
         *,
-        began: Callable[[Entry], None],
         sending: Callable[[Entry, Any], None],
         at_rest: Callable[[Entry, Any], None],
         untaken: Callable[[Entry], list[asyncio.Task[None]]],
@@ -107,27 +109,25 @@ class Deadman:
     ) -> None:
         """Create the dead-man, which brings expired commands to rest.
 
-        `began` is called before a write is sent, and when its window starts, and must be fast;
-        `sending`
-        when a safe value is being sent; `at_rest` when it is in force, or the whole robot is
-        brought to rest. `untaken` is called to stop the robot by other means while a safe value is
-        not accepted, and returns the tasks. `note` records expired commands and accepted safe
-        values.
+        `sending` is called when a safe value is being sent; `at_rest` when it is in force, or the
+        whole robot is brought to rest. `untaken` is called to stop the robot by other means while a
+        safe value is not accepted, and returns the tasks. `note` records expired commands and
+        accepted safe values.
         """
         self._loop = loop
-        self._began = began
         self._sending = sending
         self._at_rest = at_rest
         self._untaken = untaken
         self._note = note
-        self._timers: dict[str, asyncio.TimerHandle] = {}
-        self._stops: dict[str, asyncio.Task[None]] = {}
+        self._timers: dict[str, Cancellable] = {}
+        self._stops: dict[str, Cancellable] = {}
         self._flights: dict[str, set[asyncio.Task[Any]]] = {}
         """Writes that the robot has not answered yet."""
         self.leaving: dict[str, set[asyncio.Task[Any]]] = {}
         """Cancelled writes that have not ended yet: nothing may overtake them."""
         self.lapsed = 0
         """Number of expired commands."""
+        self._closed = False
 
     def window(self, entry: Entry, request: Request) -> float | None:
         """Return for how many seconds a write is valid, or None without a limit.
@@ -149,8 +149,6 @@ class Deadman:
 
         Return the task, to be passed to `arrived` when it has ended in any way.
         """
-        if entry.barred:
-            self._began(entry)
         task = asyncio.current_task()
         assert task is not None
         self._flights.setdefault(entry.path, set()).add(task)
@@ -253,13 +251,37 @@ class Deadman:
 
     def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
         """Start the window of a write that is now in force; return the argument of `disarm`."""
-        self._began(entry)
         self.begin(entry)
         with unfenced():  # it outlives the write
             timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
         return timer
 
-    def disarm(self, entry: Entry, timer: asyncio.TimerHandle | None) -> None:
+    def arm_together(self, entries: Sequence[Entry], seconds: float) -> dict[str, Cancellable]:
+        """Start one window for several actuators of a backend, which come to rest together.
+
+        A later write to one of them ends only its own part. Return the arguments of `disarm`, by
+        path.
+        """
+        shared = Shared(entries)
+
+        def lapse() -> None:
+            due = shared.take()
+            for entry in due:
+                del self._timers[entry.path]
+            self.lapsed += len(due)
+            self._start_together(due)
+            for entry in due:
+                self._note(entry, "lapsed")
+
+        for entry in entries:
+            self.begin(entry)
+        with unfenced():  # it outlives the write
+            timer = self._loop.call_later(seconds, lapse)
+        parts = shared.parts(lambda left: None if left else timer.cancel())
+        self._timers |= parts
+        return parts
+
+    def disarm(self, entry: Entry, timer: Cancellable | None) -> None:
         """End a window, unless that of another write has taken its place."""
         if timer is not None and self._timers.get(entry.path) is timer:
             timer.cancel()
@@ -270,6 +292,50 @@ class Deadman:
         self.lapsed += 1
         self._start(entry)
         self._note(entry, "lapsed")
+
+    def _start_together(self, entries: Sequence[Entry]) -> None:
+        """Bring several actuators to rest with one call; one by one if that does not succeed."""
+        if len(entries) == 1:
+            self._start(entries[0])
+            return
+        shared = Shared(entries)
+        task = self._loop.create_task(self._stop_together(shared), name="dead-man of several")
+
+        def leave(left: list[Entry]) -> None:
+            task.cancel()
+            shared.take()
+            self._start_each(left)
+
+        self._stops |= shared.parts(leave)
+
+    def _start_each(self, entries: Sequence[Entry]) -> None:
+        if not self._closed:
+            for entry in entries:
+                self._start(entry)
+
+    async def _stop_together(self, shared: Shared) -> None:
+        entries = shared.left
+        try:
+            async with asyncio.timeout(_UNTAKEN):
+                await self._write_safe(entries)
+        except Exception as error:
+            log.warning("deadman_stop_failed", error=repr(error), path=entries[0].path)
+            self._start_each(shared.take())
+            return
+        for entry in shared.take():
+            del self._stops[entry.path]
+            safe = safe_value(entry)
+            self._at_rest(entry, safe)
+            entry.publish(safe, None)
+            self._note(entry, "ok")
+
+    async def _write_safe(self, entries: Sequence[Entry]) -> None:
+        owner = entries[0].owner
+        if owner.backend is None:
+            raise owner.unavailable()
+        for entry in entries:
+            self._sending(entry, safe_value(entry))
+        await owner.backend.write_together({e.name: safe_value(e) for e in entries})
 
     async def _stop(self, entry: Entry) -> None:
         safe = safe_value(entry)
@@ -288,6 +354,7 @@ class Deadman:
 
     def close(self) -> None:
         """Discard all windows; the backends are halted by their owner."""
+        self._closed = True
         for handle in (*self._timers.values(), *self._stops.values()):
             handle.cancel()
 

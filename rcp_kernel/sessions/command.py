@@ -172,8 +172,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     """Whether it was passed to the robot, which may act on it from then on."""
     unrecorded: bool = False
     """Whether a step of it is missing in the record, so that its success is not confirmed."""
-    timer: asyncio.TimerHandle | None = None
-    """Ends the command at its deadline."""
+    deadline: int | None = None
+    """The slot of its deadline."""
     _listed: _Listed | None = None
     _names: frozenset[str] | None = None
     """What is named once it has ended: nothing changes after that."""
@@ -267,7 +267,7 @@ CommandListener = Callable[[Command, Record], None]
 
 
 class LinkLost(AdapterUnavailable):
-    """The link failed while a command was with the robot, which may have begun to act."""
+    """The link failed while a command or write was with the robot, which may have begun to act."""
 
     status = "failed"
     retryable = False

@@ -13,6 +13,7 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.turns import Turns, Work
@@ -23,7 +24,7 @@ from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Handler, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.sessions.unsent import ESTOP, left_out
+from rcp_kernel.sessions.unsent import left_out
 from rcp_kernel.streams.outbound import SHARE, SMALL, Outbound
 from rcp_kernel.streams.outbox import FlushScheduler, Outbox
 from rcp_kernel.values import Encoding, value_type
@@ -183,7 +184,10 @@ class Connection:
                     reply = prompt.data
                     outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
                     return
-            self._carry_out(request)
+            if request.type == "hello":
+                self._hello(request)
+            else:
+                self._handle(self.session, request, self.session.deliver)
         except RcpError as error:
             self._refuse(data, error)
         except Exception as error:
@@ -212,7 +216,10 @@ class Connection:
                 request = yield from self._parts.prepare(self.session, request)
             if not self.closed:
                 self._held = None  # a `hello` may start to hold messages itself
-                self._carry_out(request)
+                if request.type == "hello":
+                    self._hello(request)
+                else:
+                    self._handle(self.session, request, self.session.deliver)
         except RcpError as error:
             self._refuse(data, error)
         except Exception as error:
@@ -229,12 +236,6 @@ class Connection:
         self._parts.counts.count(self.session.transport, type_, error.code)
         self.send(failure(error, type_, id_))
 
-    def _carry_out(self, request: Request) -> None:
-        if request.type == "hello":
-            self._hello(request)
-        else:
-            self._handle(self.session, request, self.session.deliver)
-
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
         internal = to_internal_error(error, session=self.session.id)
@@ -250,12 +251,16 @@ class Connection:
         if reply.command is not None:
             if reply.status == "in_progress":
                 outbox.feedback[reply.command] = partial(self._encode_feedback, reply)
-                outbox.mark()
+                if not outbox.dirty:
+                    outbox.mark()
                 return
             last = outbox.feedback.pop(reply.command, None)
             if last is not None:
                 outbox.put(last())
-        data = self.encode(reply)
+        try:
+            data = encode_reply(reply, self.encoding)
+        except Exception as error:
+            data = self._encode_failure(reply, error)
         if len(data) > SMALL and reply.path != ESTOP and outbox.backlog.refuses(len(data)):
             data = self.encode(left_out(reply, len(data)))
         outbox.put(data)
@@ -272,9 +277,12 @@ class Connection:
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
-            internal = to_internal_error(error, path=reply.path)
-            substitute = failure(internal, reply.type, reply.id, reply.path, command=reply.command)
-            return encode_reply(substitute, self.encoding)
+            return self._encode_failure(reply, error)
+
+    def _encode_failure(self, reply: Reply, error: Exception) -> bytes:
+        internal = to_internal_error(error, path=reply.path)
+        substitute = failure(internal, reply.type, reply.id, reply.path, command=reply.command)
+        return encode_reply(substitute, self.encoding)
 
     def _encode_feedback(self, reply: Reply) -> bytes:
         """Write feedback, which never ends its command: without the body if that cannot be written."""

@@ -21,7 +21,6 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_reply
 
 if TYPE_CHECKING:
-    from rcp_kernel.contract.pending import Pending
     from rcp_kernel.sessions.account import SessionAccount
     from rcp_kernel.streams.outbound import Backlog
     from rcp_kernel.streams.outbox import Outbox
@@ -161,7 +160,8 @@ class Session:
         """Its connection when it was replaced by another session: unanswered requests are answered there."""
         self.subscriptions: dict[str, Subscription] = {}
         self.commands: dict[str, OwnCommand] = {}
-        self.inflight: dict[str, Pending | None] = {}
+        self.inflight: set[str] = set()
+        """The unanswered requests, by id."""
         self.created = clock.now()
         self.monotonic = clock.monotonic
         """The time by which its requests are paced."""

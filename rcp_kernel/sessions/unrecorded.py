@@ -19,4 +19,6 @@ def unrecorded(reply: Reply, why: str = "could not be written in time") -> Reply
     )
     substitute = failure(unknown, reply.type, reply.id, reply.path, command=reply.command)
     substitute.custom = reply.custom
+    assert substitute.error is not None
+    substitute.error["retryable"] = False  # it may have been executed
     return substitute

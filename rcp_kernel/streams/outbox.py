@@ -173,6 +173,7 @@ class Outbox:
         self.encoding = encoding
         self.text = encoding is Encoding.JSON
         self.dirty = False
+        """Whether a tick follows; a transport sets it during a read, to send the replies itself."""
         self.framing: Framing | None = None
         """Frames for the transport, see `send_frames`."""
         self.direct: Callable[[list[bytes]], bool] | None = None
@@ -207,7 +208,8 @@ class Outbox:
         if self.waiting > SHARE:
             self.weigh()
         if not self.dirty:
-            self.mark()
+            self.dirty = True
+            self._ticker.mark(self)
 
     def put_first(self, data: bytes) -> None:
         """Queue a control message ahead of all others."""
@@ -231,18 +233,6 @@ class Outbox:
         """
         self.framing = self.direct = None
         self.takes_long = long
-
-    def gather(self) -> None:
-        """Suspend marking for the next tick until the transport calls `settle` at the end of a read."""
-        self.dirty = True
-
-    def settle(self, *, alone: bool) -> bytes | None:
-        """End `gather`; return the only queued message, if it may be sent `alone`."""
-        self.dirty = False
-        if alone and len(self.control) == 1 and not (self.pending or self.feedback):
-            self.waiting = 0
-            return self.control.pop()
-        return None
 
     def hand(self, buffered: int) -> None:
         """Set the number of bytes that the transport has written and the client has not read."""
@@ -332,8 +322,11 @@ class Outbox:
             self.waiting = 0
         else:
             out = self._take(budget)
-        if self.feedback and not self.control:
-            self._take_feedback(out, budget)
+        room = budget
+        while self.feedback and not self.control and room > 0:
+            data = self.feedback.pop(next(iter(self.feedback)))()
+            room -= len(data)
+            out.append(data)
         if self.backlog.size:
             self.weigh()
         if out and wrap is not None:
@@ -341,7 +334,9 @@ class Outbox:
         elif out and self.framing is not None:
             text = self.text
             frame = self.framing
-            if long:  # the head is a separate part, so that a long body is not copied
+            if len(out) == 1 and not long:
+                out[0] = frame(len(out[0]), text) + out[0]
+            elif long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]
             else:
                 out = [frame(len(data), text) + data for data in out]
@@ -380,12 +375,6 @@ class Outbox:
         del self.control[:count]
         self.waiting -= size
         return out
-
-    def _take_feedback(self, out: list[bytes], budget: int) -> None:
-        while self.feedback and budget > 0:
-            data = self.feedback.pop(next(iter(self.feedback)))()
-            budget -= len(data)
-            out.append(data)
 
 
 def _urgency(feed: PendingPath) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, RcpError
 from rcp_kernel.model import MOVING, Resource, kind_of
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, check_fence
 
@@ -66,6 +66,8 @@ class ScriptedRobot(BaseBackend):
         self.stopped: asyncio.Queue[str] = asyncio.Queue()
         """The names of actions whose cancellation reached it."""
         self.writes: list[tuple[str, Any]] = []
+        self.together: list[dict[str, Any]] = []
+        """The values that were written as one."""
         self.ran: list[tuple[str, Any]] = []
         """The commands that reached it, including refused ones."""
         self.watched: list[tuple[str, float | None]] = []
@@ -120,6 +122,27 @@ class ScriptedRobot(BaseBackend):
             raise DeviceRejected("busy")
         self.writes.append((name, value))
         force = await self.takes[name](value) if name in self.takes else None
+        self._bring_into_force(name, value, force)
+        return force
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Take several values as one, if all of `takes` do; what is refused changes nothing."""
+        await self.reach()
+        check_fence()
+        forces: dict[str, Any] = {}
+        for name, value in values.items():
+            try:
+                forces[name] = await self.takes[name](value) if name in self.takes else None
+            except RcpError as error:
+                error.path = name
+                raise
+        check_fence()
+        self.together.append(dict(values))
+        for name, value in values.items():
+            self._bring_into_force(name, value, forces[name])
+        return {name: force for name, force in forces.items() if force is not None}
+
+    def _bring_into_force(self, name: str, value: Any, force: Any) -> None:
         self.values[name] = value if force is None else force
         resource = self._resources.get(name)
         if resource is not None and _moves(resource):
@@ -127,7 +150,6 @@ class ScriptedRobot(BaseBackend):
                 self.moving.add(name)
             elif self.obeys:
                 self.moving.discard(name)
-        return force
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run the behaviour until it is completed, cancelled, stopped or the link is lost."""

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
-from rcp_kernel.spi import Backend, MotionState, RobotFacts
+from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType, value_type
@@ -118,6 +118,7 @@ class Entry:
         "operations",
         "output_type",
         "owner",
+        "parallel",
         "path",
         "resource",
         "ring",
@@ -154,6 +155,9 @@ class Entry:
         """Whether it may move something."""
         self.barred = self.moves or resource.energises
         """Whether a latched e-stop refuses it."""
+        policy = resource.policy
+        self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
+        """Whether commands run beside each other: the default of services."""
         self.is_hold = False
         """Whether it is the gateway's own verb that brings the robot to rest without an e-stop."""
         self.live = resource.live
@@ -194,8 +198,9 @@ class Entry:
         received = self._now()
         self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
-        if self.latest is not None:
-            self.latest.forget_encodings()
+        latest = self.latest
+        if latest is not None and latest.bodies:  # they are made again on use
+            latest.bodies, latest.tails = {}, {}
         self.latest = sample
         self._heard = self._monotonic()
         self.ring.append(sample)
@@ -238,7 +243,9 @@ class StopGroup:
         "_released",
         "_stopped",
         "_stops",
+        "anchor",
         "facts",
+        "frames",
         "identity",
         "keys",
         "lost",
@@ -269,6 +276,10 @@ class StopGroup:
         robot may still carry out."""
         self.facts = RobotFacts()
         """What its backend says of it."""
+        self.anchor: Anchor | None = None
+        """Where one of its frames is fixed to the earth."""
+        self.frames: FrameTree | None = None
+        """The transforms between its frames, if its backend receives them."""
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches
@@ -296,9 +307,10 @@ class StopGroup:
     @property
     def latch(self) -> Latch | None:
         """The e-stop that holds it, or None."""
-        if self._latches is None:
+        latches, retired = self._latches, self.whole.retired
+        if latches is None or (retired is None and not latches.held):
             return None
-        return self.whole.retired or self._latches.of(self.keys)
+        return retired or latches.of(self.keys)
 
     @property
     def stops(self) -> int:

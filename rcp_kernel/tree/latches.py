@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.store.latch_file import GATEWAY, LATCHES
-from rcp_kernel.store.store import Store
+from rcp_store.latch_file import GATEWAY, LATCHES
+from rcp_store.store import Store
 
 __all__ = ["GATEWAY", "Latch", "Latches", "robot_key", "tenant_key"]
 
@@ -54,13 +54,11 @@ class Latches:
         self._store = store
         self.on_change: list[Callable[[], None]] = []
         """Called after every change."""
-        self._held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
+        self.held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
 
     def of(self, keys: tuple[str, ...]) -> Latch | None:
         """Return what holds a robot: its keys below the gateway's, the narrowest first."""
-        held = self._held
-        if not held:
-            return None
+        held = self.held
         for key in (*keys, GATEWAY):
             latch = held.get(key)
             if latch is not None and latch.freed.isdisjoint(keys):
@@ -70,32 +68,32 @@ class Latches:
     @property
     def wide(self) -> dict[str, Latch]:
         """The latches of tenants and of the gateway, by key."""
-        return {key: latch for key, latch in self._held.items() if _wide(key)}
+        return {key: latch for key, latch in self.held.items() if _wide(key)}
 
     def set(self, key: str, by: str, reason: str | None) -> None:
         """Latch; an older latch of the same key is kept and applies to all again."""
-        latch = self._held.get(key)
+        latch = self.held.get(key)
         if latch is None:
-            latch = self._held[key] = Latch(by, reason)
+            latch = self.held[key] = Latch(by, reason)
         latch.freed.clear()
         self._keep(key, latch)
 
     def reset(self, key: str, wider: Iterable[str]) -> None:
         """Release a key's robots, even from wider latches, except the gateway's."""
         for narrower in self._within(key):
-            del self._held[narrower]
+            del self.held[narrower]
             self._keep(narrower, None)
         for other in {*wider, GATEWAY} - {key}:
-            latch = self._held.get(other)
+            latch = self.held.get(other)
             if latch is not None:
                 latch.freed.add(key)
                 self._keep(other, latch)
 
     def _within(self, key: str) -> list[str]:
         if key == GATEWAY:
-            return list(self._held)
+            return list(self.held)
         below = key + "/"  # the robots of a backend, or of a tenant
-        return [held for held in self._held if held == key or held.startswith(below)]
+        return [held for held in self.held if held == key or held.startswith(below)]
 
     def _keep(self, key: str, latch: Latch | None) -> None:
         kept: dict[str, Any] | None = None

@@ -69,9 +69,9 @@ class Sample(Body):
     """
 
     __slots__ = (
-        "_bodies",
         "_time",
         "_value",
+        "bodies",
         "entry",
         "native",
         "received",
@@ -92,7 +92,8 @@ class Sample(Body):
             native = _natives[kind] = isinstance(value, Native)
         self.native: Native | None = value if native else None
         self._value = value
-        self._bodies: dict[Any, bytes] | None = None
+        self.bodies: dict[Any, bytes] | None = None
+        """The encodings made so far, by encoding, or encoding and fields; None before the check."""
         self._time: str | None = None
         self.tails: dict[Any, bytes] = {}
         """The tails made so far, by encoding, or encoding and fields."""
@@ -113,13 +114,13 @@ class Sample(Body):
     @property
     def value(self) -> Any:
         """The typed value, validated."""
-        if self._bodies is None:
+        if self.bodies is None:
             self._check()
         return self._value
 
     def encoded(self, encoding: Encoding) -> bytes:
         """Return the value as bytes of the encoding."""
-        bodies = self._bodies
+        bodies = self.bodies
         if bodies is None:
             bodies = self._check()
         body = bodies.get(encoding)
@@ -133,19 +134,19 @@ class Sample(Body):
 
     def encode_in_steps(self) -> Generator[None]:
         """Validate a long value and encode it as JSON, in steps."""
-        if self._bodies is None and self.native is None:
+        if self.bodies is None and self.native is None:
             try:
                 value, json = yield from self.entry.value_type.check_in_steps(self._value)
             except Exception:  # readers of the value get the error
                 return
-            if self._bodies is None:
+            if self.bodies is None:
                 self._value = value
-                self._bodies = {} if json is None else {Encoding.JSON: json}
+                self.bodies = {} if json is None else {Encoding.JSON: json}
 
     def projected(self, encoding: Encoding, fields: tuple[str, ...]) -> bytes:
         """Return only some fields of the value as bytes of the encoding."""
         value = self.value
-        bodies = self._bodies
+        bodies = self.bodies
         assert bodies is not None
         body = bodies.get((encoding, fields))
         if body is None:
@@ -203,17 +204,11 @@ class Sample(Body):
         key = b"\xa4body" if encoding is Encoding.MSGPACK else b"\x64body"
         return b"".join((facts[1:], key, body))  # without the map's own head
 
-    def forget_encodings(self) -> None:
-        """Discard the encodings; they are created again on use."""
-        if self._bodies:
-            self._bodies = {}
-            self.tails = {}
-
     def weight(self) -> int:
         """Estimate the memory of the value in bytes."""
         if self.native is not None:
             return len(self.native.data)
-        if self._bodies is None and is_long(self._value):
+        if self.bodies is None and is_long(self._value):
             with suppress(Exception):  # `encoded` says why; it checks the value, which takes longer
                 return len(msgspec.msgpack.encode(self._value))
         return len(self.encoded(Encoding.MSGPACK))
@@ -222,13 +217,13 @@ class Sample(Body):
         try:
             if self.native is not None:
                 self._value = self.native.decode()
-                self._bodies = {}
+                self.bodies = {}
             else:
                 self._value, json = self.entry.value_type.check(self._value)
-                self._bodies = {} if json is None else {_JSON: json}
+                self.bodies = {} if json is None else {_JSON: json}
         except Exception as error:
             raise self._fault(error) from error
-        return self._bodies
+        return self.bodies
 
     def _fault(self, error: Exception) -> DeviceRejected:
         why = error.message if isinstance(error, RcpError) else f"{type(error).__name__}: {error}"

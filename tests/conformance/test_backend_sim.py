@@ -65,6 +65,12 @@ class SimRig(StopRig):
             return (0.5, 1.0)
         return ({"linear": {"x": 0.4}, "angular": {"z": 0.2}}, {"linear": {"x": 0.1}})
 
+    @asynccontextmanager
+    async def refusing(self, name: str) -> AsyncGenerator[None]:
+        self.backend.device.strike(FaultSpec("refuse", target=name))
+        yield
+        self.backend.device.clear_faults()
+
     async def break_link(self) -> None:
         device = self.backend.device
         device.strike(FaultSpec("link_lost"))

@@ -44,6 +44,8 @@ class Lift(BaseBackend):
 
     def __init__(self, options: Options, host: Host) -> None:
         self.host, self.height, self.limit, self.moving = host, options.start, 2.0, False
+        self.floor = 0.0
+        self.refused: set[str] = set()
 
     def declare(self) -> None:
         self.host.declare(
@@ -97,7 +99,14 @@ def suite_of(kind: type[Lift]) -> BackendSuite:
 
     class LiftSuite(BackendSuite):
         async def truth(self, name: str) -> Any:
-            return {"param/limit": self.backend.limit}.get(name, self.backend.height)
+            lift = self.backend
+            return {"param/limit": lift.limit, "param/floor": lift.floor}.get(name, lift.height)
+
+        @asynccontextmanager
+        async def refusing(self, name: str) -> AsyncGenerator[None]:
+            self.backend.refused = {name}
+            yield
+            self.backend.refused = set()
 
         async def at_rest(self) -> bool:
             return not self.backend.moving
@@ -131,6 +140,57 @@ async def prove(suite: BackendSuite, test: str) -> None:
 async def test_a_lift_without_a_flaw_passes(test: str) -> None:
     with suppress(pytest.skip.Exception):
         await prove(suite_of(Lift), test)
+
+
+class Pair(Lift):
+    """Has two settings that it takes as one."""
+
+    def declare(self) -> None:
+        super().declare()
+        facts: dict[str, Any] = {"value": Metres, "examples": (3.0, 4.0), "atomic": "limits"}
+        self.host.declare(
+            Resource(name="param/limit", description="Limit.", **facts),
+            Resource(name="param/floor", description="Lowest height.", **facts),
+        )
+
+    async def read(self, name: str) -> Any:
+        return self.floor if name == "param/floor" else await super().read(name)
+
+    async def write(self, name: str, value: Any) -> Any:
+        if name in self.refused:
+            raise DeviceRejected("locked")
+        if name == "param/floor":
+            self.floor = value
+        else:
+            self.limit = value
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        if self.refused & values.keys():
+            raise DeviceRejected("locked")
+        for name, value in values.items():
+            await self.write(name, value)
+        return {}
+
+
+PAIR = [name for name in TESTS if "written_as_one" in name or "keeps_the_others" in name]
+
+
+@pytest.mark.parametrize("test", PAIR)
+async def test_a_lift_that_takes_two_settings_as_one_passes(test: str) -> None:
+    await prove(suite_of(Pair), test)
+
+
+class OneByOne(Pair):
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        for name, value in values.items():
+            await self.write(name, value)
+        return {}
+
+
+class OneOnly(Pair):
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        await self.write(*next(iter(values.items())))
+        return {}
 
 
 class Deaf(Lift):
@@ -214,6 +274,8 @@ class Forgetful(Lift):
 
 
 FLAWS: list[tuple[type[Lift], str]] = [
+    (OneByOne, "test_one_that_the_device_refuses_keeps_the_others_from_it"),
+    (OneOnly, "test_what_is_written_as_one_is_in_force_as_a_whole"),
     (Deaf, "test_a_write_changes_the_device"),
     (Lenient, "test_a_write_changes_the_device"),
     (Crude, "test_nothing_but_typed_errors_escapes"),

@@ -14,7 +14,7 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
-from kernel.world import CONFIG, Client, Robot, World, prepared, world_of
+from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared, world_of
 from rcp_kernel.app import plugins
 from rcp_kernel.app.features import active
 from rcp_kernel.app.reload import reload
@@ -205,6 +205,35 @@ async def test_a_listener_with_a_bug_keeps_neither_a_session_nor_a_stop_from_its
         assert [one["feature"] for one in said if one["event"] == "feature_failed"] == [
             "broken"
         ] * 3
+
+
+async def test_a_follower_of_robots_with_a_bug_keeps_no_robot_from_being_stopped() -> None:
+    robots: list[Robot] = []
+    config = parse(NONE, "test")
+
+    def make(_table: NoKeys, host: FeatureHost) -> Feature:
+        def fails(*_facts: Any) -> None:
+            raise ZeroDivisionError
+
+        host.robots.follow(fails, fails)
+        host.robots.follow_state(fails)
+        return Feature()
+
+    features = msgspec.structs.replace(
+        config, features={"bug": True} | dict.fromkeys(BUILTIN, False)
+    )
+    made = active(features, {"bug": FeatureKind("bug", NoKeys, make)}, "test")
+    made = msgspec.structs.replace(prepared(config, robots), features=made)
+    async with running(made) as server:
+        robot, client = robots[-1], Client(server.client_api, "operator-operator")
+        assert (await client.ask(**DRIVE, valid_for=BOUND))["status"] == "completed"
+        halts = robot.halts
+        stopped = await client.ask(type="execute", path="/system/estop", body={})
+        assert robot.halts > halts
+        assert (stopped["status"], robot.moving) == ("completed", set())
+        robot.remove("sensor/level")
+        gone = await client.ask(type="read", path="/sensor/level")
+        assert gone["error"]["code"] == "unknown_path"
 
 
 async def test_a_guard_with_a_bug_refuses_and_the_robot_is_left_alone() -> None:

@@ -142,6 +142,7 @@ async def test_what_has_acted_and_could_not_be_recorded_is_not_confirmed() -> No
             for told in (reply, again):
                 assert told["error"]["code"] == "deadline_exceeded"
                 assert told["error"]["details"] == {"outcome": "completed"}
+                assert told["error"]["retryable"] is False
             box.broken = frozenset()
             assert (await client.ask(**envelope))["status"] == "completed"
         assert len(robot.writes) == 2

@@ -48,6 +48,49 @@ class Wanting(msgspec.Struct, frozen=True):
     y: float
 
 
+class Closed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A field, and nothing else."""
+
+    x: float
+    title: str = ""
+
+
+class Silent(msgspec.Struct, frozen=True):
+    """A field that is left out at times."""
+
+    x: float
+    y: float | msgspec.UnsetType = msgspec.UNSET
+
+
+class Other(msgspec.Struct, frozen=True):
+    """A field that means something else if it is left out."""
+
+    x: float
+    title: str = "untitled"
+
+
+class Tree(msgspec.Struct, frozen=True):
+    """A type that contains itself."""
+
+    x: float
+    branches: list[Tree] = []
+
+
+class Twig(msgspec.Struct, frozen=True):
+    """Another one, with a field more."""
+
+    x: float
+    y: float = 0.0
+    branches: list[Twig] = []
+
+
+class Leafy(msgspec.Struct, frozen=True):
+    """Another one, of texts."""
+
+    x: str
+    branches: list[Leafy] = []
+
+
 SMALL: Any = Annotated[int, Meta(ge=0, le=5)]  # a longer one may be a text in JSON
 OWN: list[Any] = [
     float,
@@ -122,6 +165,17 @@ def test_a_type_stands_in_for_itself(type_: Any) -> None:
         (Open, Wanting, False, False),
         (Any, float, False, True),
         (float, Any, True, False),
+        (Open, Closed, False, True),
+        (Closed, Open, True, True),
+        (Wanting, Silent, True, False),
+        (Open, Other, False, True),
+        (Tree, Twig, True, True),
+        (Tree, Leafy, False, False),
+        (tuple[float, float], list[str], False, False),
+        (list[str], tuple[float, float], False, False),
+        (tuple[float, float], tuple[float, float, float], False, False),
+        (tuple[float, float], list[float], True, False),
+        (list[float], tuple[float, float], False, True),
     ],
     ids=str,
 )
@@ -135,6 +189,20 @@ class Joints(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The joints that there are."""
 
     elbow: Annotated[float, Meta(ge=-1, le=1)] | None = None
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (Literal["a"], Literal["b"]),
+        (Annotated[float, Meta(ge=0, le=1)], Annotated[float, Meta(ge=2)]),
+        (Annotated[float, Meta(ge=0)], Annotated[float, Meta(le=-1)]),
+        (tuple[float, float], tuple[float, float, float]),
+    ],
+    ids=str,
+)
+def test_limits_leave_something(old: Any, new: Any) -> None:
+    assert unaccepted(value_type(old).schema, value_type(new).schema, limits=True)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 import rcp_sim
 from docs.pages import DOCS
 from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.model import BRANCHES, Kind, Operation
 from rcp_kernel.testing._schemas import numbers_without_unit
 from rcp_kernel.tree.registry import _checked
 from rcp_kernel.types import PoseStamped, quantity
@@ -110,6 +111,12 @@ class Narrow(m.MoveTo, frozen=True, kw_only=True, forbid_unknown_fields=True):
     frame: Annotated[str, msgspec.Meta(pattern="^map$")] = "map"
 
 
+class Elsewhere(m.MoveTo, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """With another frame where none is given."""
+
+    frame: str = "odom"
+
+
 class Vague(m.MoveFeedback, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """With a distance that may be missing."""
 
@@ -152,6 +159,11 @@ BREAKING: dict[str, Callable[[], Profile]] = {
     "/frame is bounded by pattern": lambda: changed("action/move_to", input=Narrow),
     "/distance_remaining may be null": lambda: changed("action/move_to", feedback=Vague),
     "action/move_to, feedback is gone": lambda: changed("action/move_to", feedback=None),
+    "action/move_to: gateway is True, not None": lambda: changed("action/move_to", gateway=True),
+    "sensor/pose offers write": lambda: changed(
+        "sensor/pose", operations=BRANCHES[Kind.SENSOR] | Operation.WRITE
+    ),
+    "/frame is odom if left out, not map": lambda: changed("action/move_to", input=Elsewhere),
     "it includes drive/1.0 no longer": lambda: replace(MOBILE, includes=()),
 }
 ADDING: dict[str, Callable[[], Profile]] = {

@@ -306,7 +306,7 @@ class Socket(WSListener):
 
     def write_frames(self, parts: list[bytes]) -> None:
         """Send framed data, with as few writes as there are long parts."""
-        if self._gone():
+        if not self.open or self._raw.is_closing():
             return
         if len(parts) == 1:
             self._raw.write(parts[0])

@@ -145,7 +145,7 @@ class WsClient:
         outbox = self._outbox
         if not self._began:
             self._began = perf_counter()
-            outbox.gather()
+            outbox.dirty = True  # no tick: `settled` sends the replies
         try:
             # Segments are reassembled for authenticated clients only. `in` would take twice as
             # long as `find`: it first tries to take the word for the number of a byte.
@@ -172,7 +172,7 @@ class WsClient:
         """Count the time of a frame that is not a whole message."""
         if not self._began:
             self._began = perf_counter()
-            self._outbox.gather()
+            self._outbox.dirty = True
         elif perf_counter() - self._began > _TURN:
             self._gate.end_turn()
 
@@ -205,10 +205,16 @@ class WsClient:
         """Send the replies to the messages of one read."""
         outbox, socket = self._outbox, self._socket
         began, self._began = self._began, 0.0
-        only = outbox.settle(alone=self._plain and socket.writable)
-        if only is not None:
-            socket.reply(only)
-        elif outbox.more or not self._plain:
+        outbox.dirty = False
+        if (
+            len(outbox.control) == 1
+            and self._plain
+            and socket.writable
+            and not (outbox.pending or outbox.feedback)
+        ):
+            outbox.waiting = 0
+            socket.reply(outbox.control.pop())
+        elif not self._plain or outbox.control or outbox.feedback or outbox.pending:
             self.flush()
         # Kept messages are counted in the turn that they waited for.
         if began and not self._gate.handing and (spent := perf_counter() - began) > _COUNTED:
@@ -324,45 +330,44 @@ class WsClient:
 
     def flush(self) -> None:
         """Send pending data, if the socket accepts it."""
+        socket, outbox = self._socket, self._outbox
         try:
-            self._flush()
+            if self.connection.expelled:
+                self._flush_last()
+                return
+            if socket.writable:
+                if not self._plain:
+                    self._send_messages()
+                elif parts := outbox.collect():
+                    socket.write_frames(parts)
+            if not socket.writable:
+                outbox.hand(socket.buffered)
+            else:
+                if outbox.buffered:
+                    outbox.hand(0)
+                if outbox.control or outbox.feedback or outbox.pending:
+                    outbox.again()
             if self._gate.paused:
                 self._gate.review()
         except Exception as error:
             self._broken(error)
 
-    def _flush(self) -> None:
-        socket, outbox = self._socket, self._outbox
-        if self.connection.expelled:
-            self._flush_last()
-            return
-        if not socket.writable:
-            outbox.hand(socket.buffered)
-            return
-        self._send_some()
-        if socket.writable:
-            outbox.hand(0)
-            outbox.again()
-        else:
-            outbox.hand(socket.buffered)
-
-    def _send_some(self) -> None:
-        """Send as much as one turn allows."""
-        socket, outbox = self._socket, self._outbox
+    def _send_messages(self) -> None:
+        """Send as much as one turn allows, compressed or in segments."""
         if self._outgoing.size is not None:
             self._flush_cut(self._outgoing, self._outgoing.size)
-        elif not self._plain:
-            if messages := outbox.collect():
-                socket.write(messages)
-        elif parts := outbox.collect():
-            socket.write_frames(parts)
+        elif messages := self._outbox.collect():
+            self._socket.write(messages)
 
     def _flush_last(self) -> None:
         """Send the remaining data before the end, which may include its reason."""
         self._gate.close()
         outbox = self._outbox
         for _ in range(_LAST):
-            self._send_some()
+            if not self._plain:
+                self._send_messages()
+            elif parts := outbox.collect():
+                self._socket.write_frames(parts)
             if not (outbox.control or outbox.feedback or self._outgoing.busy):
                 break
         self._close(_POLICY, "the session has ended or moved to another connection")

@@ -89,6 +89,10 @@ class Robot:
         """See `Client.write`."""
         return self._do(self._client.write, path, value, **options)
 
+    def write_all(self, values: Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """See `Client.write_all`."""
+        return self._do(self._client.write_all, values, **options)
+
     def execute(self, path: str, input: Any = None, **options: Any) -> Any:  # noqa: A002
         """See `Client.execute`."""
         return self._do(self._client.execute, path, input, **options)

@@ -120,6 +120,8 @@ def discover(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--field", "fields", multiple=True, metavar="NAME",
               help="Only this field (position.x); can be repeated.")  # fmt: skip
+@click.option("--frame", metavar="NAME",
+              help="The frame of the values: map, base_link, earth.")  # fmt: skip
 @click.option(
     "--fresh", is_flag=True, help="Read from the robot, even if a recent value is available."
 )
@@ -131,8 +133,7 @@ def read(ctx: click.Context, **arguments: Any) -> int:
 
 @rcpctl.command(context_settings=_WITH_VALUE)
 @_common
-@click.argument("path")
-@click.argument("value")
+@click.argument("words", nargs=-1, required=True, metavar="PATH VALUE | PATH=VALUE...")
 @click.option("--valid-for", type=float, metavar="SECONDS",
               help="Time after which the gateway stops the robot unless the value is written "
                    "again.")  # fmt: skip
@@ -143,7 +144,10 @@ def read(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def write(ctx: click.Context, **arguments: Any) -> int:
-    """Write VALUE to PATH and print the value now in effect."""
+    """Write VALUE to PATH and print the value now in effect.
+
+    PATH=VALUE, several times, writes several paths of one robot as one: all of them or none.
+    """
     return _run(ctx, "write", **arguments)
 
 
@@ -213,6 +217,8 @@ def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
 )
 @click.option("--field", "fields", multiple=True, metavar="NAME",
               help="Only this field (position.x); can be repeated.")  # fmt: skip
+@click.option("--frame", metavar="NAME",
+              help="The frame of the values: map, base_link, earth.")  # fmt: skip
 @click.option("--reliable", is_flag=True, help="Deliver every sample in order, or fail.")
 @click.option("--initial/--no-initial", default=True, help="Start with the current value [yes].")
 @click.pass_context

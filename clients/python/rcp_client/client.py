@@ -30,9 +30,15 @@ def _reading(
     path: str,
     fields: Sequence[str] | None,
     fresh: bool,  # noqa: FBT001 - as its callers call it
+    frame: str | None,
     limit: int | None = None,
 ) -> dict[str, Any]:
-    options = {"fields": list(fields) if fields else None, "fresh": fresh or None, "limit": limit}
+    options = {
+        "fields": list(fields) if fields else None,
+        "fresh": fresh or None,
+        "frame": frame,
+        "limit": limit,
+    }
     return kept({"type": "read", "path": path, "body": kept(options) or None})
 
 
@@ -75,15 +81,16 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
+        frame: str | None = None,
         type: Any = None,  # noqa: A002 - the natural name
         deadline: float | None = None,
     ) -> Any:
         """Return the current value of a path, or the list of all items of a pattern.
 
-        `fields` selects some fields (`position.x`), `fresh` reads from the robot itself, and `type`
-        decodes the value to a msgspec type.
+        `fields` selects some fields (`position.x`), `fresh` reads from the robot itself,
+        `frame` names the frame of the value (`earth`), and `type` decodes it to a msgspec type.
         """
-        reply = await self.sample(path, fields=fields, fresh=fresh, deadline=deadline)
+        reply = await self.sample(path, fields=fields, fresh=fresh, frame=frame, deadline=deadline)
         return reply.body if type is None else value_type(type).convert(reply.body)
 
     async def sample(
@@ -92,13 +99,14 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
+        frame: str | None = None,
         deadline: float | None = None,
     ) -> Reply:
         """Read a path and return the whole reply: value, number, source time, freshness.
 
         For a pattern, all pages are fetched; `pages` yields them one by one.
         """
-        return await joined(self.channel.ask, _reading(path, fields, fresh), deadline)
+        return await joined(self.channel.ask, _reading(path, fields, fresh, frame), deadline)
 
     async def pages(
         self,
@@ -106,6 +114,7 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
+        frame: str | None = None,
         limit: int | None = None,
         deadline: float | None = None,
     ) -> AsyncGenerator[list[dict[str, Any]]]:
@@ -113,7 +122,7 @@ class Client:
 
         `deadline` applies to all pages together, in s.
         """
-        envelope = _reading(pattern, fields, fresh, limit)
+        envelope = _reading(pattern, fields, fresh, frame, limit)
         async for reply in pages(self.channel.ask, envelope, deadline):
             yield reply.body
 
@@ -146,6 +155,38 @@ class Client:
         )
         reply = await self.channel.ask({**envelope, "body": plain(value)}, "keyed")
         return reply.body
+
+    async def write_all(
+        self,
+        values: Mapping[str, Any],
+        *,
+        valid_for: float | None = None,
+        dry_run: bool = False,
+        idempotency_key: str | None = None,
+        approval: str | None = None,
+        deadline: float | None = None,
+    ) -> dict[str, Any]:
+        """Write several paths of one robot as one, all or none; return the values in force.
+
+        They must be of one `atomic` group (`discover`). The options are those of `write`, and
+        concern all of them.
+
+        :raises RcpError: of the first that is refused; `details["faults"]` names all that are.
+        """
+        envelope = kept(
+            {
+                "type": "write",
+                "valid_for": valid_for,
+                "dry_run": dry_run or None,
+                "idempotency_key": idempotency_key or new_key(),
+                "approval": approval,
+                "deadline": deadline,
+            }
+        )
+        reply = await self.channel.ask({**envelope, "body": plain(values)}, "keyed")
+        if dry_run:
+            return dict(zip(values, reply.body, strict=True))
+        return {path: item["body"] for path, item in zip(values, reply.body, strict=True)}
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -354,6 +395,7 @@ class Client:
         deadband: Any = None,
         where: dict[str, Any] | None = None,
         fields: Sequence[str] | None = None,
+        frame: str | None = None,
         history: int | str | None = None,
         initial: bool | None = None,
         reliable: bool = False,
@@ -382,6 +424,7 @@ class Client:
             "deadband": deadband,
             "where": where,
             "fields": list(fields) if fields else None,
+            "frame": frame,
             "history": history,
             "initial": initial,
             "qos": qos,

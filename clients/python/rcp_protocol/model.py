@@ -238,6 +238,9 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
     others do not."""
     energises: bool = False
     """Whether it arms the robot or applies torque; refused during an e-stop."""
+    atomic: str | None = None
+    """Name of the group of resources that the backend can write as one (`Backend.write_together`);
+    None: it is only written by itself."""
     history: int = 128
     """Samples kept for `history` and for resuming subscriptions."""
     native: str | None = None

@@ -11,6 +11,8 @@ import type {
 
 export interface ReadOptions {
   fields?: string[];
+  /** The frame of the value: `map`, `base_link`, `earth`. */
+  frame?: string;
   /** Ask the robot, even where a sample is at hand. */
   fresh?: boolean;
   deadline?: number;
@@ -163,6 +165,18 @@ export class Client<T extends Catalogue = Untyped> {
   async write<P extends Paths<T["writes"]>>(path: P, value: Of<T["writes"], P>, options: WriteOptions = {}): Promise<any> {
     const valid = options.validFor === undefined ? {} : { valid_for: options.validFor };
     return (await this.#ask({ type: "write", path, body: value, ...valid, ...this.#command(options) })).body;
+  }
+
+  /** Write several paths of one robot as one, all or none: those of one `atomic` group. Returns the values now in force. */
+  async writeAll<P extends Paths<T["writes"]>>(
+    values: { [K in P]: Of<T["writes"], K> },
+    options: WriteOptions = {},
+  ): Promise<Record<P, any>> {
+    const valid = options.validFor === undefined ? {} : { valid_for: options.validFor };
+    const reply = await this.#ask({ type: "write", body: values, ...valid, ...this.#command(options) });
+    const items = reply.body as { body?: any }[];
+    const facts = items.map((item) => (options.dryRun ? item : item.body));
+    return Object.fromEntries(Object.keys(values).map((path, number) => [path, facts[number]])) as Record<P, any>;
   }
 
   execute<P extends Paths<T["commands"]>>(

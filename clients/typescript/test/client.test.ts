@@ -72,6 +72,11 @@ test("read, write, and refusals with their code, details and remedy", async () =
   assert.equal(await client.write("/param/speed_limit", 0.7), 0.7);
   assert.equal((await client.read("/param/speed_limit")).value, 0.7);
   await client.write("/param/speed_limit", 1);
+  const both = { "/actuator/cmd_vel": { linear: { x: 0 } }, "/param/speed_limit": 0.8 };
+  assert.equal((await client.writeAll(both))["/param/speed_limit"], 0.8);
+  await client.write("/param/speed_limit", 1);
+  const wrong = await refusal(client.writeAll({ ...both, "/param/speed_limit": 9 }));
+  assert.equal((wrong.details as any).faults[0].code, "out_of_range");
   const error = await refusal(client.write("/param/speed_limit", 9));
   assert.equal(error.code, "out_of_range");
   assert.equal(error.details["unit"], "m/s");

@@ -21,7 +21,7 @@ class BackendSuite(
     """All tests of a backend.
 
     Give `kind` (and `config`), `truth` for what can be written, `goals` for what can be executed,
-    `at_rest` for what moves, and `break_link` with `mend_link` where the link can be cut::
+    `at_rest` for what moves, `refusing` for what is written as one, and `break_link` with `mend_link` where the link can be cut::
 
         class TestTurtle(BackendSuite):
             kind = rcp_turtle.TURTLE
@@ -56,6 +56,13 @@ class BackendSuite(
             missing.append("at_rest() is not given, and it has actions")
         if self.link_breaks and BackendTests.mend_link in (own.mend_link, own.break_link):
             missing.append("of break_link() and mend_link() only one is given")
+        if self.groups() and own.refusing is BackendTests.refusing:
+            missing.append("refusing() is not given, and it writes several as one")
+        missing += [
+            f"{group[0].name} is alone in its group '{group[0].atomic}'"
+            for group in self.groups()
+            if len(group) == 1
+        ]
         missing += [
             f"values() gives fewer than two for {resource.name}"
             for resource in robot.having(Operation.WRITE)

@@ -179,6 +179,13 @@ class BackendTests(Suite):
         made = [*resource.examples, *legal(value_type(resource.value).schema)]
         return [value for i, value in enumerate(made) if value not in made[:i]]
 
+    def refusing(self, name: str) -> AbstractAsyncContextManager[None]:
+        """Have the device refuse writes of one resource while entered.
+
+        Needed of a backend that writes several as one (`Resource.atomic`).
+        """
+        raise NotImplementedError
+
     async def break_link(self) -> None:
         """Cut the link between backend and device."""
         raise NotImplementedError
@@ -225,6 +232,14 @@ class BackendTests(Suite):
         """The backend, open in a gateway, for one test."""
         async with self.opened() as robot:
             yield robot
+
+    def groups(self) -> list[list[Resource]]:
+        """List the groups of resources that are written as one, of one robot each."""
+        found: dict[tuple[str | None, str], list[Resource]] = {}
+        for resource in self.running.having(Operation.WRITE):
+            if resource.atomic is not None:
+                found.setdefault((resource.robot, resource.atomic), []).append(resource)
+        return list(found.values())
 
     def moving(self) -> list[Resource]:
         """List what moves something."""

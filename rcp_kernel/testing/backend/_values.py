@@ -9,6 +9,7 @@ from typing import Any
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Operation, Resource
+from rcp_kernel.testing._client import Message
 from rcp_kernel.testing._schemas import beyond, legal, same
 from rcp_kernel.testing.backend._base import BackendTests, Robot, kind_of_resource, offers
 from rcp_kernel.values import value_type
@@ -93,3 +94,44 @@ class ValueTests(BackendTests):
             assert reply["error"]["code"] == "invalid_value", (resource.name, reply)
             after = await self.typed_truth(resource)
             assert same(before, after), f"{resource.name} went from {before!r} to {after!r}"
+
+    async def test_what_is_written_as_one_is_in_force_as_a_whole(self, robot: Robot) -> None:
+        for group in self.groups():
+            for values in self._settings(group):
+                reply = await self._write_together(robot, values)
+                assert reply["status"] == "completed", reply
+                for resource, item in zip(group, reply["body"], strict=True):
+                    truth = await self.typed_truth(resource)
+                    assert same(truth, item["body"]), f"{resource.name}: the device has {truth!r}"
+
+    async def test_one_that_the_device_refuses_keeps_the_others_from_it(self, robot: Robot) -> None:
+        for group in self.groups():
+            still, other = self._settings(group)
+            reply = await self._write_together(robot, still)
+            assert reply["status"] == "completed", reply
+            before = [await self.typed_truth(resource) for resource in group]
+            for refused in (group[1], group[0]):
+                async with self.refusing(refused.name):
+                    reply = await self._write_together(robot, other)
+                assert reply["status"] in ("failed", "rejected"), reply
+                after = [await self.typed_truth(resource) for resource in group]
+                assert same(before, after), f"{refused.name} refused: {before!r} to {after!r}"
+            reply = await self._write_together(robot, other)
+            assert reply["status"] == "completed", reply
+
+    def _settings(self, group: list[Resource]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return two settings of a group: one that lasts without being repeated, and another."""
+        first, second = dict[str, Any](), dict[str, Any]()
+        for resource in group:
+            values = self.values(resource.name)
+            has_rest = resource.safe is not None
+            first[resource.name] = self.safe(resource) if has_rest else values[0]
+            second[resource.name] = self.unsafe(resource) if has_rest else values[1]
+        return first, second
+
+    async def _write_together(self, robot: Robot, values: dict[str, Any]) -> Message:
+        limited = any(robot.resources[name].safe is not None for name in values)
+        # No dead-man may act in between, on however slow a machine.
+        lasting: dict[str, Any] = {"valid_for": _LASTING} if limited else {}
+        body = {robot.path(name): value for name, value in values.items()}
+        return await robot.client.request("write", body=body, **lasting)

@@ -182,6 +182,67 @@ async def test_the_gateways_dead_man_stops_a_robot_whose_time_stands_still() -> 
         assert robot.simulation.time == 0.0
 
 
+async def test_a_zero_ends_a_trip_that_has_replaced_a_velocity() -> None:
+    async with gateway() as robot:
+        await robot.good("write", "actuator/cmd_vel", {"linear": {"x": 0.5}}, valid_for=600.0)
+        trip = await robot.begin("action/move_to", FAR)
+        await robot.step(100)
+        await robot.good("write", "actuator/cmd_vel", {})
+        await robot.step(100)
+        assert (await robot.operator.final(trip))["status"] == "failed"
+        assert robot.device.robot.wheels.trip is None
+
+
+async def test_the_dead_man_of_a_velocity_does_not_end_the_trip_that_replaced_it() -> None:
+    async with gateway() as robot:
+        await robot.good("write", "actuator/cmd_vel", {"linear": {"x": 0.5}}, valid_for=0.05)
+        await robot.begin("action/move_to", FAR)
+
+        async def lapsed() -> bool:
+            value = await robot.good("read", "actuator/cmd_vel")
+            return value["linear"]["x"] == 0.0
+
+        await eventually(lapsed, "the velocity has lapsed", 20.0)
+        await robot.step(100)
+        assert robot.device.robot.wheels.trip is not None
+
+
+async def test_a_zero_for_one_wheel_is_not_overridden() -> None:
+    async with gateway() as robot:
+        await robot.good("write", "actuator/cmd_vel", {"linear": {"x": 0.5}}, valid_for=600.0)
+        await robot.step(50)
+        await robot.good("write", "actuator/left_wheel", 0.0)
+        await robot.step(200)
+        assert await robot.good("read", "actuator/left_wheel") == 0.0
+        assert abs(robot.device.robot.wheels.velocity[0]) < 0.01
+
+
+async def test_a_cancellation_is_told_at_rest_however_seldom_the_robot_reports() -> None:
+    async with gateway(paused=False, rate=1.0) as robot:
+        trip = await robot.begin("action/move_to", FAR)
+
+        async def drives() -> bool:
+            return robot.device.robot.wheels.velocity[0] > 0.3
+
+        await eventually(drives, "it drives", 20.0)
+        await robot.ask("cancel", "action/move_to")
+        assert (await robot.operator.final(trip))["status"] == "cancelled"
+        assert abs(robot.device.robot.wheels.velocity[0]) < 0.02
+
+
+async def test_a_simulation_that_cannot_keep_up_reports_in_wall_clock_time() -> None:
+    async with gateway(paused=False, real_time_factor=1000.0, rate=10.0) as robot:
+        before = robot.device.snapshot.number
+
+        async def told() -> bool:
+            state = await robot.good("read", "sensor/simulation")
+            return 0.0 < state["real_time_factor"] < 900.0
+
+        await eventually(told, "the factor that is achieved", 30.0)
+        seconds = robot.simulation.elapsed
+        assert robot.device.snapshot.number - before > seconds / 100.0 + 1
+
+
 # Two commanders
 
 

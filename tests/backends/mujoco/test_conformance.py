@@ -64,6 +64,13 @@ class PhysicsRig(StopRig):
             case _:
                 return super().values(name)
 
+    @asynccontextmanager
+    async def refusing(self, name: str) -> AsyncGenerator[None]:
+        """Let the simulation refuse all motion: it has no control that it refuses alone."""
+        self.physics.fault = "a test stopped it"
+        yield
+        self.physics.fault = None
+
     async def prepare(self, name: str) -> None:
         """Pause for `service/step`, and for it alone."""
         paused = name == "service/step"

@@ -12,12 +12,16 @@ import numpy as np
 import pytest
 
 from backends.mujoco.physics import ELBOW, PUCK, model_of, robot_of, run, until
-from rcp_kernel.errors import ConfigError, ModeForbids, PreconditionFailed
+from rcp_kernel.errors import ConfigError, InvalidValue, ModeForbids, PreconditionFailed
 from rcp_kernel.types import LaserScan
+from rcp_kernel.values import value_type
 from rcp_mujoco import MujocoConfig
 from rcp_mujoco.arm import Motion
+from rcp_mujoco.config import ArmConfig, GripperConfig, WheelsConfig
 from rcp_mujoco.gripper import Grip
 from rcp_mujoco.paths import Quintic, Spline, Waypoint
+from rcp_mujoco.resources import catalogue
+from rcp_mujoco.robots import MODELS
 from rcp_mujoco.wheels import make_trip
 
 STAMP = 1_800_000_000_000_000_000
@@ -74,6 +78,7 @@ def test_sensors_of_a_model_have_the_units_of_what_they_measure(tmp_path: Path) 
         ("<mujoco><nonsense/></mujoco>", "unrecognized element"),
         ("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "nothing in .* can move"),
         (PUCK.replace('joint="slide"', 'joint="slid"'), "slid"),
+        (PUCK.replace("<worldbody>", '<option timestep="0"/><worldbody>'), "timestep"),
     ],
 )
 def test_a_missing_or_damaged_model_is_told(content: str | None, why: str, tmp_path: Path) -> None:
@@ -82,20 +87,114 @@ def test_a_missing_or_damaged_model_is_told(content: str | None, why: str, tmp_p
         robot_of(model)
 
 
+def test_a_trajectory_whose_speed_overflows_is_refused() -> None:
+    start, points = np.zeros(1), [Waypoint(100.0, np.zeros(1), np.array([1e308]))]
+    points.append(Waypoint(200.0, np.zeros(1), None))
+    with np.errstate(all="ignore"), pytest.raises(InvalidValue, match="waypoint 0"):
+        Spline(start, points, speed=1.0, names=["elbow"])
+
+
 @pytest.mark.parametrize(
     "part",
     [
         {"wheels": {"left": ["left"], "right": ["right"], "radius": 0.1, "track": 0.3}},
         {"arm": {"joints": ["push_force"]}},
+        {"wheels": {"left": ["push_force"], "right": ["push_force"], "radius": 0.1, "track": 0.3}},
         {"gripper": {"actuator": "fingers", "open": 1.0, "closed": 0.0}},
+        {"gripper": {"actuator": "push_force", "open": 1.0, "closed": 0.0}},
         {"keyframe": "home"},
     ],
 )
 def test_a_part_that_the_model_lacks_is_told(part: Any, tmp_path: Path) -> None:
-    table = {"model": model_of(PUCK, tmp_path), **part}
+    model = PUCK.replace('name="far"', 'name="base_link"')
+    table = {"model": model_of(model, tmp_path), **part}
     config = msgspec.convert(table, MujocoConfig)
     with pytest.raises(ConfigError):
         robot_of(**{field: getattr(config, field) for field in config.__struct_fields__})
+
+
+GEARED = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="elbow" damping="1"/><geom size="0.1" pos="0.3 0 0"/></body>
+  </worldbody>
+  <actuator><position name="elbow" joint="elbow" kp="50" gear="{gear}"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(("gear", "unit"), [(-1.0, "rad"), (2.0, "1")])
+def test_brakes_hold_a_geared_joint_where_it_is(gear: float, unit: str, tmp_path: Path) -> None:
+    robot = robot_of(model_of(GEARED.format(gear=gear), tmp_path))
+    simulation = robot.simulation
+    (drive,) = simulation.drives
+    assert drive.unit == unit
+    simulation.command(drive, 0.5, None)
+    run(robot, 3.0)
+    here = float(simulation.data.qpos[0])
+    assert here == pytest.approx(0.5 / gear, abs=0.02)
+    simulation.brake("stopped")
+    run(robot, 1.0)
+    simulation.release()
+    run(robot, 1.0)
+    assert float(simulation.data.qpos[0]) == pytest.approx(here, abs=0.02)
+
+
+def test_a_geared_motors_control_is_no_torque(tmp_path: Path) -> None:
+    model = GEARED.format(gear=150).replace('kp="50"', "").replace("<position", "<motor")
+    assert robot_of(model_of(model, tmp_path)).simulation.drives[0].unit == "1"
+
+
+def test_added_positions_are_bounded_in_radians(tmp_path: Path) -> None:
+    degrees = GEARED.replace('damping="1"', 'range="-90 90"').partition("<actuator>")[0]
+    robot = robot_of(model_of(f"{degrees}</mujoco>", tmp_path), actuate="position")
+    (drive,) = robot.simulation.drives
+    assert (drive.low, drive.high) == (pytest.approx(-math.pi / 2), pytest.approx(math.pi / 2))
+
+
+def test_forces_have_the_unit_of_their_joint(tmp_path: Path) -> None:
+    sensors = '<actuatorfrc name="push" actuator="push force"/><subtreecom name="com" body="puck"/>'
+    robot = robot_of(model_of(PUCK.replace("<sensor>", f"<sensor>{sensors}"), tmp_path))
+    schemas = {reading.name: value_type(reading.value).schema for reading in robot.readings()}
+    assert schemas["sensor/push"]["unit"] == "N"
+    assert schemas["sensor/com"]["items"]["unit"] == "m"
+
+
+ROVER: Any = {"left": ("left_wheel",), "right": ("right_wheel",), "radius": 0.08, "track": 0.36}
+
+
+def test_names_that_paths_cannot_tell_apart_get_a_number(tmp_path: Path) -> None:
+    text = (MODELS / "rover.xml").read_text(encoding="utf-8")
+    more = '<velocimeter name="velocity" site="imu"/><touch name="a b" site="imu"/>'
+    motor = '<motor name="left wheel" joint="left_wheel"/></actuator>'
+    text = text.replace("<sensor>", f'<sensor>{more}<touch name="a_b" site="imu"/>')
+    model = model_of(text.replace("</actuator>", motor), tmp_path)
+    robot = robot_of(model, wheels=WheelsConfig(**ROVER))
+    names = [resource.name for resource in catalogue(robot, robot.readings()).resources]
+    assert len(names) == len(set(names))
+    expected = {"sensor/velocity_2", "sensor/contact/a_b", "sensor/contact/a_b_2"}
+    assert expected < set(names)
+    assert "actuator/left_wheel_2" in names
+
+
+def test_joints_with_dots_in_their_names_form_an_arm(tmp_path: Path) -> None:
+    text = (MODELS / "arm.xml").read_text(encoding="utf-8").replace('"joint_', '"arm.joint_')
+    actuators = tuple(f"arm.joint_{number}" for number in range(1, 7))
+    robot = robot_of(model_of(text, tmp_path), arm=ArmConfig(joints=actuators, tool="tool"))
+    names = [resource.name for resource in catalogue(robot, robot.readings()).resources]
+    assert "action/move_joints" in names
+    assert robot.arm is not None
+    assert robot.arm.names[0] == "arm_joint_1"
+
+
+def test_a_force_that_nothing_measures_is_refused(tmp_path: Path) -> None:
+    text = (MODELS / "arm.xml").read_text(encoding="utf-8")
+    config = GripperConfig(actuator="gripper", open=0.04, closed=0.0)
+    robot = robot_of(model_of(text, tmp_path), gripper=config)
+    assert robot.gripper is not None
+    with pytest.raises(InvalidValue, match="no touch sensors"):
+        robot.gripper.move(Grip(0.0, 5.0))
 
 
 # Time
@@ -111,6 +210,16 @@ def test_a_command_lapses_in_the_simulations_time() -> None:
     assert robot.wheels.target == (0.0, 0.0)
     assert robot.simulation.lapsed == ["cmd_vel"]
     until(robot, lambda: robot.snapshot().at_rest, 2.0)
+
+
+def test_a_keyframe_does_not_command_a_force(tmp_path: Path) -> None:
+    key = '<keyframe><key ctrl="5"/></keyframe></mujoco>'
+    robot = robot_of(model_of(PUCK.replace("</mujoco>", key), tmp_path))
+    run(robot, 1.0)
+    assert robot.simulation.data.qpos[0] == pytest.approx(0.0, abs=1e-6)
+    assert not robot.simulation.commanded
+    robot.reset(None)
+    assert not robot.simulation.commanded
 
 
 def test_a_newer_command_starts_the_window_anew() -> None:
@@ -306,16 +415,50 @@ def test_a_velocity_is_refused_on_a_trip_and_zero_ends_it() -> None:
     assert trip.failure == "stopped by actuator/cmd_vel"
 
 
-def test_the_dead_man_of_a_velocity_does_not_end_the_trip_that_took_over() -> None:
+def test_the_end_of_a_velocity_does_not_end_the_trip_that_took_over_but_a_zero_does() -> None:
     robot = robot_of()
     robot.wheels.drive(0.5, 0.0, 0.5)
     run(robot, 0.1)
     trip = make_trip(2.0, 0.0, None, None, None)
     robot.wheels.go(trip)
-    robot.wheels.drive(0.0, 0.0, 0.5)
+    robot.wheels.end_velocity()
     assert not trip.over
     robot.wheels.drive(0.0, 0.0, 0.5)
     assert trip.over
+    until(robot, lambda: robot.snapshot().at_rest, 2.0)
+
+
+def test_wheels_that_are_commanded_one_by_one_do_not_keep_an_earlier_velocity() -> None:
+    robot = robot_of()
+    left = robot.simulation.drive("left_wheel")
+    robot.wheels.drive(0.5, 0.0, 0.5)
+    run(robot, 0.3)
+    robot.wheels.yield_wheels()
+    robot.simulation.command(left, 1.0, 0.1)
+    assert robot.simulation.data.ctrl.tolist() == [1.0, 0.0]
+    robot.wheels.yield_wheels()
+    robot.simulation.command(robot.simulation.drive("right_wheel"), 1.0, 0.1)
+    assert robot.simulation.data.ctrl.tolist() == [1.0, 1.0]
+    run(robot, 0.2)
+    assert robot.simulation.data.ctrl.tolist() == [0.0, 0.0]
+    until(robot, lambda: robot.snapshot().at_rest, 2.0)
+
+
+def test_a_trip_is_over_within_its_tolerance_only() -> None:
+    robot = robot_of()
+    trip = make_trip(0.3, 0.1, -1.0, 0.002, None)
+    robot.wheels.go(trip)
+    until(robot, lambda: trip.over)
+    assert trip.failure is None
+    assert math.dist(robot.wheels.pose[:2], (0.3, 0.1)) <= 0.002
+
+
+def test_the_lapse_of_a_command_that_was_replaced_is_not_told() -> None:
+    robot = robot_of()
+    robot.wheels.drive(0.5, 0.0, 0.1)
+    run(robot, 0.2)
+    robot.wheels.drive(0.3, 0.0, 0.5)
+    assert robot.simulation.lapsed == []
 
 
 def test_the_lidar_sees_the_walls_where_they_are() -> None:

@@ -89,6 +89,7 @@ class Peer(Node):
         )
 
     def settings(self) -> None:
+        self.refused = ""
         self.declare_parameter(
             "max_speed",
             1.5,
@@ -109,6 +110,8 @@ class Peer(Node):
 
     def judge(self, parameters: list) -> SetParametersResult:
         for parameter in parameters:
+            if parameter.name == self.refused:
+                return SetParametersResult(successful=False, reason="a test refuses it")
             if parameter.name == "mode" and parameter.value not in ("auto", "manual"):
                 return SetParametersResult(successful=False, reason="mode must be auto or manual")
         return SetParametersResult(successful=True)
@@ -213,7 +216,9 @@ def main() -> None:
     spinning = threading.Thread(target=executor.spin)
     spinning.start()
     print("ready", flush=True)  # noqa: T201
-    for _ in sys.stdin:
+    for line in sys.stdin:
+        if line.startswith("refuse "):
+            peer.refused = line.split(" ", 1)[1].strip()
         print(json.dumps(peer.truth()), flush=True)  # noqa: T201
     executor.shutdown(timeout_sec=1)
     spinning.join(2)

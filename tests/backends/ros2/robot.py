@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Native, Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import Anchor, FrameTree, Native, Publication, RobotFacts, StopPlan
 from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
@@ -98,6 +98,12 @@ class Robot:
         self.plans.pop(name, None)
         if plan is not None:
             self.plans[name] = plan
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        pass
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        pass
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
         self.facts[robot] = facts
@@ -194,6 +200,10 @@ class Peer:
     def truth(self) -> dict[str, Any]:
         """Ask how things are with it, past every interface of ROS."""
         return self._ask("truth")
+
+    def refuse(self, parameter: str) -> None:
+        """Have it refuse a parameter from now on; an empty name ends that."""
+        self._ask(f"refuse {parameter}")
 
     def _ask(self, line: str) -> Any:
         assert self._process is not None

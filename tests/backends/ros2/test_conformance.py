@@ -104,6 +104,12 @@ class TestRos2(BackendSuite):
         named = all(type(b).__name__ != "Absent" for b in catalog.bindings.values())
         return catalog.complete.is_set() and named and pulse is not None and pulse.answers > 0
 
+    @asynccontextmanager
+    async def refusing(self, name: str) -> AsyncGenerator[None]:
+        PEER.refuse({"param/speed_limit": "max_speed"}.get(name, name.partition("/")[2]))
+        yield
+        PEER.refuse("")
+
     async def break_link(self) -> None:
         PEER.kill()
 

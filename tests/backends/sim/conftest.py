@@ -9,8 +9,9 @@ from typing import Any
 import anyio
 import pytest
 
+from rcp_kernel.contract.fence import permitted
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import Anchor, FrameTree, Publication, RobotFacts, StopPlan
 from rcp_kernel.values import value_type
 from rcp_sim import SimBackend, SimConfig
 from rcp_sim.device import Device
@@ -38,6 +39,12 @@ class RecordingHost:
 
     def declare(self, *declared: Resource) -> None:
         self.resources |= {resource.name: resource for resource in declared}
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        pass
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        pass
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
         self.facts[robot] = facts
@@ -85,7 +92,10 @@ class RecordingHost:
 
 
 class Rig:
-    """A device and its backend without their clock."""
+    """A device and its backend without their clock; never stopped by a gateway."""
+
+    name = "rig"
+    stops = 0
 
     def __init__(self, config: SimConfig) -> None:
         self.config = config
@@ -120,7 +130,9 @@ class Rig:
         return self.backend.write(name, self.typed(name, plain))
 
     async def drive(self, v: float = 0.0, w: float = 0.0) -> Any:
-        return await self.write("actuator/cmd_vel", {"linear": {"x": v}, "angular": {"z": w}})
+        """Write a velocity as for a request, under a permit."""
+        with permitted(self, 0):
+            return await self.write("actuator/cmd_vel", {"linear": {"x": v}, "angular": {"z": w}})
 
     async def fault(self, **spec: Any) -> Any:
         injected = await self.execute("service/inject_fault", spec)

@@ -313,6 +313,17 @@ async def test_one_drive_at_a_time(rig: Any) -> None:
         await rig.turn(drive, seconds=1)
 
 
+async def test_the_dead_man_does_not_end_the_trip_that_replaced_its_velocity(rig: Any) -> None:
+    await rig.drive(0.5)
+    far = {"position": {"x": 5.0, "y": 0.0}}
+    trip = await rig.begin(rig.execute("action/move_to", far), seconds=3)
+    await rig.write("actuator/cmd_vel", {})  # the dead-man's, without a permit
+    assert rig.sim.trip is not None
+    await rig.drive(0.0)
+    with pytest.raises(DeviceRejected, match="stopped by actuator/cmd_vel"):
+        await rig.turn(trip, seconds=1)
+
+
 async def test_docking_charges(rig: Any) -> None:
     await rig.settle(rig.execute("action/move_to", HERE))
     docked = await rig.settle(rig.execute("action/dock"))

@@ -188,12 +188,12 @@ def test_a_trip_and_a_direct_velocity_exclude_each_other() -> None:
     assert trip.failure == "stopped by actuator/cmd_vel"
 
 
-def test_the_stop_of_a_velocity_does_not_end_the_trip_that_took_over() -> None:
+def test_the_end_of_a_velocity_does_not_end_the_trip_that_took_over_but_a_zero_does() -> None:
     sim = Simulation(SimConfig())
     sim.drive(0.5, 0)
     trip = sim.go(5, 0)
     sim.step(0.5)
-    sim.drive(0, 0)
+    sim.end_velocity()
     assert not trip.done
     sim.drive(0, 0)
     assert trip.done

@@ -122,3 +122,14 @@ async def test_guessing_is_slowed_and_who_has_a_right_key_comes_in() -> None:
         assert client_api.authenticate(None, here).anonymous
         with pytest.raises(Unauthenticated):
             client_api.authenticate("guess-elsewhere", there)
+
+
+async def test_a_gateway_without_the_feature_knows_only_the_keys_of_its_configuration(
+    text: str, store: Path
+) -> None:
+    with closing(TokenFile(store)) as table:
+        _, key = table.create("arm", (("*", ("viewer",)),), None)
+    async with world_of(text + "\n[features]\ntokens = false\n") as world:
+        world.client()
+        with pytest.raises(Unauthenticated):
+            world.client(key)

@@ -61,6 +61,20 @@ async def test_after_a_write_of_unknown_outcome_the_robot_is_stopped(world: Worl
     assert await robot.next() == Twist()
 
 
+@pytest.mark.parametrize("error", [ConnectionError("cut"), TimeoutError()])
+async def test_a_write_that_loses_its_link_is_not_said_to_be_refused(
+    world: World, error: Exception
+) -> None:
+    async def cut(_value: Any) -> None:
+        world.robot.moving.add("actuator/drive")
+        raise error
+
+    world.robot.takes["actuator/drive"] = cut
+    reply = await drive(world.client())
+    assert (reply["status"], reply["error"]["code"]) == ("failed", "adapter_unavailable")
+    assert reply["error"]["retryable"] is False
+
+
 async def test_a_write_that_the_robot_refused_takes_no_other_ones_window(world: World) -> None:
     first, answered = asyncio.Event(), asyncio.Event()
     written: asyncio.Queue[Any] = asyncio.Queue()

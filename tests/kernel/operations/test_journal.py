@@ -21,16 +21,19 @@ class Order:
 
     def __init__(self, journal: CommandJournal) -> None:
         self.noted: list[tuple[str, str]] = []
-        journal.on_step.append(self.heard)
+        journal.listeners.append(self)
 
     def kept(self, command: Command) -> None:
         self.noted.append(("kept", command.status))
 
-    def heard(self, command: Command, step: Record) -> None:
+    def on_command(self, command: Command, step: Record) -> None:
         assert command.history[-1] is step
         self.noted.append(("heard", step.status))
         if step.status == "accepted":
             command.followers.append(self.followed)
+
+    def missed_step(self, command: Command, step: Record, error: Exception) -> None:
+        raise error
 
     def followed(self, _command: Command, step: Record) -> None:
         self.noted.append(("followed", step.status))

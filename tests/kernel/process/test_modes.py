@@ -15,8 +15,8 @@ from kernel.world import settled
 from rcp_kernel.access.tokens import TokenFile
 from rcp_kernel.app.log import configure
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.modes import check_store_modes
+from rcp_store.disk_store import DiskStore
+from rcp_store.modes import check_store_modes
 from rcpd.tokens import token
 
 pytestmark = [

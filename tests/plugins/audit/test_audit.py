@@ -146,10 +146,8 @@ async def test_a_long_text_is_cut_but_a_value_is_told_whole(world: World) -> Non
 
 def log_of(world: World) -> AuditLog:
     """Return what makes the records."""
-    listeners = (
-        hear.__self__.on_event for hear in cast("Any", world.server.kernel).event_bus.on_event
-    )
-    owners = (getattr(listener, "__self__", None) for listener in listeners)
+    listeners = cast("Any", world.server.kernel).event_bus.listeners
+    owners = (getattr(listener.on_event, "__self__", None) for listener in listeners)
     return next(owner for owner in owners if isinstance(owner, AuditLog))
 
 

@@ -78,8 +78,9 @@ RESOURCES = (
         description="A limit.",
         value=quantity("m/s", ge=0, le=2.5),
         examples=(1.0,),
+        atomic="params",
     ),
-    Resource(name="param/label", description="A label.", value=str),
+    Resource(name="param/label", description="A label.", value=str, atomic="params"),
     Resource(
         name="actuator/drive",
         description="A drive.",

@@ -59,6 +59,8 @@ def test_every_request_waits_for_its_answer(running: Running, robot: Robot) -> N
     assert robot.read("/param/limit") == 1.5
     assert robot.sample("/param/limit").path == "/tenant/alpha/param/limit"
     assert robot.write("/param/limit", 0.5) == 0.5
+    values = {"/param/limit": 0.6, "/param/label": "box"}
+    assert robot.write_all(values) == values
     assert len(robot.discover(kind="param")) == 2
     assert robot.status()["state"] == "ok"
     assert robot.ping() > 0

@@ -47,6 +47,21 @@ async def test_reads_and_writes(gateway: Gateway, connect: Connect, encoding: st
         assert (sample.seq, sample.state) == (1, "fresh")
 
 
+async def test_several_paths_are_written_as_one(gateway: Gateway, connect: Connect) -> None:
+    values = {"/param/limit": 0.5, "/tenant/alpha/param/label": "box"}
+    async with connect(gateway) as client:
+        assert await client.write_all(values, idempotency_key="k") == values
+        assert await client.write_all(values, idempotency_key="k") == values
+        assert gateway.robot.together == [{"param/limit": 0.5, "param/label": "box"}]
+        would = await client.write_all(values, dry_run=True)
+        assert would["/param/limit"] == {"path": "/tenant/alpha/param/limit", "write": 0.5}
+        with pytest.raises(OutOfRange) as refused:
+            await client.write_all({"/param/limit": 9, "/param/label": 1})
+        assert refused.value.details is not None
+        faults = refused.value.details["faults"]
+        assert [fault["code"] for fault in faults] == ["out_of_range", "invalid_value"]
+
+
 async def test_values_that_json_cannot_write_go_both_ways(
     gateway: Gateway, connect: Connect, encoding: str
 ) -> None:

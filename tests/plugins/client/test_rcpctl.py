@@ -59,6 +59,22 @@ def test_write_takes_json_standard_input_or_a_file(run: Run, tmp_path: Path) -> 
     file.write_text("0.7")
     assert document(run("write", "/param/speed_limit", f"@{file}"))["body"] == 0.7
     assert document(run("write", "--dry-run", "/param/speed_limit", "0.8"))["dry_run"] is True
+
+
+def test_write_takes_several_paths_as_one(run: Run) -> None:
+    rest = '/actuator/cmd_vel={"linear": {"x": 0}}'
+    done = document(run("write", rest, "/param/speed_limit=0.65"))
+    assert [one["path"].rpartition("/")[2] for one in done["body"]] == ["cmd_vel", "speed_limit"]
+    assert document(run("read", "/param/speed_limit"))["body"] == 0.65
+    for wrong in (("/param/speed_limit=0.5", "0.5"), ("/param/speed_limit",), ("/a=1", "/a=2")):
+        assert run("write", *wrong).returncode == 2
+    refused = run("write", rest, "/param/speed_limit=9")
+    assert (refused.returncode, "allowed range" in refused.stderr) == (3, True)
+
+
+def test_a_dry_run_writes_nothing(run: Run) -> None:
+    run("write", "/param/speed_limit", "0.7")
+    assert document(run("write", "--dry-run", "/param/speed_limit", "0.8"))["dry_run"] is True
     assert document(run("read", "/param/speed_limit"))["body"] == 0.7
     drive = '{"linear": {"x": 0.1}}'
     done = run("write", "/actuator/cmd_vel", drive, "--valid-for", "0.1", "--text")

@@ -17,6 +17,8 @@ from plugins.client.gateway import BOUND
 from plugins.client.heard import Heard
 from plugins.client.peer import Peer, peer, refusal, reply, segments, update
 from rcp_client import Client, ConnectionLost, connect
+from rcp_client.errors import error_of
+from rcp_client.messages import Reply
 from rcp_kernel.errors import (
     Forbidden,
     Overrun,
@@ -39,6 +41,14 @@ async def played(**options: Any) -> AsyncGenerator[tuple[Peer, Client]]:
         connect(made.url, encoding="json", **options) as client,
     ):
         yield made, client
+
+
+def test_an_error_is_retryable_if_the_reply_says_so_whatever_its_code() -> None:
+    for retryable in (False, True):
+        facts = {"code": "adapter_unavailable", "retryable": retryable}
+        error = error_of(Reply(type="execute", status="failed", error=facts))
+        assert error is not None
+        assert error.retryable is retryable
 
 
 # -- long messages -------------------------------------------------------------------------------

@@ -16,13 +16,16 @@ import socket
 import sys
 import time
 from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from types import SimpleNamespace
 from typing import Any
 
 import msgspec
+import psutil
 import uvloop
 
+import rcp_guard_link
+from rcp_kernel.app.features import active
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
@@ -138,7 +141,9 @@ def prepared(asked: dict[str, Any], carts: list[Cart]) -> Prepared:
         is_missing=lambda _group, _name: None,
     )
     config = parse(CONFIG + asked.get("more", ""), "test")
-    return Prepared(config, plugins, (NoOptions(),), {}, {})
+    kinds = {kind.name: kind for kind in rcp_guard_link.rcp_features()}
+    features = active(config, kinds, "test")
+    return Prepared(config, plugins, (NoOptions(),), {}, {}, features)
 
 
 class Client:
@@ -196,10 +201,19 @@ class Client:
         text = _finished(status.exposition(self._connection.session.rights)).decode()
         tell(
             guard=report["guard"],
-            pid=self._server.kernel.guard._process.pid,
+            pid=_guard_pid(),
             warnings=[record["message"] for record in report["warnings"]],
             metrics=re.findall(r"^(rcp_(?:guard|event).*) (\S+)$", text, re.MULTILINE),
         )
+
+
+def _guard_pid() -> int | None:
+    """Return the guard process of this gateway."""
+    for child in psutil.Process().children():
+        with suppress(psutil.Error):  # it has just ended
+            if "rcp_guard" in child.cmdline():
+                return child.pid
+    return None
 
 
 def _finished(work: Generator[None, None, bytes]) -> bytes:

@@ -122,6 +122,15 @@ async def test_a_step_is_not_tried_again_after_other_codes() -> None:
         assert (code(reply), reply["body"]["steps"][0]["tries"]) == ("device_rejected", 1)
 
 
+@pytest.mark.parametrize("cut", [16, 17])  # with feedback before, and without
+async def test_a_step_that_the_robot_may_have_acted_on_is_not_tried_again(cut: int) -> None:
+    async with world_of() as world:
+        reply = await run(world.client(), go(cut, retry={"times": 3}))
+        assert (code(reply), reply["body"]["steps"][0]["tries"]) == ("adapter_unavailable", 1)
+        assert reply["error"]["retryable"] is False
+        assert world.robot.started.qsize() == 1
+
+
 async def test_a_sequence_is_tried_again_as_a_whole() -> None:
     async with world_of() as world:
         world.robot.fail_writes = 1

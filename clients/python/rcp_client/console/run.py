@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 import click
@@ -24,6 +24,7 @@ __all__ = ["run"]
 
 _PATIENCE = 30.0  # s without a connection before a command gives up
 _FAILED = 1
+_PAIR = 2
 _HUNG = 2.0  # s for the connection of an e-stop, before it is sent by HTTP
 Arguments = dict[str, Any]
 
@@ -94,7 +95,7 @@ async def _discover(client: Client, out: Output, args: Arguments) -> int:
 async def _read(client: Client, out: Output, args: Arguments) -> int:
     code = 0
     for path in args["paths"]:
-        options = {"fields": args["fields"], "fresh": args["fresh"]}
+        options = {name: args[name] for name in ("fields", "fresh", "frame")}
         try:
             if "*" in path:
                 async for items in client.pages(path, **options):
@@ -113,9 +114,7 @@ async def _read(client: Client, out: Output, args: Arguments) -> int:
 
 
 async def _write(client: Client, out: Output, args: Arguments) -> int:
-    path = args["path"]
-    value = await meant(client, path, args["value"])
-    envelope: dict[str, Any] = {"type": "write", "path": path, "body": value}
+    envelope: dict[str, Any] = {"type": "write", **await _targets(client, args["words"])}
     optional = {
         "valid_for": args["valid_for"],
         "idempotency_key": args["key"],
@@ -128,6 +127,25 @@ async def _write(client: Client, out: Output, args: Arguments) -> int:
     return 0
 
 
+async def _targets(client: Client, words: Sequence[str]) -> dict[str, Any]:
+    """Return `path` and `body` of a write; without a path for several as one."""
+    if "=" in words[0]:  # which no path contains
+        pairs = [word.partition("=") for word in words]
+        wrong = next(
+            (word for word, (_, sign, _) in zip(words, pairs, strict=True) if not sign), ""
+        )
+        if wrong:
+            raise click.UsageError(f"{wrong!r} is not PATH=VALUE")
+        values = {path: await meant(client, path, fetch(text)) for path, _, text in pairs}
+        if len(values) < len(pairs):
+            raise click.UsageError("a path is given twice")
+        return {"body": values}
+    if len(words) != _PAIR:
+        raise click.UsageError("give PATH VALUE, or PATH=VALUE for each of several paths")
+    path, text = words
+    return {"path": path, "body": await meant(client, path, fetch(text))}
+
+
 async def _watch(client: Client, out: Output, args: Arguments) -> int:
     subscription = client.subscribe(
         args["patterns"],
@@ -136,6 +154,7 @@ async def _watch(client: Client, out: Output, args: Arguments) -> int:
         deadband=show.number_or_json(args["deadband"], "--deadband"),
         where=show.json_object(args["where"], "--where"),
         fields=args["fields"],
+        frame=args["frame"],
         history=show.number_or_text(args["history"]),
         initial=None if args["initial"] else False,
         reliable=args["reliable"],

@@ -17,7 +17,8 @@ class RcpError(Exception):
     code: ClassVar[str] = "internal"
     http: ClassVar[int] = 500
     status: ClassVar[str] = "failed"
-    retryable: ClassVar[bool] = False
+    retryable: bool = False
+    """Whether the same request can succeed later; an instance may say otherwise than its class."""
     default_remedy: ClassVar[str] = "Report this to the operator of the gateway."
 
     def __init__(

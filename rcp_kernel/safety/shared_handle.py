@@ -1,0 +1,62 @@
+"""A timer or task that several actuators share, and that each can leave by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from rcp_kernel.tree.entry import Entry
+
+__all__ = ["Cancellable", "Shared"]
+
+
+class Cancellable(Protocol):
+    """A timer, a task, or a part of one."""
+
+    def cancel(self) -> object:
+        """End it."""
+        ...
+
+
+class Shared:
+    """The actuators that still share something."""
+
+    __slots__ = ("_left",)
+
+    def __init__(self, entries: Sequence[Entry]) -> None:
+        self._left = {entry.path: entry for entry in entries}
+
+    @property
+    def left(self) -> list[Entry]:
+        """Those that have not left."""
+        return list(self._left.values())
+
+    def take(self) -> list[Entry]:
+        """Return those that have not left, and let them go."""
+        left = self.left
+        self._left.clear()
+        return left
+
+    def parts(self, left: Callable[[list[Entry]], None]) -> dict[str, Cancellable]:
+        """Return a handle for each; `left` is called with the others when one is cancelled."""
+        return {path: _Part(self, path, left) for path in self._left}
+
+    def leave(self, path: str, left: Callable[[list[Entry]], None]) -> None:
+        """Let one go."""
+        if self._left.pop(path, None) is not None:
+            left(self.left)
+
+
+class _Part:
+    """The part of one of them."""
+
+    __slots__ = ("_left", "_path", "_shared")
+
+    def __init__(self, shared: Shared, path: str, left: Callable[[list[Entry]], None]) -> None:
+        self._shared = shared
+        self._path = path
+        self._left = left
+
+    def cancel(self) -> None:
+        """Leave the others."""
+        self._shared.leave(self._path, self._left)
