@@ -408,3 +408,28 @@ allow = [{ operations = ["read", "subscribe"], paths = ["/actuator/left", "/syst
         assert told == [("write", LEFT), ("denial", LEFT), ("write", LEFT)]
         assert RIGHT not in str(seen)
         assert "8.0" not in str(seen)
+
+
+async def test_a_link_cut_while_it_is_under_way_leaves_no_part_of_it(wheels: World) -> None:
+    asked, go = asyncio.Event(), asyncio.Event()
+
+    async def slowly(value: Any) -> Any:
+        asked.set()
+        await go.wait()
+        raise ConnectionError("cut")
+
+    wheels.robot.takes["actuator/right"] = slowly
+    client = wheels.client()
+    id_ = client.send(type="write", body=BOTH)
+    async with asyncio.timeout(BOUND):
+        await asked.wait()
+    wheels.robot.lose()
+    go.set()
+    reply = await client.final(id_)
+    assert (code(reply), reply["status"]) == ("adapter_unavailable", "failed")
+    assert reply["error"]["retryable"] is False
+    del wheels.robot.takes["actuator/right"]
+    wheels.robot.find()
+    await client.ask(type="subscribe", id="s", path="/actuator/*")
+    stopped = {(await client.update("s"))["path"] for _ in WHEELS}
+    assert (stopped, wheels.robot.moving) == ({LEFT, RIGHT}, set())
