@@ -8,21 +8,25 @@ through `ClientApi` and `Session`. Hooks declare, context managers run, method c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import msgspec
+from msgspec import Meta
 
 from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
+from rcp_kernel.types import Transform
 
 __all__ = [
+    "Anchor",
     "Backend",
     "BackendKind",
     "BaseBackend",
     "Dimensions",
+    "FrameTree",
     "Host",
     "MotionState",
     "Native",
@@ -128,6 +132,40 @@ class RobotFacts(msgspec.Struct, frozen=True, kw_only=True):
     """The frames in which it takes goals and reports poses."""
 
 
+class Anchor(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a frame of a robot is fixed to the earth: its origin, and how it is turned there.
+
+    With `yaw` 0 its x axis points east; z points up.
+    """
+
+    latitude: Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
+    """On the WGS 84 ellipsoid, deg."""
+    longitude: Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
+    altitude: Annotated[float, Meta(extra_json_schema={"unit": "m"})] = 0.0
+    """Above mean sea level, m."""
+    yaw: Annotated[float, Meta(extra_json_schema={"unit": "rad"})] = 0.0
+    """From east to the frame's x axis, counter-clockwise, rad."""
+    frame: Annotated[str, Meta(min_length=1, max_length=64)] = "map"
+
+
+class FrameTree(Protocol):
+    """The transforms between a robot's frames, where its backend receives them itself (TF)."""
+
+    def frames(self) -> Collection[str]:
+        """Return the names of all frames."""
+        ...
+
+    def lookup(self, target: str, source: str, time: int | None) -> tuple[Transform, float]:
+        """Return the pose of `source` in `target` at a source time, ns, or the nearest one known.
+
+        None: now, by the robot's clock. The seconds between that time and the pose's are returned
+        too; 0: it is exact, or never changes. Called on the event loop for single samples: no I/O.
+
+        :raises LookupError: nothing connects the two.
+        """
+        ...
+
+
 class Progress(Protocol):
     """Report feedback of a running command; newest wins for a slow client, none are reordered."""
 
@@ -196,6 +234,20 @@ class Host(Protocol):
         """Say what one of the backend's robots is (None: the backend as a whole).
 
         Called again when more is known, such as the firmware; it replaces what was said before.
+        """
+        ...
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        """Say where one of a robot's frames is fixed to the earth; None: no longer known.
+
+        Called again when it changes. The gateway then converts between that frame and `earth`.
+        """
+        ...
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        """Give the transforms between a robot's frames.
+
+        Not needed for what `sensor/pose` and `sensor/odometry` tell.
         """
         ...
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ import anyio
 
 from rcp_can.axis import Axis
 from rcp_can.axle import Axle
-from rcp_can.goal_control import Goal, GoalControl
+from rcp_can.goal_control import Goal, GoalControl, Phase
 from rcp_can.odometry import Odometry
 from rcp_can.standstill import rested
 from rcp_can.together import together
@@ -26,7 +27,7 @@ _TOLERANCE = 0.05  # m
 _TURN = 1.5  # rad/s, the maximum on the spot, so that the load does not slip
 _ACCELERATION = 0.5  # m/s² planned for a drive without its own limit
 _STUCK = 5.0  # s without progress
-_PROGRESS = 0.005  # m
+_PROGRESS = 0.005  # m, or rad while it turns
 _ATTEMPTS = 4  # times that it may come to rest off the goal
 
 
@@ -86,15 +87,14 @@ class BaseMove:
     ) -> None:
         """Drive until the plan ends, and wait until rest is measured."""
         began = control.distance(self._odometry.place)
-        best, improved_at, reported_at = began, time.monotonic(), 0.0
+        stall, reported_at = _Stall(), 0.0
         while control.phase != "done":
             place, now = self._odometry.place, time.monotonic()
             left, limit = control.distance(place), speed()
             forward, turn = control.step(place, limit)
             self._axle.drive(forward, turn, self._name, self._end)
-            if left < best - _PROGRESS or not limit or control.phase != "driving":
-                best, improved_at = left, now
-            if now - improved_at > _STUCK:
+            waits = not limit and control.phase == "driving"
+            if stall.lasts(control.phase, control.remaining(place), now, waits=waits):
                 raise DeviceRejected(f"it makes no progress, {left:.3f} m from the goal")
             if now - reported_at >= _FEEDBACK:
                 reported_at = now
@@ -135,3 +135,17 @@ class BaseMove:
         finally:
             for wheel in wheels:
                 wheel.leaving = False
+
+
+class _Stall:
+    """Whether the present phase of a move has made no progress for too long."""
+
+    def __init__(self) -> None:
+        self._phase: Phase = "done"
+        self._best, self._improved_at = math.inf, 0.0
+
+    def lasts(self, phase: Phase, remaining: float, now: float, *, waits: bool) -> bool:
+        """Take what remains of a phase; `waits` if it is not meant to move."""
+        if waits or phase != self._phase or remaining < self._best - _PROGRESS:
+            self._phase, self._best, self._improved_at = phase, remaining, now
+        return now - self._improved_at > _STUCK

@@ -42,6 +42,13 @@ class GoalControl:
         """Return the distance to the goal, m."""
         return math.hypot(self._goal.x - place.x, self._goal.y - place.y)
 
+    def remaining(self, place: Place) -> float:
+        """Return what is left of the present phase: m while driving, otherwise rad."""
+        if self.phase == "driving":
+            return self.distance(place)
+        heading = self._goal.heading if self.phase == "aligning" else None
+        return abs(self._off(place) if heading is None else wrapped(heading - place.heading))
+
     def reached(self, place: Place) -> bool:
         """Return whether a place is the goal, within the tolerances."""
         heading = self._goal.heading

@@ -11,7 +11,7 @@ import anyio
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config import CanConfig
-from rcp_can.guard import ready
+from rcp_can.guard import check_feedback, check_link, ready
 from rcp_can.motor import released
 from rcp_can.power_switch import enable
 from rcp_can.standstill import rested
@@ -87,13 +87,21 @@ class GroupPowerPart(Part):
             await _switch(verb, self._axes)
 
     async def _reset(self) -> None:
-        with suppress(AdapterUnavailable):  # the fault of a lost motor stays
-            for group in self._groups:
+        """Bring all motors to rest, and clear their faults.
+
+        :raises RcpError: a motor cannot be reached, so nobody knows whether it is at rest.
+        """
+        for group in self._groups:
+            with suppress(AdapterUnavailable):  # checked at the end
                 group.settle(ModeForbids("a reset ended the move"))
         await together(rested(axis) for axis in self._axes if axis.online and axis.blind is None)
         await together(axis.clear_faults() for axis in self._axes)
         for group in self._groups:
             group.reset()
+        for axis in self._axes:
+            if axis.met or not axis.config.optional:
+                check_link(axis)
+                check_feedback(axis)
 
 
 def group_powers(

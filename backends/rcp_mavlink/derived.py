@@ -94,7 +94,7 @@ def _heading(position: Mapping[str, Any]) -> float:
 
 def _pose(frames: Frames, at: str | None) -> PoseStamped:
     f, home = frames["GLOBAL_POSITION_INT"].fields(), frames["HOME_POSITION"].fields()
-    origin = (home["latitude"] / 1e7, home["longitude"] / 1e7)
+    origin = (home["latitude"] / 1e7, home["longitude"] / 1e7, home["altitude"] / 1e3)
     where = enu.place(f["lat"] / 1e7, f["lon"] / 1e7, f["relative_alt"] / 1e3, origin)
     return PoseStamped(where, enu.flat(_heading(f)), "map", at)
 

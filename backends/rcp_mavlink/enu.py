@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
+from rcp_geometry import Rigid, ecef, geodetic, local
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, Quaternion
-from rcp_mavlink.geo import offset
 
-__all__ = ["attitude", "flat", "heading", "level_velocity", "place", "rates", "yaw"]
+__all__ = ["attitude", "flat", "heading", "level_velocity", "place", "rates", "there", "yaw"]
+
+Home = tuple[float, float, float]
+"""Latitude, longitude (deg) and altitude (m)."""
 
 
 def yaw(heading: float) -> float:
@@ -20,10 +24,24 @@ def heading(yaw: float) -> float:
     return math.remainder(math.pi / 2 - yaw, math.tau)
 
 
-def place(lat: float, lon: float, height: float, home: tuple[float, float]) -> Point:
+def place(lat: float, lon: float, height: float, home: Home) -> Point:
     """Return the position in the map of a place (deg) at a height above home (m)."""
-    north, east = offset(lat, lon, home)
-    return Point(east, north, height)
+    _, inwards = _map(home)
+    return Point(*inwards.point(ecef(lat, lon, home[2] + height)))
+
+
+def there(east: float, north: float, up: float, home: Home) -> tuple[float, float, float]:
+    """Return latitude, longitude (deg) and height above home (m) of a position in the map."""
+    outwards, _ = _map(home)
+    lat, lon, altitude = geodetic(outwards.point((east, north, up)))
+    return lat, lon, altitude - home[2]
+
+
+@lru_cache(maxsize=256)
+def _map(home: Home) -> tuple[Rigid, Rigid]:
+    """Return the pose of the map on the earth, and the reverse."""
+    outwards = local(*home)
+    return outwards, outwards.inverse
 
 
 def flat(heading: float) -> Quaternion:

@@ -70,10 +70,10 @@ class Journeys:
         """Go to a target and stay there; a plane circles around it."""
         vehicle, family = self._vehicle, self._vehicle.family
         profiled = goal.position is not None
-        goal = native_goal(vehicle, goal)
         fix = await located(vehicle)
         if not await vehicle.until(lambda: vehicle.home is not None, _HOME_TIMEOUT):
             raise PreconditionFailed("move_to: home is not known yet")
+        goal = native_goal(vehicle, goal)
         if family.flies and vehicle.landed is not False:
             raise PreconditionFailed(
                 "move_to: the vehicle is not in the air", remedy="Arm it and take off first."

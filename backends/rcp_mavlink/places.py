@@ -62,7 +62,7 @@ def place_of(vehicle: Vehicle, goal: m.MoveTo, fix: Fix) -> tuple[float, float]:
 
 
 def native_goal(vehicle: Vehicle, goal: m.MoveTo) -> m.MoveTo:
-    """Return a goal in the map as metres north and east with a heading from north.
+    """Return a goal in the map as latitude, longitude and height with a heading from north.
 
     :raises InvalidValue: its frame is not the map, or it names another target as well.
     """
@@ -80,10 +80,14 @@ def native_goal(vehicle: Vehicle, goal: m.MoveTo) -> m.MoveTo:
         raise InvalidValue("give `position`, or another target, not both")
     if tolerance is None:
         tolerance = _NEAR if vehicle.family.drives else _NEAR_ALOFT
+    home, at = vehicle.home, goal.position
+    if home is None:
+        raise PreconditionFailed("move_to: home is not known yet")
+    lat, lon, height = enu.there(at.x, at.y, at.z or 0.0, home)
     return m.MoveTo(
-        north=goal.position.y,
-        east=goal.position.x,
-        altitude=goal.position.z,
+        latitude=lat,
+        longitude=lon,
+        altitude=None if at.z is None else height,
         yaw=None if goal.yaw is None else enu.heading(goal.yaw),
         speed=goal.speed,
         tolerance=tolerance,
@@ -98,7 +102,7 @@ def pose_of(vehicle: Vehicle, fix: Fix, heading: float | None) -> PoseStamped:
     home = vehicle.home
     if home is None:
         raise PreconditionFailed("home is not known yet")
-    where = enu.place(fix.lat, fix.lon, fix.height, home[:2])
+    where = enu.place(fix.lat, fix.lon, fix.height, home)
     return PoseStamped(where, enu.flat(heading or 0.0), _FRAME)
 
 

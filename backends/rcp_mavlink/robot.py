@@ -20,7 +20,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress, RobotFacts
+from rcp_kernel.spi import Anchor, Host, Progress, RobotFacts
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.cameras import Cameras
@@ -116,6 +116,8 @@ class Robot:
         self._booted = 0  # ms, the last reported time since boot
         self._clock = Clock()
         self._polls = 0
+        self._home: tuple[float, float, float] | None = None
+        """The home that the gateway knows as the origin of the map."""
         self.telemetry_events = TelemetryEvents(
             hub, vehicle, self._publish, self._run_prearm_checks
         )
@@ -126,6 +128,7 @@ class Robot:
             22: self.parameters.take,  # PARAM_VALUE
             32: self._positioned,  # LOCAL_POSITION_NED
             33: self._positioned,  # GLOBAL_POSITION_INT
+            242: self._homed,  # HOME_POSITION
         }
         self.speed_limit = SpeedLimit(vehicle, self.parameters)
         flights = Flights(vehicle, self._commands, self.motion, self.parameters, self.speed_limit)
@@ -186,7 +189,7 @@ class Robot:
         family = self.vehicle.family
         kind = "submarine" if family.kind == "sub" else family.kind
         firmware = None if family.autopilot == "unknown" else family.autopilot
-        self._host.describe(RobotFacts(kind=kind, firmware=firmware), self.scope)
+        self._host.describe(RobotFacts(kind=kind, firmware=firmware, frames=("map",)), self.scope)
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telemetry_events.text)
         self.telemetry_events.begin()
@@ -280,6 +283,15 @@ class Robot:
         self.measurement.take_position()
         if frame.definition.id == _GLOBAL:
             self._see_reboot(frame)
+
+    def _homed(self, _: Frame) -> None:
+        """Tell where the map is."""
+        home = self.vehicle.home
+        if home is not None and home != self._home:
+            self._home = home
+            lat, lon, altitude = home
+            anchor = Anchor(latitude=lat, longitude=lon, altitude=altitude)
+            self._host.anchor(anchor, self.scope)
 
     def _see_reboot(self, frame: Frame) -> None:
         """Detect a reboot by its clock; a reboot resets the requested rates."""

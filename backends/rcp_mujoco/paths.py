@@ -101,7 +101,7 @@ class Spline:
             places = np.array([self.at(moment) for moment in moments])
             fastest = (np.abs(np.diff(places, axis=0)) / np.diff(moments)[:, None]).max(axis=0)
             joint = int(fastest.argmax())
-            if fastest[joint] > speed * _ROUNDING:
+            if not fastest[joint] <= speed * _ROUNDING:  # an overflow gives no number
                 raise InvalidValue(
                     f"waypoint {segment} needs {names[joint]} to move at {fastest[joint]:.2f} "
                     f"rad/s; its limit is {speed:g} rad/s",

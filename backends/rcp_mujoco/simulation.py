@@ -190,6 +190,9 @@ class Simulation:
     def _place(self) -> None:
         if self._key is not None:
             mujoco.mj_resetDataKeyframe(self.model, self.data, self._key)
+            for drive in self.drives:
+                if drive.safe is not None:  # nobody commanded it, and it would never expire
+                    self.data.ctrl[drive.number] = 0.0
         else:
             self._hold_here()
         self._held = set()

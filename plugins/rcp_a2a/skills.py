@@ -11,7 +11,7 @@ from a2a.types.a2a_pb2 import AgentSkill
 from rcp_kernel.api import Query, Session
 from rcp_kernel.client_api import ClientApi
 
-__all__ = ["PLAN", "STOP", "skills_of"]
+__all__ = ["PLAN", "ROBOTS", "STOP", "skills_of"]
 
 Node = dict[str, Any]
 _PAGE = 1000
@@ -52,8 +52,26 @@ STOP = AgentSkill(
         '{"steps": [{"do": "execute", "path": "/system/estop", "value": {}}]}',
     ],
 )
-_STOPPING = ("/system/plans", "/system/estop")  # stopping by a task runs a plan
+ROBOTS = AgentSkill(
+    id="robots",
+    name="List the robots",
+    description=(
+        "Lists the robots that you may see: path, kind, profiles, state, mode, battery, position, "
+        "limits, and who has control. The path of a robot (/tenant/<tenant>/<robot>) is the scope "
+        "of a stop; its resources are /tenant/<tenant>/<branch>/<robot>/<name>."
+    ),
+    tags=["inventory", "robot"],
+    examples=[
+        '{"steps": [{"do": "read", "path": "/system/robots"}]}',
+        "read /system/robots",
+    ],
+)
 _MAY = Query(op="execute", limit=1)
+_OF_SYSTEM = (
+    (STOP, "/system/estop", _MAY),
+    (ROBOTS, "/system/robots", Query(op="read", limit=1)),
+)
+"""Skills with the resource that they need."""
 
 
 def skills_of(
@@ -64,12 +82,12 @@ def skills_of(
         return [PLAN]
     root = f"/tenant/{session.tenant}"
     found: list[AgentSkill] = [PLAN]
-    may = True
-    for path in _STOPPING:
-        page = yield from client_api.discover(session, path, _MAY)
-        may = may and bool(page["resources"])
-    if may:
-        found.append(STOP)
+    plans = yield from client_api.discover(session, "/system/plans", _MAY)
+    if plans["resources"]:  # a task runs a plan
+        for skill, path, query in _OF_SYSTEM:
+            page = yield from client_api.discover(session, path, query)
+            if page["resources"]:
+                found.append(skill)
     cursor: str | None = None
     while True:
         query = Query(op="execute", limit=_PAGE, cursor=cursor)
@@ -91,7 +109,7 @@ def _skill(resource: Node, root: str) -> AgentSkill:
         id=".".join((kind, *names)),
         name=" ".join(names).replace("_", " "),
         description=resource["description"] + _parameters(resource["schemas"].get("input")),
-        tags=[kind, *names[:-1]],
+        tags=[kind, *names[:-1], *(one.partition("/")[0] for one in resource.get("profiles", ()))],
         examples=[
             *(_plan(short, value) for value in examples),
             *(_line(short, value) for value in examples[:1]),

@@ -11,6 +11,7 @@ from rcp_inventory.control import Controllers
 from rcp_inventory.fleet import Fleet
 from rcp_inventory.inventory import Inventory
 from rcp_inventory.messages import Control, FactSheet, Reading, RobotState
+from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import Event
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.hookspecs import hookimpl
@@ -20,6 +21,7 @@ from rcp_kernel.sessions.command import Command, Record
 __all__ = ["Control", "FactSheet", "InventoryConfig", "Reading", "RobotState", "rcp_features"]
 
 PATH = "/system/robots"
+_LOOK = Rule(("discover", "read", "subscribe"), (PATH,))
 _RESOURCE = Resource(
     name="sensor/robots",
     description="Robots that you may see: kind, state, position, battery, limits, who has control.",
@@ -96,4 +98,5 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
     """Offer the inventory."""
-    return [FeatureKind("inventory", InventoryConfig, _make, __doc__ or "")]
+    grants = {"viewer": (_LOOK,), "operator": (_LOOK,), "agent": (_LOOK,)}
+    return [FeatureKind("inventory", InventoryConfig, _make, __doc__ or "", grants=grants)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_kernel.config.role import Rule
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.features.control import CONTROL, HOLDERS
 from rcp_kernel.hookspecs import hookimpl
@@ -12,7 +13,7 @@ from rcp_leases.config import LeasesConfig, check, from_gateway
 from rcp_leases.control import LeaseControl
 from rcp_leases.guard import LeaseGuard
 from rcp_leases.leases import Leases
-from rcp_leases.requests import PATH, LeaseRequest, LeaseRequests, LeaseState
+from rcp_leases.requests import PATH, LeaseRequest, LeaseRequests, LeaseState, releases
 
 __all__ = ["LeaseRequest", "LeaseState", "LeasesConfig", "rcp_features"]
 
@@ -32,12 +33,16 @@ _RESOURCE = Resource(
     history=1,
 )
 
+_USE = Rule(("discover", "read", "subscribe", "execute"), (PATH,))
+
 
 def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
     leases = Leases(config, host, changed=lambda: host.changed(PATH))
     requests = LeaseRequests(leases, host)
     control = LeaseControl(leases)
-    shown = SystemResource(resource=_RESOURCE, view=requests.view, execute=requests.request)
+    shown = SystemResource(
+        resource=_RESOURCE, view=requests.view, execute=requests.request, releases=releases
+    )
     return Feature(
         resources=(shown,),
         guard=LeaseGuard(leases),
@@ -54,5 +59,13 @@ def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
 def rcp_features() -> Iterable[FeatureKind]:
     """Provide leases."""
     return [
-        FeatureKind("leases", LeasesConfig, _make, __doc__ or "", table=from_gateway, check=check)
+        FeatureKind(
+            "leases",
+            LeasesConfig,
+            _make,
+            __doc__ or "",
+            table=from_gateway,
+            check=check,
+            grants={"operator": (_USE,), "agent": (_USE,)},
+        )
     ]

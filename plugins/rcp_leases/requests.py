@@ -15,17 +15,21 @@ from rcp_kernel.errors import (
     Forbidden,
     LeaseLost,
     OutOfRange,
+    RcpError,
     UnknownPath,
 )
 from rcp_kernel.features import FeatureHost, Scope
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.types import Time
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Request
 from rcp_leases.lease import Lease
 from rcp_leases.leases import COMMANDING, Leases
 
-__all__ = ["PATH", "LeaseRequest", "LeaseRequests", "LeaseState"]
+__all__ = ["PATH", "LeaseRequest", "LeaseRequests", "LeaseState", "releases"]
 
 PATH = "/system/leases"
+_RELEASE = 2048  # bytes of a release at most
 
 
 class LeaseRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -58,6 +62,25 @@ class LeaseState(msgspec.Struct, frozen=True):
     since: Time
     expires: Time
     reason: str | None = None
+
+
+class _Asked(msgspec.Struct, frozen=True):
+    """The part of a request that shows whether it is a release."""
+
+    do: str
+
+
+_ASKED = value_type(_Asked)
+
+
+def releases(request: Request) -> bool:
+    """Return whether a request only releases a lease."""
+    if len(bytes(request.body)) > _RELEASE:
+        return False
+    try:
+        return request.decode_body(_ASKED, "release").do == "release"
+    except RcpError:
+        return False
 
 
 class LeaseRequests:

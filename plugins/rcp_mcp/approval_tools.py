@@ -113,6 +113,8 @@ def _question(session: Session, request: Request, path: str) -> str:
     value = bytes(request.body).decode(errors="replace")
     shown = value if len(value) <= _SHOWN else value[:_SHOWN] + "…"
     what = f" with {shown}" if shown else ""
+    if request.path is None:  # of the write of several paths, the value names all of them
+        path, what = "as one", f" {shown}"
     return (
         f"{session.principal.name} wants to {request.type} {path}{what}. "
         "This command moves or changes a robot and requires approval. Approve it?"

@@ -22,7 +22,7 @@ from rcp_mcp.catalogue import Catalogue, Typed, matches
 from rcp_mcp.command_replies import Following
 from rcp_mcp.config import McpConfig
 from rcp_mcp.content import marked, speaks
-from rcp_mcp.fixed import Cancel, Execute, Write
+from rcp_mcp.fixed import Cancel, Execute, Write, WriteAll
 from rcp_mcp.offers import Context, Outcome
 from rcp_mcp.stops import is_hold
 from rcp_mcp.tasks import Tasks
@@ -58,6 +58,18 @@ class CommandTools:
             type="write",
             path=arguments.path,
             body=_raw(arguments.value),
+            valid_for=arguments.valid_for,
+            dry_run=arguments.dry_run,
+            idempotency_key=arguments.idempotency_key,
+            approval=arguments.approval,
+        )
+        return await self.run(ctx, session, request, None)
+
+    async def write_all(self, ctx: Context, session: Session, arguments: WriteAll) -> Outcome:
+        """Set several values as one."""
+        request = Request(
+            type="write",
+            body=_raw(arguments.values),
             valid_for=arguments.valid_for,
             dry_run=arguments.dry_run,
             idempotency_key=arguments.idempotency_key,

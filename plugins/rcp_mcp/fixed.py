@@ -22,6 +22,7 @@ __all__ = [
     "Status",
     "Watch",
     "Write",
+    "WriteAll",
 ]
 
 INVENTORY = "/system/robots"
@@ -30,6 +31,17 @@ _Seconds = Meta(gt=0, le=86_400, extra_json_schema={"unit": "s"})
 _PATH = "Such as `/sensor/pose`, or with its tenant `/tenant/alpha/sensor/pose`."
 _APPROVAL = "Id of the approval for exactly this command, from the refusal."
 _KEY = "Idempotency key: a repeated call with the same key is not executed again."
+
+
+_ValidFor = Annotated[
+    float,
+    Meta(
+        gt=0,
+        le=3600,
+        description="Time after which the robot is stopped unless the value is written again.",
+        extra_json_schema={"unit": "s"},
+    ),
+]
 
 
 class _Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -89,6 +101,16 @@ class Read(_Call, frozen=True):
     fresh: Annotated[
         bool, Meta(description="Read from the robot, even if a recent value is available.")
     ] = False
+    frame: (
+        Annotated[
+            str,
+            Meta(
+                description="Frame of the values: `map`, `base_link`, `earth` (latitude, longitude). "
+                "`frames` of a resource lists them."
+            ),
+        ]
+        | None
+    ) = None
     cursor: (
         Annotated[
             str, Meta(description="`cursor` from the previous result, for the rest of a pattern.")
@@ -102,19 +124,22 @@ class Write(_Call, frozen=True):
 
     path: Annotated[str, Meta(description=_PATH)]
     value: Any
-    valid_for: (
-        Annotated[
-            float,
-            Meta(
-                gt=0,
-                le=3600,
-                description="Time after which the robot is stopped unless the value is written "
-                "again.",
-                extra_json_schema={"unit": "s"},
-            ),
-        ]
-        | None
-    ) = None
+    valid_for: _ValidFor | None = None
+    dry_run: Annotated[bool, Meta(description="Check the request without changing anything.")] = (
+        False
+    )
+    idempotency_key: Annotated[str, Meta(max_length=256, description=_KEY)] | None = None
+    approval: Annotated[str, Meta(max_length=128, description=_APPROVAL)] | None = None
+
+
+class WriteAll(_Call, frozen=True):
+    """The values to write as one."""
+
+    values: Annotated[
+        dict[str, Any],
+        Meta(min_length=1, max_length=64, description="Each path with its value."),
+    ]
+    valid_for: _ValidFor | None = None
     dry_run: Annotated[bool, Meta(description="Check the request without changing anything.")] = (
         False
     )
@@ -201,12 +226,12 @@ def _fixed(
     hints = types.ToolAnnotations(
         read_only_hint=not changes,
         destructive_hint=changes and not stops,
-        idempotent_hint=not changes or stops or name == "write",
+        idempotent_hint=not changes or stops or name.startswith("write"),
         open_world_hint=changes,
     )
     tool = types.Tool(
         name=name,
-        title=name.capitalize(),
+        title=name.replace("_", " ").capitalize(),
         description=words,
         input_schema=arguments(type_.schema, examples, {}).schema,
         output_schema=answer,
@@ -280,6 +305,16 @@ FIXED: dict[str, Fixed] = {
             "Set a parameter or command an actuator. A velocity command is valid for a short "
             "time only: the robot stops unless it is written again.",
             [{"path": "/param/speed_limit", "value": 0.5}],
+            _COMMAND,
+            needs="write",
+            changes=True,
+        ),
+        _fixed(
+            "write_all",
+            WriteAll,
+            "Write several paths of one robot as one, such as both wheels: all of them come into "
+            "force at once, or none. They must have the same `atomic` group in `discover`.",
+            [{"values": {"/actuator/left/velocity": 1.0, "/actuator/right/velocity": 1.0}}],
             _COMMAND,
             needs="write",
             changes=True,

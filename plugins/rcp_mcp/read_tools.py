@@ -80,7 +80,8 @@ class ReadTools:
 
     async def read(self, ctx: Context, session: Session, arguments: Read) -> Outcome:
         """Read one value, or those of a pattern."""
-        options = {"fields": arguments.fields, "fresh": arguments.fresh, "cursor": arguments.cursor}
+        names = ("fields", "fresh", "frame", "cursor")
+        options = {name: getattr(arguments, name) for name in names}
         body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
         reply = await self._client_api.request(
             session, Request(type="read", path=arguments.path, body=body)
@@ -203,8 +204,7 @@ def _line(one: Facts, tenant: str | None, typed: dict[str, Any]) -> dict[str, An
         "operations": one["operations"],
         "description": one["description"],
     }
-    if "unit" in one:
-        line["unit"] = one["unit"]
+    line |= {key: one[key] for key in ("unit", "atomic") if key in one}
     if one.get("state") in ("stale", "down", "never"):
         line["state"] = one["state"]
     name = tool_name(one["path"], tenant)

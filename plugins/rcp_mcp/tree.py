@@ -63,6 +63,7 @@ class Tree(Offer):
             "read": looking.read,
             "status": looking.status,
             "write": commanding.write,
+            "write_all": commanding.write_all,
             "execute": commanding.execute,
             "cancel": commanding.cancel,
             "watch": WatchTools(config, client_api).watch,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.role import Rule
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
@@ -29,6 +30,8 @@ _RESOURCE = Resource(
     history=1,
 )
 
+_USE = Rule(("discover", "read", "subscribe", "execute"), ("/system/plans",))
+
 
 def _table(gateway: GatewayConfig) -> dict[str, object]:
     return {"plans": gateway.plans}
@@ -51,5 +54,13 @@ def _make(table: PlansTable, _host: FeatureHost) -> Feature:
 def rcp_features() -> Iterable[FeatureKind]:
     """Register the feature `plans`."""
     return [
-        FeatureKind("plans", PlansTable, _make, __doc__ or "", table=_table, check=_check),
+        FeatureKind(
+            "plans",
+            PlansTable,
+            _make,
+            __doc__ or "",
+            table=_table,
+            check=_check,
+            grants={"operator": (_USE,), "agent": (_USE,)},
+        ),
     ]

@@ -11,6 +11,10 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
+import msgspec
+
+from rcp_kernel._plain import is_map
+from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
@@ -18,6 +22,7 @@ from rcp_kernel.errors import (
     DuplicateRequest,
     InvalidValue,
     OutOfRange,
+    PreconditionFailed,
     RcpError,
     UnknownPath,
     UnsupportedOperation,
@@ -27,7 +32,6 @@ from rcp_kernel.features.approval import ApprovalService
 from rcp_kernel.features.control import ControlService
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.scope import Scope
 from rcp_kernel.values import Encoding, ValueType, dump
@@ -267,6 +271,9 @@ class _Check:
         if isinstance(step, Read) and "*" in step.path:
             yield from self._pattern(node, step)
             return
+        if isinstance(step, Write) and step.path is None:
+            yield from self._atomic(node, step, refers=refers)
+            return
         entry = yield from self._entry(step)
         node.path = node.state.path = entry.path
         if step.robot is None and entry.tenant is not None:
@@ -280,14 +287,36 @@ class _Check:
             if not refers:
                 self._host.check_read(step.value)
             return
-        value = None if refers else self._value(step, entry)
-        self._admit(entry, value, refers=refers)
+        value, complete = (None, False) if refers else self._value(step, entry)
+        self._admit(entry, value, complete=complete)
         if self._approvals.wanted(self._session, entry, value):
-            self._checked.asks.append(node.id)
+            self._checked.ask(node, entry.path)
         if isinstance(step, Execute):
             gained = self._control.gains(self._session, entry, step.value)
             self._gained += [] if gained is None else [gained]
         yield
+
+    def _atomic(self, node: Node, step: Write, *, refers: bool) -> Work:
+        """Check a write of several paths as one."""
+        if not is_map(step.value) or not step.value:
+            raise InvalidValue(
+                "a write without `path` maps paths to values", details={"pointer": "/value"}
+            )
+        assert self._checked is not None
+        entries: list[Entry] = []
+        for path, own in step.value.items():
+            alone = msgspec.structs.replace(step, path=path, value=own)
+            entry = yield from self._entry(alone)
+            entries.append(entry)
+            self._checked.touches[entry.path] = None
+            value, complete = (None, False) if refers else self._value(alone, entry)
+            self._admit(entry, value, complete=complete)
+            if self._approvals.wanted(self._session, entry, value):
+                self._checked.ask(node, entry.path)
+            yield
+        self._host.check_group(entries)
+        if step.robot is None:
+            node.tenant, node.robot = entries[0].tenant, entries[0].robot
 
     def _pattern(self, node: Node, step: Read) -> Work:
         pattern = Pattern(step.path, self._session.tenant)
@@ -302,11 +331,11 @@ class _Check:
             yield
 
     def _entry(self, step: Operate) -> Generator[None, None, Entry]:
-        operation = _OPERATIONS[step.do]
+        operation, path = _OPERATIONS[step.do], step.path or ""
         try:
-            entry = self._host.resolve(self._session, step.path, operation)
+            entry = self._host.resolve(self._session, path, operation)
         except UnknownPath as error:
-            near = yield from self._near(error.path or step.path, operation)
+            near = yield from self._near(error.path or path, operation)
             if near:
                 error.remedy = f"Did you mean {', '.join(near)}? {error.remedy}"
                 error.details = {"near": near}
@@ -339,20 +368,29 @@ class _Check:
             yield
         return near.found
 
-    def _value(self, step: Write | Execute, entry: Entry) -> Any:
+    def _value(self, step: Write | Execute, entry: Entry) -> tuple[Any, bool]:
+        """Return the value of a step, and whether it is the one that the robot will get."""
         called = isinstance(step, Execute)
         if called and entry.resource.input is None and step.value in (None, {}):
-            return None
+            return None, True
+        if called:
+            try:
+                goal = self._host.goal(self._session, entry, step.value)
+            except PreconditionFailed:  # for want of a pose, which its step will need
+                return None, False
+            if goal is not None:  # by then, the robot may be elsewhere
+                return goal, False
         type_ = entry.input_type if called else entry.value_type
-        return self._decode(type_, step.value, f"input of {entry.label}" if called else entry.label)
+        label = f"input of {entry.label}" if called else entry.label
+        return self._decode(type_, step.value, label), True
 
     @staticmethod
     def _decode(type_: ValueType, value: Any, label: str) -> Any:
         return type_.decode(dump(value, Encoding.JSON), Encoding.JSON, label)
 
-    def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
+    def _admit(self, entry: Entry, value: Any, *, complete: bool) -> None:
         gained = any(scope.covers(entry.path) for scope in self._gained)
-        self._host.foresee(self._session, entry, value, gained=gained, complete=not refers)
+        self._host.foresee(self._session, entry, value, gained=gained, complete=complete)
 
     def _condition(self, node: Node, text: str, name: str) -> Work:
         """Compile a condition of a step, which may use only values that the sender may read."""

@@ -82,11 +82,11 @@ class Read(_Step, frozen=True, tag="read"):
     value: Any = None
 
 
-class Write(_Step, frozen=True, tag="write"):
-    """Write a value."""
+class Write(_Step, frozen=True, kw_only=True, tag="write"):
+    """Write a value; without `path`, `value` maps paths to values that are written as one."""
 
     do: ClassVar[Literal["write"]] = "write"
-    path: _Path
+    path: _Path | None = None
     value: Any
     valid_for: Annotated[float, Meta(gt=0, le=3600, extra_json_schema={"unit": "s"})] | None = None
 

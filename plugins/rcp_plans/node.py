@@ -76,6 +76,14 @@ class Checked:
         """Paths named in the plan and its conditions, in order."""
         self.asks: list[str] = []
         """Ids of the steps that require approval."""
+        self.asked: list[str] = []
+        """The paths that they require it for."""
+
+    def ask(self, node: Node, path: str) -> None:
+        """Note that a step requires approval for a path."""
+        self.asked.append(path)
+        if node.id not in self.asks:
+            self.asks.append(node.id)
 
     def plain(self) -> list[dict[str, Any]]:
         """List the requests that would be sent."""

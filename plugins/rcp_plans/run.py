@@ -14,7 +14,7 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 from rcp_plans.engine import Engine
 from rcp_plans.model import Plan, PlanResult
-from rcp_plans.node import Checked, every
+from rcp_plans.node import Checked
 from rcp_plans.outline import outline
 from rcp_plans.progress import ProgressReport
 
@@ -29,7 +29,7 @@ class PlanRun:
         self._approvals = approvals
         self._host = host
         self._asks = tuple(checked.asks)
-        self._asked = tuple(n.path or "" for n in every(checked.nodes) if n.id in checked.asks)
+        self._asked = tuple(checked.asked)
         self.touches = tuple(checked.touches)
         self._telling = ProgressReport(checked)
 

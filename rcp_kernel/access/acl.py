@@ -11,10 +11,13 @@ the other rules do not decide.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
+
+import msgspec
 
 from rcp_conditions import Condition, condition
 from rcp_kernel.config.role import ASK, BUILTIN_ROLES, DECIDE, OPERATIONS, Role, Rule
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Rights", "Rules", "reach"]
 
+_NO_GRANTS: Mapping[str, Sequence[Rule]] = MappingProxyType({})
 _MAX_KNOWN = 200_000  # paths with cached masks, over all sets of roles
 _MAX_COMPILED = 1000  # sets of roles with cached rights
 _NAMED = re.compile(r"/tenant/[\w./-]+")
@@ -349,13 +353,23 @@ def _reaches(rule: Rule, tenant: str) -> list[_Reach]:
 class Rules:
     """The roles of the gateway, and the rights compiled from them."""
 
-    def __init__(self, roles: dict[str, Role], conditions: Conditions | None = None) -> None:
+    def __init__(
+        self,
+        roles: dict[str, Role],
+        conditions: Conditions | None = None,
+        grants: Mapping[str, Sequence[Rule]] = _NO_GRANTS,
+    ) -> None:
+        """`grants` are rules that features add to built-in roles."""
         self._conditions = conditions
+        self._built_in = {
+            name: msgspec.structs.replace(role, allow=(*role.allow, *grants.get(name, ())))
+            for name, role in BUILTIN_ROLES.items()
+        }
         self.configure(roles)
 
     def configure(self, roles: dict[str, Role]) -> None:
         """Apply other roles; new sessions do not use rights compiled from previous ones."""
-        self.roles = {**BUILTIN_ROLES, **roles}
+        self.roles = {**self._built_in, **roles}
         self._room = Room()
         self._compiled: dict[Grants, Rights] = {}
         conditions = self._conditions

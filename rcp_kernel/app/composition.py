@@ -7,7 +7,7 @@ which the other adds itself when it is created.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -28,6 +28,7 @@ from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi, ClientApiParts
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
+from rcp_kernel.config.role import Rule
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.shutdown import Shutdown
@@ -46,6 +47,7 @@ from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.discover import DiscoverHandler
 from rcp_kernel.requests.discovery import Discovery
 from rcp_kernel.requests.execute import ExecuteHandler
+from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
@@ -74,13 +76,13 @@ from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.ledger import Ledger
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
+from rcp_store.ledger import Ledger
+from rcp_store.store import Store
 
 __all__ = ["compose"]
 
@@ -149,6 +151,7 @@ class _Requests:
     """Checks of a request before its handler."""
 
     router: RequestRouter
+    exempt: Exemptions
     long_bodies: LongBodies
     resolver: Resolver
     admission: Admission
@@ -183,7 +186,7 @@ def compose(
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway without backends that does not serve yet."""
-    base = _base(config, loop, clock)
+    base = _base(config, loop, clock, _grants(features))
     records = _records(base, store)
     motion = _motion(base, records)
     clients = _clients(base, records, motion)
@@ -221,7 +224,21 @@ def compose(
     )
 
 
-def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) -> _Base:
+def _grants(features: Sequence[ActiveFeature]) -> dict[str, tuple[Rule, ...]]:
+    """Return the rules that features add to built-in roles."""
+    found: dict[str, tuple[Rule, ...]] = {}
+    for feature in features:
+        for role, rules in feature.kind.grants.items():
+            found[role] = (*found.get(role, ()), *rules)
+    return found
+
+
+def _base(
+    config: GatewayConfig,
+    loop: asyncio.AbstractEventLoop,
+    clock: Clock,
+    grants: Mapping[str, Sequence[Rule]],
+) -> _Base:
     registry, turns = Registry(clock), Turns(loop)
     sights = Sights(registry, turns)
     hub = Hub(registry, loop, config.limits.pattern_value)
@@ -241,7 +258,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop, clock: Clock) 
         conditions=conditions,
         sights=sights,
         visibility=Visibility(registry, sights),
-        rules=Rules(config.roles, conditions),
+        rules=Rules(config.roles, conditions, grants),
         counts=counts,
         deadlines=deadlines,
         inflight=InFlight(settings, counts, turns, deadlines, loop),
@@ -377,6 +394,7 @@ def _requests(
     )
     keys = Keys(records.store, base.loop, base.clock)
     keys.load(records.journal.find)
+    exempt = Exemptions(features.releases)
     return _Requests(
         RequestRouter(
             base.settings,
@@ -385,7 +403,9 @@ def _requests(
             events,
             long_bodies,
             features.actions,
+            exempt,
         ),
+        exempt,
         long_bodies,
         resolver,
         admission,
@@ -471,6 +491,7 @@ def _handlers(
         views=system.branch.views,
         pages=system.branch.pages,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     subscribe = SubscribeHandler(
@@ -482,6 +503,7 @@ def _handlers(
         clients.sessions,
         views=system.branch.views,
         filters=system.branch.filters,
+        frames=features.frames,
         settings=base.settings,
     )
     keyed = KeyedWrites(requests.keys, inflight, base.loop)
@@ -519,12 +541,14 @@ def _handlers(
         services=system.branch.services,
         actions=_actions(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
+        exempt=requests.exempt,
         keys=requests.keys,
         inflight=inflight,
         counts=base.counts,
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
+        frames=features.frames,
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
@@ -553,6 +577,7 @@ def _actions(
         handle=requests.router.handle,
         resolver=requests.resolver,
         foresee=features.foresee,
+        frames=features.frames,
         commands=motion.commands,
         journal=records.journal,
         conditions=base.conditions,
@@ -606,7 +631,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, features.describe)
+    discovery = Discovery(base.registry, base.sights, features.describe, features.frames)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     ping = PingHandler(base.counts)
     requests.router.add("ping", ping.ping)

@@ -27,7 +27,9 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
+from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
+from rcp_kernel.features.resource import Releases
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -97,6 +99,11 @@ class Features:
         """Their long-running actions, by path."""
         return {one.path: one.action for one in self.resources if one.action is not None}
 
+    @property
+    def releases(self) -> dict[str, Releases]:
+        """What tells which requests only release something, by path."""
+        return {one.path: one.releases for one in self.resources if one.releases is not None}
+
     def resources_of(self, name: str) -> list[SystemResource]:
         """The resources of one feature."""
         return [one for own, feature in self._made if own == name for one in feature.resources]
@@ -114,6 +121,12 @@ class Features:
             for name, feature in self._made
             if feature.observer is not None and (feature.guard is None or feature.guard.active)
         ]
+
+    @property
+    def frames(self) -> FrameConverter:
+        """The converter of frames."""
+        found = (feature.frames for _, feature in self._made)
+        return next((one for one in found if one is not None), NoFrames())
 
     @property
     def authenticators(self) -> list[Authenticator]:

@@ -11,6 +11,7 @@ import msgspec
 
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.status import StatusReport
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.features import Filter, Pages, Service, SystemResource, View
 from rcp_kernel.model import Operation, Resource
@@ -89,7 +90,7 @@ class System(BaseBackend):
             "/system/status": self._health,
             "/system/sessions": self._list_sessions,
             "/system/commands": self._list_commands,
-            "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
+            ESTOP: lambda session: msgspec.to_builtins(estop.state(session)),
         }
         """Resources whose value depends on the reader, by path."""
         self.filters: dict[str, Filter] = {_LOG: self._shown}

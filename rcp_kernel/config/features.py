@@ -9,6 +9,7 @@ __all__ = ["BUILTIN", "active_features"]
 BUILTIN: tuple[str, ...] = (
     "approvals",
     "audit",
+    "frames",
     "guard",
     "inventory",
     "jwt",

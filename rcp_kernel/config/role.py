@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.model import Operation
 
 __all__ = ["ASK", "BUILTIN_ROLES", "DECIDE", "OPERATIONS", "Role", "Rule"]
@@ -58,19 +59,18 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
-_HEALTH = Rule(_LOOK, ("/system/status", "/system/robots"))
-_ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
+_HEALTH = Rule(_LOOK, ("/system/status",))
+_STOP = Rule(("discover", "read", "subscribe", "execute"), (ESTOP,))
 _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
-_LEASES = Rule((*_LOOK, "execute"), ("/system/leases", "/system/plans"))
 ASK = Rule(_LOOK, ("/system/approvals",))
 DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
 BUILTIN_ROLES: dict[str, Role] = {
-    "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _ESTOP)),
-    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES)),
-    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES), priority=10),
+    "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
+    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _STOP, _OWN)),
+    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _STOP, _OWN), priority=10),
     "admin": Role(
         allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
     ),
 }
 """Roles that need no configuration: look, operate, operate as a program that gives way to people,
-and all of it with the gateway's own branch."""
+and all of it with the gateway's own branch. Features add their own rules: `FeatureKind.grants`."""

@@ -6,6 +6,7 @@ from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.durability import Durability
 from rcp_kernel.features.feature import Feature, FeatureKind
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Pages, Service, SystemResource, View
@@ -29,6 +30,7 @@ __all__ = [
     "FeatureHost",
     "FeatureKind",
     "Filter",
+    "FrameConverter",
     "Guard",
     "Pages",
     "RobotConditions",

@@ -53,6 +53,13 @@ class ActionHost(Protocol):
         """Return a service of another feature; None if no feature provides it."""
         ...
 
+    def check_group(self, entries: Sequence[Entry]) -> None:
+        """Check that a backend can write several paths as one.
+
+        :raises NotImplementedByRobot: they are not of one group of one robot.
+        """
+        ...
+
     def resolve(self, session: Session, path: str, operation: Operation) -> Entry:
         """Return a resource on which a session may perform an operation, now or in another state.
 
@@ -79,6 +86,15 @@ class ActionHost(Protocol):
 
         `gained`: the action acquires control of the path before. `complete`: the value is already
         final.
+
+        :raises RcpError: as for the request itself.
+        """
+        ...
+
+    def goal(self, session: Session, entry: Entry, value: Any) -> Any:
+        """Return the input of a later execute in the robot's own frame, as things are now.
+
+        None: it is so already, or names none.
 
         :raises RcpError: as for the request itself.
         """

@@ -17,10 +17,12 @@ from prometheus_client.core import Metric
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import Hear
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.description import Describe
 from rcp_kernel.features.durability import Durability
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
@@ -51,6 +53,8 @@ class Feature:
     long before the step is run."""
     describe: Describe | None = None
     """Returns additions to the description of a resource, for a principal that may command it."""
+    frames: FrameConverter | None = None
+    """Converts values to the frames that clients name, and goals from them; one feature at most."""
     status: Callable[[Rights | None], StatusPart] | None = None
     """Returns a part of `/system/status` for a principal, or for everyone (None)."""
     authenticator: Authenticator | None = None
@@ -108,3 +112,5 @@ class FeatureKind(msgspec.Struct, frozen=True):
     """Checks this table against the rest of the configuration and raises `ConfigError`; also
     called by
     `rcpd check`."""
+    grants: Mapping[str, tuple[Rule, ...]] = {}
+    """Rules that the built-in roles `viewer`, `operator` and `agent` have with the feature."""

@@ -10,14 +10,19 @@ from rcp_kernel.features.action import Action
 from rcp_kernel.model import Resource
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.registry import Registry
+from rcp_kernel.wire import Request
 
-__all__ = ["Filter", "Pages", "Service", "SystemResource", "View", "ViewChanges"]
+__all__ = ["Filter", "Pages", "Releases", "Service", "SystemResource", "View", "ViewChanges"]
 
 View = Callable[[Session], Any]
 """Returns the value of a resource for one reader."""
 
 Filter = Callable[[Session, Any], Any]
 """Returns the part of a sample that a session may see; None hides it."""
+
+
+Releases = Callable[[Request], bool]
+"""Returns whether a request only releases something; must neither block nor raise."""
 
 
 class Pages(Protocol):
@@ -56,6 +61,9 @@ class SystemResource:
     """Handles `execute` as a command that may take time. The value of the resource is the list
     of its
     commands, filtered for each reader."""
+
+    releases: Releases | None = None
+    """Tells which `execute` only gives something up: it is never counted or refused by limits."""
 
     @property
     def path(self) -> str:

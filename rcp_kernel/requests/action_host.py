@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from typing import Any, TypeVar
+
+import msgspec
 
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.contract.digest import bounded, hashing
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.control import CONTROL, NoControl
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
+from rcp_kernel.requests.atomic_write import check_group
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.read import READ_OPTIONS
@@ -40,6 +44,7 @@ class GatewayActionHost:
         handle: Handler,
         resolver: Resolver,
         foresee: Callable[[Session, Entry, Any], None],
+        frames: FrameConverter,
         commands: Commands,
         journal: CommandJournal,
         conditions: Conditions,
@@ -54,6 +59,7 @@ class GatewayActionHost:
         self._resolver = resolver
         self._journal = journal
         self._foresee = foresee
+        self._frames = frames
         self._services = services
         self._control = services.service(CONTROL) or NoControl()
         self._personal = personal
@@ -92,6 +98,19 @@ class GatewayActionHost:
             raise entry.owner.unavailable()
         if complete:
             self._foresee(session, entry, value)
+
+    def check_group(self, entries: Sequence[Entry]) -> None:
+        """Check that a backend can write several paths as one.
+
+        :raises NotImplementedByRobot: they are not of one group of one robot.
+        """
+        check_group(entries)
+
+    def goal(self, session: Session, entry: Entry, value: Any) -> Any:
+        """Return the input of an execute in the robot's own frame."""
+        body = msgspec.Raw(dump(value, Encoding.JSON))
+        request = Request(type="execute", path=entry.path, body=body)
+        return self._frames.goal(session, request, entry)
 
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""

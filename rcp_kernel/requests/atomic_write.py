@@ -44,7 +44,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 from rcp_protocol.structure import LONG
 
-__all__ = ["MOST", "AtomicWriteHandler", "DryRun"]
+__all__ = ["MOST", "AtomicWriteHandler", "DryRun", "check_group"]
 
 DryRun = Callable[[Call], Mapping[str, Any]]
 """Returns the features' part of the reply to a dry run."""
@@ -111,8 +111,8 @@ class AtomicWriteHandler:
     def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Start a write; a repetition with the same idempotency key waits for the first outcome."""
         items = self._items(session, request)
-        _check_group(items)
         entries = [item.entry for item in items]
+        check_group(entries)
         place = f"/tenant/{entries[0].tenant}"
         timeout = min(self._inflight.deadline(request, entry) for entry in entries)
         keyed = request.idempotency_key is not None
@@ -361,23 +361,22 @@ def _parts(request: Request) -> dict[str, Raw]:
     return parts
 
 
-def _check_group(items: Sequence[_Item]) -> None:
+def check_group(entries: Sequence[Entry]) -> None:
     """Check that a backend can write all of them as one.
 
     :raises NotImplementedByRobot: they are not of one group of one robot.
     """
-    first = items[0].entry
-    if len(items) == 1:
+    if len(entries) == 1:
         return
-    groups = {(i.entry.owner.name, i.entry.unit.name, i.entry.resource.atomic) for i in items}
-    if len(groups) == 1 and first.resource.atomic is not None:
+    groups = {(e.owner.name, e.unit.name, e.resource.atomic) for e in entries}
+    if len(groups) == 1 and entries[0].resource.atomic is not None:
         return
-    named = {item.entry.path: item.entry.resource.atomic for item in items}
+    named = {entry.path: entry.resource.atomic for entry in entries}
     alone = next((path for path, group in named.items() if group is None), None)
     why = "they are of different groups or robots" if alone is None else f"{alone} has no group"
     raise NotImplementedByRobot(
         f"these paths cannot be written as one: {why}",
-        path=alone or first.path,
+        path=alone or entries[0].path,
         remedy="Write paths with the same `atomic` group of one robot (see `discover`), or send a "
         "write for each path.",
         details={"groups": named},

@@ -13,6 +13,7 @@ from msgspec import Raw
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
@@ -35,7 +36,6 @@ from rcp_kernel.wire import (
 
 __all__ = ["BatchHandler"]
 
-_ESTOP = "/system/estop"
 _LOOKS = frozenset(("read", "discover", "status"))
 """Requests that change nothing and can be repeated individually."""
 _ESTOP_INPUT = value_type(EstopRequest | None)
@@ -166,7 +166,7 @@ class _Batch:
 
 def _is_stop(request: Request) -> bool:
     """Tell an e-stop from its reset, which keeps its place."""
-    if request.type != "execute" or request.path != _ESTOP:
+    if request.type != "execute" or request.path != ESTOP:
         return False
     try:
         asked = request.decode_body(_ESTOP_INPUT, "input")

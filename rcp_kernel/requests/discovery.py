@@ -12,6 +12,7 @@ from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.features.description import Describe
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
 from rcp_kernel.requests.catalogue import CataloguePage, Description
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of
@@ -49,10 +50,13 @@ _QUERY = value_type(Query | None)
 class Discovery:
     """Answers `discover` from the registry; descriptions are written once for each entry."""
 
-    def __init__(self, registry: Registry, sights: Sights, describe: Describe) -> None:
+    def __init__(
+        self, registry: Registry, sights: Sights, describe: Describe, frames: FrameConverter
+    ) -> None:
         self._registry = registry
         self._sights = sights
         self._describe = describe
+        self._frames = frames
         self._known: dict[str, tuple[Entry, Description]] = {}
         registry.on_removed.append(self._forget)
 
@@ -142,6 +146,8 @@ class Discovery:
         }
         if entry.operations & mask & _COMMANDED:
             facts |= self._describe(rights, entry, schemas=schemas)
+        if frames := self._frames.known(rights, entry):
+            facts["frames"] = frames
         return facts
 
     def _description(self, entry: Entry) -> Description:

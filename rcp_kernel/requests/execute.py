@@ -13,16 +13,18 @@ import msgspec
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
 from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
-from rcp_kernel.requests.exempt import is_exempt
+from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
@@ -81,12 +83,14 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
+        exempt: Exemptions,
         keys: Keys,
         inflight: InFlight,
         counts: RequestCounts,
         replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
+        frames: FrameConverter,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._resolver = resolver
@@ -98,12 +102,14 @@ class ExecuteHandler:
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
+        self._is_exempt = exempt
         self._keys = keys
         self._inflight = inflight
         self._counts = counts
         self._replies = replies
         self._partners = partners
         self._deadman = deadman
+        self._frames = frames
         self._loop = loop
 
     def execute_in_steps(
@@ -161,8 +167,8 @@ class ExecuteHandler:
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
             value = None
         else:
-            value = request.decode_body(entry.input_type, f"input of {entry.label}")
-        if entry.path == "/system/estop":
+            value = self._input(session, request, entry)
+        if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
@@ -240,7 +246,9 @@ class ExecuteHandler:
             return False
         action = self._actions.get(request.path or "")
         if action is not None:
-            return action.stops(request, lambda one: is_exempt(one) or self.stops(session, one))
+            return action.stops(
+                request, lambda one: self._is_exempt(one) or self.stops(session, one)
+            )
         try:
             return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
         except RcpError:
@@ -330,6 +338,12 @@ class ExecuteHandler:
             self._keys.note(session, request, entry.path, outcome)
             self._keys.settle(session, request, entry.path, reply)
         return reply
+
+    def _input(self, session: Session, request: Request, entry: Entry) -> Any:
+        goal = self._frames.goal(session, request, entry)
+        if goal is not None:
+            return goal
+        return request.decode_body(entry.input_type, f"input of {entry.label}")
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Cancel a command by its id, or everything running on a path; robots are notified at once."""

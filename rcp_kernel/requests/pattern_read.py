@@ -32,6 +32,7 @@ class PatternRead:
         *,
         at_hand: Callable[[Entry], Sample | None],
         fetch: Callable[[Entry], Coroutine[Any, Any, Sample]],
+        shown: Callable[[Entry, Sample], Sample],
         page: Parts,
         longest: int,
     ) -> None:
@@ -40,6 +41,7 @@ class PatternRead:
         self._fields = fields
         self._at_hand = at_hand
         self._fetch = fetch
+        self._shown = shown
         self._page = page
         self._longest = longest
         self._asked: deque[tuple[Entry, Sample | asyncio.Task[Sample]]] = deque()
@@ -100,6 +102,7 @@ class PatternRead:
         """Encode an item; return whether it fitted."""
         try:
             sample = found.result() if isinstance(found, asyncio.Task) else found
+            sample = self._shown(entry, sample)
             facts = {
                 "path": entry.path,
                 "status": "completed",

@@ -23,6 +23,7 @@ from rcp_kernel.errors import (
     RcpError,
     UnsupportedOperation,
 )
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.requests.inflight import InFlight
@@ -64,6 +65,8 @@ class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Items per page of a pattern read, or of a searchable list."""
     cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
     """The cursor of the previous page."""
+    frame: Annotated[str, Meta(min_length=1, max_length=64)] | None = None
+    """The frame of the value; default: the robot's own."""
 
 
 READ_OPTIONS = value_type(ReadOptions | None)
@@ -84,6 +87,7 @@ class ReadHandler:
         views: Mapping[str, View],
         pages: Mapping[str, Pages],
         filters: Mapping[str, Filter],
+        frames: FrameConverter,
         settings: Settings,
     ) -> None:
         self._registry = registry
@@ -97,6 +101,7 @@ class ReadHandler:
         self._views = views
         self._pages = pages
         self._filters = filters
+        self._frames = frames
         self._settings = settings
 
     def read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
@@ -205,17 +210,19 @@ class ReadHandler:
         if entry.path in self._views or entry.path in self._filters:
             return at_once(self._read_own(session, request, entry, options))
         if (sample := _at_hand(entry, options)) is not None:
-            if entry.value_type.grows and self._turns.over:
+            if entry.value_type.grows and self._turns.over and options.frame is None:
                 self._read_later(session, request, entry, answer, options)
                 return None
-            return _reply(request, entry, sample, options)
+            return _reply(request, entry, self._in_frame(session, options, entry, sample), options)
         timeout = self._inflight.deadline(request, entry)
         self._inflight.later(
             session,
             request,
             answer,
             self.fetch(entry),
-            lambda sample: _reply(request, entry, sample, options),
+            lambda sample: _reply(
+                request, entry, self._in_frame(session, options, entry, sample), options
+            ),
             timeout,
             entry.path,
         )
@@ -232,10 +239,24 @@ class ReadHandler:
                 path=entry.path,
                 remedy="Send the pattern that the cursor belongs to.",
             )
+        type_ = entry.value_type
+        if options.frame is not None:
+            type_ = self._frames.view(session, entry, options.frame).value_type
         for field in options.fields or ():
-            if not entry.value_type.has_field(field):
+            if not type_.has_field(field):
                 raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
         return entry
+
+    def _in_frame(
+        self, session: Session, options: ReadOptions, entry: Entry, sample: Sample
+    ) -> Sample:
+        """Return a sample in the frame of the options.
+
+        :raises RcpError: there is no transform to it.
+        """
+        if options.frame is None:
+            return sample
+        return self._frames.view(session, entry, options.frame).convert(sample)
 
     def read_in_steps(
         self, session: Session, request: Request, answer: Answer
@@ -315,7 +336,7 @@ class ReadHandler:
     ) -> Reply | None:
         pattern = Pattern(request.path or "", session.tenant)
         after = "" if options.cursor is None else place_of(options.cursor)
-        entries = list(islice(self._readable(session, pattern, after), options.limit + 1))
+        entries = list(islice(self._readable(session, pattern, options, after), options.limit + 1))
         more = len(entries) > options.limit
         del entries[options.limit :]
         page = PatternRead(
@@ -323,6 +344,7 @@ class ReadHandler:
             options.fields,
             at_hand=partial(_at_hand, options=options),
             fetch=self.fetch,
+            shown=partial(self._in_frame, session, options),
             page=Parts(expected(session, request)),
             longest=room(self._settings.limits.message),
         )
@@ -354,10 +376,18 @@ class ReadHandler:
         )
         return None
 
-    def _readable(self, session: Session, pattern: Pattern, after: str) -> Iterator[Entry]:
-        """List the matches of a pattern by path, without values that depend on the reader."""
+    def _readable(
+        self, session: Session, pattern: Pattern, options: ReadOptions, after: str
+    ) -> Iterator[Entry]:
+        """List the matches of a pattern by path, without values that depend on the reader.
+
+        With a frame, only those with values that name theirs.
+        """
+        plain = options.frame is None
         for entry in self._registry.match(pattern, after):
             if entry.path in self._views or entry.path in self._filters:
+                continue
+            if not plain and not self._frames.converts(entry):
                 continue
             if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
                 yield entry

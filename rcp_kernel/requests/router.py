@@ -16,7 +16,7 @@ from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
-from rcp_kernel.requests.exempt import is_exempt
+from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.sessions.counts import RequestCounts
@@ -51,6 +51,7 @@ class RequestRouter:
         events: RequestEvents,
         long_bodies: LongBodies,
         actions: Container[str],
+        exempt: Exemptions,
     ) -> None:
         """`actions` are the paths of the gateway's long-running actions."""
         self._settings = settings
@@ -59,6 +60,7 @@ class RequestRouter:
         self._events = events
         self._long_bodies = long_bodies
         self._actions = actions
+        self._is_exempt = exempt
         self._routes: dict[str, Route] = {"hello": _hello}
         self._stepped: dict[str, SteppedRoute] = {}
         self._stopping: dict[str, Callable[[Session, Request], bool]] = {}
@@ -87,7 +89,7 @@ class RequestRouter:
         started = perf_counter()
         try:
             account = session.account
-            if account is not None and not is_exempt(request):
+            if account is not None and not self._is_exempt(request):
                 try:
                     taken = account.take(session.monotonic())
                 except Exception:  # a fault in a feature must not refuse a stop
@@ -145,7 +147,7 @@ class RequestRouter:
 
     def is_stop(self, session: Session, request: Request) -> bool:
         """Return whether a request stops or releases something, so that no feature may refuse it."""
-        return is_exempt(request) or self._stops(session, request)
+        return self._is_exempt(request) or self._stops(session, request)
 
     def _stops(self, session: Session, request: Request) -> bool:
         """Return whether a request brings something to rest, so that no rate limit may refuse it."""

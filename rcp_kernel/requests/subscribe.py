@@ -25,6 +25,7 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.requests.pages import MOST, MOST_BYTES, cursor_of
@@ -35,6 +36,7 @@ from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.filters import Change, Options, check_fields, parse_where, seconds
+from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
@@ -42,7 +44,7 @@ from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.values import Encoding, ValueType, value_type
 from rcp_kernel.wire import Reply, Request, error_body
 
 __all__ = ["SubscribeHandler"]
@@ -72,6 +74,7 @@ class SubscribeHandler:
         *,
         views: Mapping[str, View],
         filters: Mapping[str, Filter],
+        frames: FrameConverter,
         settings: Settings,
     ) -> None:
         self._resolver = resolver
@@ -82,6 +85,7 @@ class SubscribeHandler:
         self._resume = resume
         self._views = views
         self._filters = filters
+        self._frames = frames
         self._settings = settings
         sessions.on_renewal.append(self._renew_all)
 
@@ -159,7 +163,12 @@ class SubscribeHandler:
 
         def may(entry: Entry) -> bool:
             mask = reach(session.rights.mask(entry.path))
-            return bool(entry.operations & mask & Operation.SUBSCRIBE)
+            subscribable = bool(entry.operations & mask & Operation.SUBSCRIBE)
+            return subscribable and (options.frame is None or self._frames.converts(entry))
+
+        def framed(entry: Entry) -> FrameView | None:
+            frame = options.frame
+            return None if frame is None else self._frames.view(session, entry, frame)
 
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
@@ -183,6 +192,7 @@ class SubscribeHandler:
             end=end,
             view=view,
             visibility_filter=visibility_filter,
+            framed=framed,
             placed=partial(self._conditional.place, session),
         )
         session.subscriptions[id_] = subscription
@@ -208,15 +218,16 @@ class SubscribeHandler:
         if options.deadband is not None:
             Change(options.deadband, options.fields)
         found: dict[str, Entry] = {}
+        plain = options.frame is None
         for pattern in patterns:
             if pattern.literal:
                 entry = self._resolver.resolve(session, pattern.text, Operation.SUBSCRIBE)
-                check_fields(options, entry)
+                check_fields(options, entry, self._type(session, entry, options))
                 found[entry.path] = entry
                 continue
             for number, entry in enumerate(self._registry.match(pattern), 1):
                 mask = entry.operations & reach(session.rights.mask(entry.path))
-                if mask & Operation.SUBSCRIBE:
+                if mask & Operation.SUBSCRIBE and (plain or self._frames.converts(entry)):
                     found[entry.path] = entry
                 if not number % _STEP:
                     yield
@@ -229,6 +240,17 @@ class SubscribeHandler:
                 details={"limit": self._settings.limits.paths},
             )
         return list(found.values())
+
+    def _type(self, session: Session, entry: Entry, options: Options) -> ValueType:
+        """Return the type of what a subscription sends of a path.
+
+        :raises FilterUnsupported, InvalidValue: not in the frame of the options.
+        """
+        if options.frame is None:
+            return entry.value_type
+        view = self._frames.view(session, entry, options.frame)
+        view.check()
+        return view.value_type
 
     def _renew_all(self, session: Session) -> None:
         """Apply the new rights of a session to its subscriptions, in steps.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rcp_kernel.contract.events import EventBus
+from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.safety.safety import safe_value
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
@@ -39,7 +40,7 @@ class SafetyEvents:
             "stop",
             principal=None,
             tenant=unit.tenant,
-            path="/system/estop",
+            path=ESTOP,
             robot=unit.name,
             outcome=step,
             message=detail,
@@ -73,7 +74,7 @@ class SafetyEvents:
                 session=session,
                 request=request,
                 tenant=tenant,
-                path="/system/estop",
+                path=ESTOP,
                 reset=asked.reset,
                 scope=asked.scope,
                 latches=sorted(key for key, of in keys.items() if of in (None, tenant)),

@@ -5,10 +5,8 @@ from __future__ import annotations
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.wire import Reply, failure
 
-__all__ = ["ESTOP", "left_out"]
+__all__ = ["left_out"]
 
-ESTOP = "/system/estop"
-"""The path whose replies are sent regardless of the queue."""
 _ACTS = ("write", "execute")
 
 

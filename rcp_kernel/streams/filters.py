@@ -14,7 +14,7 @@ from rcp_conditions.fields import Field
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.errors import FilterUnsupported, InvalidValue
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.values import Encoding
+from rcp_kernel.values import Encoding, ValueType
 
 __all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
 
@@ -54,6 +54,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     encoding: Literal["json", "cbor", "msgpack", "native"] | None = None
     duration: Annotated[float, Meta(gt=0)] | None = None
     count: Annotated[int, Meta(ge=1)] | None = None
+    frame: Annotated[str, Meta(min_length=1, max_length=64)] | None = None
 
     def __post_init__(self) -> None:
         # Each one costs time for every sample, on the event loop that also handles e-stops.
@@ -62,6 +63,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             if isinstance(given, (tuple, dict)) and len(given) > _MAX_TERMS:
                 text = f"`{name}` has {len(given)} fields; the limit is {_MAX_TERMS}"
                 raise ValueError(text)
+        if self.frame is not None and self.encoding == "native":
+            text = "native bytes are not converted to another `frame`"
+            raise ValueError(text)
 
     @property
     def plain(self) -> bool:
@@ -279,8 +283,8 @@ def _beyond(old: float, new: float, size: float) -> bool:
     return old != new and not (math.isnan(old) and math.isnan(new))
 
 
-def check_fields(options: Options, entry: Entry) -> None:
-    """Check that the entry's type has everything that the options name.
+def check_fields(options: Options, entry: Entry, type_: ValueType) -> None:
+    """Check that the type of the values to be sent has everything that the options name.
 
     :raises FilterUnsupported: it lacks a field or the native encoding.
     """
@@ -290,7 +294,7 @@ def check_fields(options: Options, entry: Entry) -> None:
     if isinstance(options.deadband, dict):
         named += options.deadband
     for field in named:
-        if field and not entry.value_type.has_field(field):
+        if field and not type_.has_field(field):
             raise FilterUnsupported(
                 f"{entry.path} has no field '{field}'",
                 path=entry.path,

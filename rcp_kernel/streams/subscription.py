@@ -9,6 +9,7 @@ from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.model import Pattern
 from rcp_kernel.streams.filtered import View
 from rcp_kernel.streams.filters import Options, Where, parse_where
+from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.entry import Entry
@@ -46,6 +47,7 @@ class Subscription:
         "awaited",
         "end",
         "feeds",
+        "framed",
         "id",
         "may",
         "options",
@@ -74,6 +76,7 @@ class Subscription:
         end: Callable[[Subscription, str, RcpError | None], None],
         view: Callable[[Entry], View | None],
         visibility_filter: Callable[[Entry], Callable[[Any], Any] | None],
+        framed: Callable[[Entry], FrameView | None],
         placed: Callable[[PathSubscription], None],
     ) -> None:
         self._delivery = delivery
@@ -92,6 +95,8 @@ class Subscription:
         """The entry's view for this principal, if it depends on the reader."""
         self.visibility_filter = visibility_filter
         """Filters an entry's samples for this principal, if it may not see everything; None: nothing."""
+        self.framed = framed
+        """The entry's values in the frame of the options; None: they name none."""
         self.placed = placed
         """Called with each feed that was linked."""
         self.feeds: dict[str, PathSubscription] = {}

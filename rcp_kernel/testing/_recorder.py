@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import Anchor, FrameTree, Host, Publication, RobotFacts, StopPlan
 
 __all__ = ["Recorder"]
 
@@ -104,6 +104,16 @@ class Recorder:
         if plan is not None:
             self.plans[name] = plan
         self._host.guard(name, plan)
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        """Pass on."""
+        self._check("anchor")
+        self._host.anchor(anchor, robot)
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        """Pass on."""
+        self._check("transforms")
+        self._host.transforms(tree, robot)
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
         """Pass on."""

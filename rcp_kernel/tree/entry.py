@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
-from rcp_kernel.spi import Backend, MotionState, RobotFacts
+from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType, value_type
@@ -243,7 +243,9 @@ class StopGroup:
         "_released",
         "_stopped",
         "_stops",
+        "anchor",
         "facts",
+        "frames",
         "identity",
         "keys",
         "lost",
@@ -274,6 +276,10 @@ class StopGroup:
         robot may still carry out."""
         self.facts = RobotFacts()
         """What its backend says of it."""
+        self.anchor: Anchor | None = None
+        """Where one of its frames is fixed to the earth."""
+        self.frames: FrameTree | None = None
+        """The transforms between its frames, if its backend receives them."""
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches

@@ -19,6 +19,7 @@ BOUND = 150  # s, on a slow machine
 # Open values take numbers beyond 2^53, which the gateway itself never sends. What somebody may not see
 # is not there for him: 404 and not 401. What writes to a path is told at the path, not at the pattern.
 # A text of digits may lie beyond the 64 bits of its type, which a pattern does not tell.
+# No schema tells which frames a robot has, nor that a goal on the earth has a latitude and a longitude.
 # Commands end, and are forgotten, as they please: nothing is handed from one operation to the next. A body
 # without Content-Type is JSON.
 SETTINGS = """
@@ -43,6 +44,11 @@ checks.positive_data_acceptance.expected-statuses = ["2xx", "3xx", 400, 401, 403
 
 [[operations]]
 include-path-regex = "/(param/parcel|service/echo)$"
+checks.negative_data_rejection.expected-statuses = ["2xx", 400, 404, 409, 422, 423, "5xx"]
+checks.positive_data_acceptance.expected-statuses = ["2xx", "3xx", 401, 403, 404, 409, 422, 423, 429, 499, "5xx"]
+
+[[operations]]
+include-path-regex = "/action/rover/move_to$"
 checks.negative_data_rejection.expected-statuses = ["2xx", 400, 404, 409, 422, 423, "5xx"]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "3xx", 401, 403, 404, 409, 422, 423, 429, 499, "5xx"]
 

@@ -100,6 +100,23 @@ class MirroredScan(Flawed):
         return value
 
 
+class FalseRight(Flawed):
+    """Counts from 0 to a whole turn, and tells of the left again on the right."""
+
+    async def read(self, name: str) -> Any:
+        value = await super().read(name)
+        if name == "sensor/scan":
+            left = value.ranges[len(value.ranges) // 2 :]
+            return replace(value, angle_min=value.angle_min + math.pi, ranges=left + left[::-1])
+        return value
+
+
+class NowhereScan(Flawed):
+    async def read(self, name: str) -> Any:
+        value = await super().read(name)
+        return replace(value, ranges=value.ranges[:1]) if name == "sensor/scan" else value
+
+
 class Goal(Flawed):
     """Flaws in what becomes of a goal."""
 
@@ -197,6 +214,8 @@ FLAWS = [
     (LiesOfSpeed, "test_its_velocity_is_told_as_it_is", "sensor/velocity is"),
     (LiesOfPlace, "test_its_pose_is_told_as_it_is", "sensor/pose is"),
     (LiesOfCharge, "test_the_battery_tells_what_is_left", r"reported as 0\.2"),
+    (FalseRight, "test_the_scan_tells_how_far_things_are_on_each_side", " rad, not "),
+    (NowhereScan, "test_the_scan_tells_how_far_things_are_on_each_side", "it has no beam"),
     (MirroredScan, "test_the_scan_tells_how_far_things_are_on_each_side", " rad, not "),
     (Swapped, "test_it_goes_one_metre_along_x", r"sent \(1, 0\) m, it went \(0\.00, 0\.9"),
     (HeadingInDegrees, "test_it_turns_to_the_heading_of_its_goal", "heads 0, not 1"),

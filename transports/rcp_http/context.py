@@ -91,7 +91,7 @@ class Context:
     async def read(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
         if http.query:
-            http.allow("fields", "fresh", "q", "limit", "cursor")
+            http.allow("fields", "fresh", "frame", "q", "limit", "cursor")
         request = http.request("read", path)
         if http.query:
             self._options(http, request)
@@ -131,7 +131,7 @@ class Context:
             options["fresh"] = flag("fresh", fresh)
         if (limit := http.one("limit")) is not None:
             options["limit"] = count("limit", limit)
-        for name in ("q", "cursor"):
+        for name in ("frame", "q", "cursor"):
             if (text := http.one(name)) is not None:
                 options[name] = text
         if options:

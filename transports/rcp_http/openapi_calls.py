@@ -147,6 +147,7 @@ def direct() -> Node:
                 {"type": "boolean"},
                 "Read from the robot, even if a recent sample is available.",
             ),
+            query("frame", TEXT, "The frame of the values: `map`, `earth`, …"),
             query("limit", COUNT, "Items per page."),
             query("cursor", CURSOR, "`cursor` from the previous page."),
         ],

@@ -14,6 +14,7 @@ _OPTIONS = {
     "deadband": "A number, a percentage, or a JSON object of field to either.",
     "where": "A condition, as JSON.",
     "fields": "Only these fields, comma-separated.",
+    "frame": "The frame of the values.",
     "history": "Samples to replay first: a number, or a duration.",
     "initial": "Whether to send the current value at once.",
     "qos": "Quality of service, as JSON.",

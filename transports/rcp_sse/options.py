@@ -15,7 +15,7 @@ _NUMBERS = ("rate", "duration")
 _INTEGERS = ("count",)
 _LISTS = ("fields",)
 _JSON = ("where", "qos")
-_TEXTS = ("on", "encoding")
+_TEXTS = ("on", "encoding", "frame")
 _QOS = {"reliability": str, "depth": int, "priority": int, "lifespan": float, "qos.deadline": float}
 """Parts of `qos` that may be given alone: `reliability=reliable`, or as `qos.reliability`."""
 _OTHER = ("path", "paths", "history", "initial", "deadband", "id", "tenant", "last_event_id")
@@ -77,7 +77,7 @@ def _value(name: str, values: list[str]) -> Any:
     raise BadRequest(
         f"unknown parameter {name[:60]!r}",
         remedy="The parameters are path and the options of `subscribe`: rate, on, deadband, where, "
-        "fields, history, initial, qos, duration, count.",
+        "fields, frame, history, initial, qos, duration, count.",
     )
 
 

@@ -120,6 +120,8 @@ def discover(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--field", "fields", multiple=True, metavar="NAME",
               help="Only this field (position.x); can be repeated.")  # fmt: skip
+@click.option("--frame", metavar="NAME",
+              help="The frame of the values: map, base_link, earth.")  # fmt: skip
 @click.option(
     "--fresh", is_flag=True, help="Read from the robot, even if a recent value is available."
 )
@@ -215,6 +217,8 @@ def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
 )
 @click.option("--field", "fields", multiple=True, metavar="NAME",
               help="Only this field (position.x); can be repeated.")  # fmt: skip
+@click.option("--frame", metavar="NAME",
+              help="The frame of the values: map, base_link, earth.")  # fmt: skip
 @click.option("--reliable", is_flag=True, help="Deliver every sample in order, or fail.")
 @click.option("--initial/--no-initial", default=True, help="Start with the current value [yes].")
 @click.pass_context

@@ -30,9 +30,15 @@ def _reading(
     path: str,
     fields: Sequence[str] | None,
     fresh: bool,  # noqa: FBT001 - as its callers call it
+    frame: str | None,
     limit: int | None = None,
 ) -> dict[str, Any]:
-    options = {"fields": list(fields) if fields else None, "fresh": fresh or None, "limit": limit}
+    options = {
+        "fields": list(fields) if fields else None,
+        "fresh": fresh or None,
+        "frame": frame,
+        "limit": limit,
+    }
     return kept({"type": "read", "path": path, "body": kept(options) or None})
 
 
@@ -75,15 +81,16 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
+        frame: str | None = None,
         type: Any = None,  # noqa: A002 - the natural name
         deadline: float | None = None,
     ) -> Any:
         """Return the current value of a path, or the list of all items of a pattern.
 
-        `fields` selects some fields (`position.x`), `fresh` reads from the robot itself, and `type`
-        decodes the value to a msgspec type.
+        `fields` selects some fields (`position.x`), `fresh` reads from the robot itself,
+        `frame` names the frame of the value (`earth`), and `type` decodes it to a msgspec type.
         """
-        reply = await self.sample(path, fields=fields, fresh=fresh, deadline=deadline)
+        reply = await self.sample(path, fields=fields, fresh=fresh, frame=frame, deadline=deadline)
         return reply.body if type is None else value_type(type).convert(reply.body)
 
     async def sample(
@@ -92,13 +99,14 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
+        frame: str | None = None,
         deadline: float | None = None,
     ) -> Reply:
         """Read a path and return the whole reply: value, number, source time, freshness.
 
         For a pattern, all pages are fetched; `pages` yields them one by one.
         """
-        return await joined(self.channel.ask, _reading(path, fields, fresh), deadline)
+        return await joined(self.channel.ask, _reading(path, fields, fresh, frame), deadline)
 
     async def pages(
         self,
@@ -106,6 +114,7 @@ class Client:
         *,
         fields: Sequence[str] | None = None,
         fresh: bool = False,
+        frame: str | None = None,
         limit: int | None = None,
         deadline: float | None = None,
     ) -> AsyncGenerator[list[dict[str, Any]]]:
@@ -113,7 +122,7 @@ class Client:
 
         `deadline` applies to all pages together, in s.
         """
-        envelope = _reading(pattern, fields, fresh, limit)
+        envelope = _reading(pattern, fields, fresh, frame, limit)
         async for reply in pages(self.channel.ask, envelope, deadline):
             yield reply.body
 
@@ -386,6 +395,7 @@ class Client:
         deadband: Any = None,
         where: dict[str, Any] | None = None,
         fields: Sequence[str] | None = None,
+        frame: str | None = None,
         history: int | str | None = None,
         initial: bool | None = None,
         reliable: bool = False,
@@ -414,6 +424,7 @@ class Client:
             "deadband": deadband,
             "where": where,
             "fields": list(fields) if fields else None,
+            "frame": frame,
             "history": history,
             "initial": initial,
             "qos": qos,

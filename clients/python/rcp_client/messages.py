@@ -108,6 +108,8 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     meta: dict[str, Any] = {}
     profiles: list[str] = []
     """The profiles of its robot that it is part of: `name/version`."""
+    frames: list[str] = []
+    """The frames to which its values, or from which its goals, are converted."""
 
 
 _ENVELOPE = frozenset(("type", "code", "message", "path", "id", "timestamp"))

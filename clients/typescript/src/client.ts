@@ -11,6 +11,8 @@ import type {
 
 export interface ReadOptions {
   fields?: string[];
+  /** The frame of the value: `map`, `base_link`, `earth`. */
+  frame?: string;
   /** Ask the robot, even where a sample is at hand. */
   fresh?: boolean;
   deadline?: number;

@@ -132,6 +132,8 @@ export interface Resource {
   meta?: Record<string, unknown>;
   /** The profiles of its robot that it is part of: `name/version`. */
   profiles?: string[];
+  /** The frames to which its values, or from which its goals, are converted. */
+  frames?: string[];
 }
 
 export interface Discovered {
@@ -160,6 +162,8 @@ export interface SubscribeOptions {
   deadband?: number | string | Record<string, number | string>;
   where?: Record<string, unknown>;
   fields?: string[];
+  /** The frame of the values: `map`, `base_link`, `earth`. */
+  frame?: string;
   history?: number | string;
   initial?: boolean;
   duration?: number;

@@ -48,11 +48,11 @@ class SensingTests(ProfileRig):
         self.needs("sensor/scan")
         await self.make_ready()
         scan = await self.do("read", "sensor/scan")
-        for bearing in _SIDES:
-            number = round((bearing - scan["angle_min"]) / scan["angle_increment"])
-            if not 0 <= number < len(scan["ranges"]):
-                continue
-            exact = scan["angle_min"] + number * scan["angle_increment"]
+        beams = [number for side in _SIDES if (number := _beam(scan, side)) is not None]
+        assert beams, "it has no beam ahead, to the left or to the right"
+        for number in beams:
+            angle = scan["angle_min"] + number * scan["angle_increment"]
+            exact = math.remainder(angle, math.tau)
             measured, actual = float(scan["ranges"][number]), await self.obstacle(exact)
             if actual is None:
                 assert not math.isfinite(measured), f"{measured} m at {exact:g} rad, not infinity"
@@ -74,6 +74,15 @@ class PowerTests(ProfileRig):
         for verb, wanted in (("disable", False), ("enable", True), ("disable", False)):
             await self.do("execute", f"service/{verb}")
             assert await self.powered() is wanted, f"{verb} is completed, and torque is not so"
+
+
+def _beam(scan: Any, bearing: float) -> int | None:
+    """Return the beam in a direction; a scan may count its angles from 0 to a whole turn."""
+    for whole in (bearing, bearing + math.tau, bearing - math.tau):
+        number = round((whole - scan["angle_min"]) / scan["angle_increment"])
+        if 0 <= number < len(scan["ranges"]):
+            return number
+    return None
 
 
 def _png_size(data: bytes) -> tuple[int, int]:

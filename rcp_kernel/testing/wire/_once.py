@@ -99,6 +99,45 @@ class Once(Wire):
             real = await principal.final(await principal.send(request))
             assert dry["error"]["code"] == real["error"]["code"] == code
 
+    @proves("envelope.atomic")
+    async def test_several_paths_are_written_as_one(self, world: World) -> None:
+        for encoding in self.encodings:
+            client = await world.client(encoding=encoding)
+            body = {"/param/limit": 2.0, "/param/cut": 3.0}
+            reply = await client.request("write", body=body, id="both", idempotency_key=encoding)
+            assert (reply["status"], reply["id"]) == ("completed", "both"), reply
+            told = [(item["path"].rpartition("/")[2], item["body"]) for item in reply["body"]]
+            assert told == [("limit", 2.0), ("cut", 1.0)]
+            again = await client.request("write", body=body, idempotency_key=encoding)
+            assert again["body"] == reply["body"]
+        assert len(world.robot().writes) == 2 * len(self.encodings)
+
+    @proves("envelope.atomic-refused")
+    async def test_one_refused_path_keeps_all_from_being_written(self, world: World) -> None:
+        client = await world.client()
+        wrong = {"/param/limit": 9.0, "/param/cut": "x", "/param/none": 1.0, "/param/refused": 1.0}
+        reply = await client.request("write", body=wrong)
+        assert (reply["status"], reply["error"]["code"]) == ("rejected", "out_of_range")
+        faults = reply["error"]["details"]["faults"]
+        assert [fault["code"] for fault in faults] == [
+            "out_of_range",
+            "invalid_value",
+            "unknown_path",
+        ]
+        reply = await client.request("write", body={"/param/limit": 2.0, "/param/refused": 1.0})
+        assert (reply["status"], reply["error"]["code"]) == ("failed", "device_rejected")
+        assert reply["error"]["path"].endswith("/param/refused")
+        assert world.robot().writes == []
+
+    @proves("envelope.atomic-group")
+    async def test_paths_without_a_common_group_are_not_written_one_by_one(
+        self, world: World
+    ) -> None:
+        client = await world.client()
+        reply = await client.request("write", body={"/param/limit": 2.0, "/param/label": "two"})
+        assert (reply["status"], reply["error"]["code"]) == ("rejected", "not_implemented")
+        assert world.robot().writes == []
+
     @proves("envelope.batch")
     async def test_a_batch_is_answered_in_its_own_order(self, world: World) -> None:
         world.publish("sensor/level", 1.0)

@@ -14,6 +14,9 @@ from rcp_kernel.types import Int64, PoseStamped, Twist, UInt64, nonfinite, quant
 __all__ = ["BROKEN", "Frame", "Go", "Parcel", "arrived", "ghost", "resources", "small"]
 
 
+_SETTINGS = "settings"  # what is written as one
+
+
 class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A pack."""
 
@@ -80,6 +83,7 @@ def small() -> list[Resource]:
             description="The highest speed.",
             value=quantity("m/s", ge=0, le=2.5),
             examples=(1.0,),
+            atomic=_SETTINGS,
         ),
     ]
 
@@ -126,9 +130,9 @@ def _values() -> list[Resource]:
             value=quantity("1", int),
             operations=Operation.READ,
         ),
-        Resource(name="param/refused", description="Is locked.", value=level),
+        Resource(name="param/refused", description="Is locked.", value=level, atomic=_SETTINGS),
         Resource(name="param/slow", description="Takes its time.", value=level),
-        Resource(name="param/cut", description="Is cut off at 1.", value=level),
+        Resource(name="param/cut", description="Is cut off at 1.", value=level, atomic=_SETTINGS),
         Resource(name="event/note", description="Something happened.", value=str, live=True),
         Resource(
             name="actuator/drive",

@@ -7,7 +7,7 @@ inspected.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -70,6 +70,12 @@ class WireRobot(BaseBackend):
         self.writes.append((name, value))
         self.values[name] = min(value, 1.0) if name == "param/cut" else value
         return self.values[name]
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Accept all values, unless one is to be refused."""
+        if "param/refused" in values:
+            raise DeviceRejected("the valve is locked", path="param/refused")
+        return {name: await self.write(name, value) for name, value in values.items()}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run the resource; an action behaves as its `mode` says."""

@@ -16,7 +16,7 @@ import msgspec
 from rcp_can import CanConfig, open_can
 from rcp_can.sim import Bench, Twin, make_twin
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import Anchor, FrameTree, Publication, RobotFacts, StopPlan
 from rcp_kernel.values import to_plain, value_type
 
 _NUMBERS = itertools.count()
@@ -49,6 +49,12 @@ class RecordingHost:
                 if type_ is not None:
                     assert value_type(type_).schema
             self.resources[resource.name] = resource
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        pass
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        pass
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
         self.facts[robot] = facts

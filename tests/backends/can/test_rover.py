@@ -8,14 +8,16 @@ from itertools import pairwise
 from typing import Any
 
 import anyio
+import can
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backends.can.rig import Node
-from backends.can.rover import rover, tables
+from backends.can.rig import Node, channel, opened
+from backends.can.rover import rover, rover_bench, tables
 from rcp_can import CanConfig
+from rcp_can.sim import Bench, make_twin
 from rcp_can.wheel_ramp import WheelRamp
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -312,6 +314,16 @@ async def test_a_jammed_wheel_ends_the_move_as_failed() -> None:
         await rig.until(rig.truth.still)
 
 
+async def test_a_turn_that_is_jammed_ends_the_move_as_failed() -> None:
+    async with rover() as rig:
+        moving = rig.moving(-5.0)
+        await rig.until(lambda: abs(rig.truth.moving[1]) > 0.4)
+        for plant in (rig.left.plant, rig.right.plant):
+            plant.torque_limit, plant.stiction = 0.0, 1.0
+        with pytest.raises(DeviceRejected, match="no progress"):
+            await asyncio.wait_for(moving, 40)
+
+
 async def test_one_who_drives_a_wheel_and_one_who_drives_the_robot_do_not_mix() -> None:
     async with rover() as rig:
         await rig.velocity(0.3)
@@ -353,6 +365,31 @@ async def test_a_reset_stops_it_and_begins_a_new_frame() -> None:
         assert await rig.backend.read("param/speed_limit") == pytest.approx(1.0)
         pose: Any = await rig.backend.read("sensor/pose")
         assert abs(pose.position.x) < 0.01
+
+
+async def test_a_reset_stops_the_arm_of_a_robot_that_has_lost_a_wheel() -> None:
+    table = tables(channel())
+    lift = {"bus": "can0", "profile": "cia402", "node": 3, "velocity": 5.0, "timeout": 1.0}
+    table["motors"]["lift"] = {**lift, "acceleration": 20.0, "rate": 100}
+    table["joint_groups"] = {"mast": {"joints": ["lift"], "as_robot": True}}
+    name = table["buses"]["can0"]["channel"]
+    wheels, other = (can.Bus(name, "virtual", ignore_config=True) for _ in range(2))
+    mast = make_twin("cia402", 3)
+    with rover_bench(wheels) as bench, Bench(other, [mast]):
+        async with opened(table) as rig:
+            await rig.ran("service/enable")
+            goal = {"positions": {"lift": 500.0}}
+            moving = asyncio.ensure_future(rig.execute("action/move_joints", goal))
+            with anyio.fail_after(20):
+                while mast.plant.velocity < 2.0:  # noqa: ASYNC110  # a twin tells nobody
+                    await asyncio.sleep(0.01)
+            bench.twins[0].silent = True
+            await rig.host.until(lambda: not rig.backend.axes["left"].online)
+            with pytest.raises(AdapterUnavailable):
+                await rig.ran("service/reset_system")
+            with pytest.raises(ModeForbids, match="a reset ended the move"):
+                await asyncio.wait_for(moving, 20)
+            assert abs(mast.plant.velocity) < 0.1
 
 
 async def test_a_goal_in_a_frame_without_a_transform_is_refused() -> None:

@@ -13,6 +13,8 @@ from rcp_kernel.testing import Body, ProfileSuite
 
 KIND = next(iter(rcp_mujoco.rcp_backends()))
 WALL = 6.0 - 0.05  # m from the middle of the yard
+START = (1.0, -1.5)  # m
+REACH = 8.0  # m, of the range finder
 
 
 class PhysicsProfiles(ProfileSuite):
@@ -49,9 +51,22 @@ class TestRoverProfiles(PhysicsProfiles):
         rate = float(self.data.qvel[5])
         return Body(x=x, y=y, z=z, yaw=yaw, forward=forward, left=left, yaw_rate=rate)
 
+    async def make_ready(self) -> None:
+        """Put it where the wall on each side is at another distance."""
+
+        def place(robot: Any) -> None:
+            robot.simulation.data.qpos[:2] = START
+            for _ in range(100):  # longer than the interval of the range finder
+                robot.simulation.step()
+
+        await self.backend.device.do(place)
+
     async def obstacle(self, bearing: float) -> float | None:
-        x, y = abs(math.cos(bearing)), abs(math.sin(bearing))
-        return min(WALL / x if x else math.inf, WALL / y if y else math.inf)
+        body = await self.body()
+        x, y = math.cos(bearing + body.yaw), math.sin(bearing + body.yaw)
+        east, north = math.copysign(WALL, x) - body.x, math.copysign(WALL, y) - body.y
+        found = min(east / x if x else math.inf, north / y if y else math.inf)
+        return found if found < REACH else None
 
 
 class TestArmProfiles(PhysicsProfiles):

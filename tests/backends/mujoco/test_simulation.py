@@ -87,6 +87,13 @@ def test_a_missing_or_damaged_model_is_told(content: str | None, why: str, tmp_p
         robot_of(model)
 
 
+def test_a_trajectory_whose_speed_overflows_is_refused() -> None:
+    start, points = np.zeros(1), [Waypoint(100.0, np.zeros(1), np.array([1e308]))]
+    points.append(Waypoint(200.0, np.zeros(1), None))
+    with np.errstate(all="ignore"), pytest.raises(InvalidValue, match="waypoint 0"):
+        Spline(start, points, speed=1.0, names=["elbow"])
+
+
 @pytest.mark.parametrize(
     "part",
     [
@@ -203,6 +210,16 @@ def test_a_command_lapses_in_the_simulations_time() -> None:
     assert robot.wheels.target == (0.0, 0.0)
     assert robot.simulation.lapsed == ["cmd_vel"]
     until(robot, lambda: robot.snapshot().at_rest, 2.0)
+
+
+def test_a_keyframe_does_not_command_a_force(tmp_path: Path) -> None:
+    key = '<keyframe><key ctrl="5"/></keyframe></mujoco>'
+    robot = robot_of(model_of(PUCK.replace("</mujoco>", key), tmp_path))
+    run(robot, 1.0)
+    assert robot.simulation.data.qpos[0] == pytest.approx(0.0, abs=1e-6)
+    assert not robot.simulation.commanded
+    robot.reset(None)
+    assert not robot.simulation.commanded
 
 
 def test_a_newer_command_starts_the_window_anew() -> None:

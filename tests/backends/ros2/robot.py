@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Native, Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import Anchor, FrameTree, Native, Publication, RobotFacts, StopPlan
 from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
@@ -98,6 +98,12 @@ class Robot:
         self.plans.pop(name, None)
         if plan is not None:
             self.plans[name] = plan
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        pass
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        pass
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
         self.facts[robot] = facts
@@ -286,3 +292,21 @@ class Wheels(RobotNodes):
     """A rover with the names that ROS 2 robots have in common."""
 
     script = "wheels.py"
+
+
+class Jointed(RobotNodes):
+    """An arm, or two, with a controller of ros2_control."""
+
+    script = "jointed.py"
+
+
+class Navigator(RobotNodes):
+    """Nav2's controller_server, as far as speed limits go."""
+
+    script = "navigator.py"
+
+
+class Simulated(RobotNodes):
+    """A simulator with a rover in it."""
+
+    script = "simulated.py"

@@ -11,7 +11,7 @@ import pytest
 
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import Anchor, FrameTree, Publication, RobotFacts, StopPlan
 from rcp_kernel.values import value_type
 from rcp_sim import SimBackend, SimConfig
 from rcp_sim.device import Device
@@ -39,6 +39,12 @@ class RecordingHost:
 
     def declare(self, *declared: Resource) -> None:
         self.resources |= {resource.name: resource for resource in declared}
+
+    def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
+        pass
+
+    def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
+        pass
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
         self.facts[robot] = facts

@@ -11,6 +11,7 @@ import pytest
 from configuration import backend, key
 from kernel.fenced import code
 from kernel.world import BOUND, CONFIG, Client, Robot, World, kept_in, world_of
+from plugins.plans.planned import PEOPLE
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_kernel.types import quantity
@@ -343,3 +344,92 @@ async def test_the_record_names_each_path_under_one_id(tmp_path: Any) -> None:
 async def test_discovery_names_the_group(wheels: World) -> None:
     found = await wheels.client().ask(type="discover", path="/actuator/left")
     assert found["body"]["resources"][0]["atomic"] == "wheels"
+
+
+async def test_one_approval_is_for_all_values_once() -> None:
+    async with world_of(PEOPLE, make=TwoWheels) as world:
+        agent, guard = world.client("agent-agent-agent"), world.client("guard-guard-guard")
+        asked = await write(agent)
+        assert code(asked) == "approval_required"
+        id_ = asked["error"]["details"]["approval"]
+        assert (await write(agent))["error"]["details"]["approval"] == id_
+        (question,) = (await guard.ask(type="read", path="/system/approvals"))["body"]
+        assert question["value"] == {LEFT: 1.0, RIGHT: 0.5}
+        decision = {"id": id_, "decision": "approve"}
+        await guard.ask(type="execute", path="/system/approvals", body=decision)
+        faster = {"/actuator/left": 2.0, "/actuator/right": 0.5}
+        assert code(await write(agent, faster, approval=id_)) == "forbidden"
+        assert code(await write(agent, approval=id_)) == "completed"
+        assert code(await write(agent, approval=id_)) == "forbidden"
+        assert len(world.robot.together) == 1
+        assert code(await write(agent, dict.fromkeys(BOTH, 0.0))) == "completed"
+
+
+async def test_a_motion_limit_on_one_keeps_all_from_the_robot() -> None:
+    slow = """
+[[envelopes]]
+name = "slow"
+roles = ["operator"]
+paths = ["/actuator/right"]
+bounds = { "" = { max = 0.4 } }
+"""
+    async with world_of(CONFIG + slow, make=TwoWheels) as world:
+        reply = await write(world.client())
+        assert (code(reply), faults(reply)) == ("out_of_range", {RIGHT: "out_of_range"})
+        assert world.robot.together == []
+
+
+async def test_its_key_outlives_the_gateway(tmp_path: Any) -> None:
+    config = kept_in(tmp_path / "store")
+    async with world_of(config, make=TwoWheels) as world:
+        first = await write(world.client(), idempotency_key="k")
+    async with world_of(config, make=TwoWheels) as world:
+        again = await write(world.client(), idempotency_key="k")
+        assert (again["status"], again["body"]) == ("completed", first["body"])
+        assert world.robot.together == []
+
+
+async def test_records_show_a_reader_only_the_paths_that_it_may_see() -> None:
+    rules = """
+[roles.half]
+allow = [{ operations = ["read", "subscribe"], paths = ["/actuator/left", "/system/audit"] }]
+"""
+    async with world_of(CONFIG + rules + key("half", "half-half-half-half"), TwoWheels) as world:
+        await write(world.client())
+        await write(world.client(), {"/actuator/left": 9.0, "/actuator/right": 8.0})
+        reader = world.client("half-half-half-half")
+        options = {"history": 100}
+        await reader.ask(type="subscribe", id="s", path="/system/audit", body=options)
+        await write(world.client(), {"/actuator/left": 0.25, "/actuator/right": 0.125})
+        seen: list[dict[str, Any]] = []
+        while not seen or seen[-1].get("value") != 0.25:
+            seen.append((await reader.update("s"))["body"])
+        told = [(one["what"], one["path"]) for one in seen if one["what"] in ("write", "denial")]
+        assert told == [("write", LEFT), ("denial", LEFT), ("write", LEFT)]
+        assert RIGHT not in str(seen)
+        assert "8.0" not in str(seen)
+
+
+async def test_a_link_cut_while_it_is_under_way_leaves_no_part_of_it(wheels: World) -> None:
+    asked, go = asyncio.Event(), asyncio.Event()
+
+    async def slowly(value: Any) -> Any:
+        asked.set()
+        await go.wait()
+        raise ConnectionError("cut")
+
+    wheels.robot.takes["actuator/right"] = slowly
+    client = wheels.client()
+    id_ = client.send(type="write", body=BOTH)
+    async with asyncio.timeout(BOUND):
+        await asked.wait()
+    wheels.robot.lose()
+    go.set()
+    reply = await client.final(id_)
+    assert (code(reply), reply["status"]) == ("adapter_unavailable", "failed")
+    assert reply["error"]["retryable"] is False
+    del wheels.robot.takes["actuator/right"]
+    wheels.robot.find()
+    await client.ask(type="subscribe", id="s", path="/actuator/*")
+    stopped = {(await client.update("s"))["path"] for _ in WHEELS}
+    assert (stopped, wheels.robot.moving) == ({LEFT, RIGHT}, set())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Generator
 from time import thread_time
 from types import SimpleNamespace
@@ -19,7 +20,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from google.protobuf.json_format import ParseDict
 
-from plugins.a2a.agent import agent, caller, rpc
+from plugins.a2a.agent import agent, caller, data, rpc, sent, text
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
 from rcp_kernel.api import Query
@@ -39,10 +40,32 @@ def skills(card: dict[str, Any]) -> list[str]:
 async def test_the_public_card_has_what_anonymous_may_execute() -> None:
     async with agent(more=MOVERS) as site, caller(site, None) as client:
         card = (await client.get(CARD)).json()
-        assert skills(card) == ["plan", "stop", "action.go", "service.add", "service.hold"]
-        go = card["skills"][1]
+        assert skills(card) == [
+            "plan",
+            "stop",
+            "robots",
+            "action.go",
+            "service.add",
+            "service.hold",
+        ]
+        go = next(one for one in card["skills"] if one["id"] == "action.go")
         assert "m" in go["description"]
         assert go["examples"]
+
+
+async def test_the_robots_are_listed_by_a_task() -> None:
+    async with agent() as site, caller(site) as client:
+        card = (await rpc(client, "GetExtendedAgentCard"))["result"]
+        (skill,) = (one for one in card["skills"] if one["id"] == "robots")
+        for example, form in zip(skill["examples"], (data, text), strict=True):
+            said = json.loads(example) if form is data else example
+            task = await sent(client, form(said))
+            (artifact,) = task["artifacts"]
+            robots = artifact["parts"][0]["data"]["result"]
+            assert [one["path"] for one in robots] == ["/tenant/alpha", "/tenant/beta"]
+    async with agent(top="[features]\ninventory = false") as site, caller(site) as client:
+        card = (await rpc(client, "GetExtendedAgentCard"))["result"]
+        assert "robots" not in skills(card)
 
 
 async def test_the_public_card_reveals_nothing_to_those_who_may_only_look(gateway: Site) -> None:
@@ -107,7 +130,7 @@ async def test_the_card_follows_the_tree() -> None:
 
 async def test_the_extended_card_has_what_the_caller_may_execute(client: httpx.AsyncClient) -> None:
     card = (await client.get("/a2a/extendedAgentCard")).json()
-    assert skills(card) == ["plan", "stop", "action.go", "service.add", "service.hold"]
+    assert skills(card) == ["plan", "stop", "robots", "action.go", "service.add", "service.hold"]
     answer = await rpc(client, "GetExtendedAgentCard", tenant="beta")
     assert answer["result"]["name"].endswith("(beta)")
 
@@ -183,7 +206,7 @@ def test_very_many_skills_are_described_in_steps() -> None:
             steps += 1
     except StopIteration as end:
         found = end.value
-    assert len(found) == MANY + 2  # a plan, and a stop
+    assert len(found) == MANY + 3  # a plan, a stop, and the list of robots
     assert steps >= MANY // 32
 
 
@@ -212,7 +235,7 @@ async def test_a_card_of_very_many_skills_is_written_in_turns_and_as_in_one(
         monkeypatch.setattr("rcp_a2a.cards.agent_card_to_dict", counted)
         turn()
         card = (await client.get(CARD)).json()
-        assert len(card["skills"]) == MANY + 2
+        assert len(card["skills"]) == MANY + 3
         assert card == agent_card_to_dict(ParseDict(card, AgentCard(), ignore_unknown_fields=True))
         assert sum(turns) >= MANY // 32
         assert max(turns) <= 10

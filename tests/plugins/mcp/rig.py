@@ -102,7 +102,15 @@ RESOURCES = (
     Resource(name="sensor/camera", description="A view.", value=Picture, live=True),
     Resource(name="sensor/scan", description="A scan.", value=list[float], live=True),
     Resource(name="sensor/secret", description="Top secret.", value=str, live=True),
-    Resource(name="param/limit", description="A limit.", value=quantity("m/s", ge=0, le=2.5)),
+    Resource(
+        name="param/limit",
+        description="A limit.",
+        value=quantity("m/s", ge=0, le=2.5),
+        atomic="settings",
+    ),
+    Resource(
+        name="param/gain", description="A gain.", value=quantity("1", ge=0, le=2), atomic="settings"
+    ),
     Resource(
         name="actuator/drive",
         description="Drives.",

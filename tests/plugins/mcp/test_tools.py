@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from plugins.mcp.rig import BOUND, Caller, Site, caller
 from rcp_kernel.model import Resource
 
-FIXED = ["robots", "discover", "read", "write", "execute", "cancel", "status", "watch"]
+FIXED = ["robots", "discover", "read", "write", "write_all", "execute", "cancel", "status", "watch"]
 
 
 def words(result: dict[str, Any]) -> str:
@@ -88,6 +88,9 @@ async def test_every_answer_fits_the_schema_of_its_tool(operator: Caller, gatewa
         ("write", {"path": "/param/limit", "value": 2}),
         ("write", {"path": "/param/limit", "value": 2, "dry_run": True}),
         ("write", {"path": "/param/limit", "value": 9}),
+        ("write_all", {"values": {"/param/limit": 2, "/param/gain": 1}}),
+        ("write_all", {"values": {"/param/limit": 2, "/param/gain": 1}, "dry_run": True}),
+        ("write_all", {"values": {"/param/limit": 9, "/param/gain": 9}}),
         ("execute", {"path": "/action/go", "input": {"x": 1}}),
         ("execute", {"path": "/service/double", "input": 4}),
         ("action-go", {"x": 2, "dry_run": True}),
@@ -104,6 +107,16 @@ async def test_every_answer_fits_the_schema_of_its_tool(operator: Caller, gatewa
     for name, arguments in calls:
         result = await operator.call(name, **arguments)
         Draft202012Validator(tools[name]["outputSchema"]).validate(result["structuredContent"])
+
+
+async def test_several_paths_are_written_as_one(operator: Caller, gateway: Site) -> None:
+    values = {"/param/limit": 2.0, "/param/gain": 0.5}
+    done = (await operator.call("write_all", values=values))["structuredContent"]
+    assert [one["body"] for one in done["result"]] == [2.0, 0.5]
+    assert gateway.robot.together == [{"param/limit": 2.0, "param/gain": 0.5}]
+    refused = error(await operator.call("write_all", values={**values, "/param/gain": 9}))
+    assert refused["path"].endswith("/param/gain")
+    assert len(gateway.robot.together) == 1
 
 
 async def test_a_value_comes_with_its_time_and_a_pattern_reads_many(operator: Caller) -> None:

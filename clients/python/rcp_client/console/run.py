@@ -95,7 +95,7 @@ async def _discover(client: Client, out: Output, args: Arguments) -> int:
 async def _read(client: Client, out: Output, args: Arguments) -> int:
     code = 0
     for path in args["paths"]:
-        options = {"fields": args["fields"], "fresh": args["fresh"]}
+        options = {name: args[name] for name in ("fields", "fresh", "frame")}
         try:
             if "*" in path:
                 async for items in client.pages(path, **options):
@@ -154,6 +154,7 @@ async def _watch(client: Client, out: Output, args: Arguments) -> int:
         deadband=show.number_or_json(args["deadband"], "--deadband"),
         where=show.json_object(args["where"], "--where"),
         fields=args["fields"],
+        frame=args["frame"],
         history=show.number_or_text(args["history"]),
         initial=None if args["initial"] else False,
         reliable=args["reliable"],

@@ -1,0 +1,189 @@
+"""Frames on request: the values of resources in the frames that clients name."""
+
+from __future__ import annotations
+
+from typing import Any
+from weakref import WeakValueDictionary
+
+from rcp_frames.config import EARTH, FramesConfig
+from rcp_frames.demand import PoseDemand
+from rcp_frames.goals import goal_frame, in_robot_frame, own_frame
+from rcp_frames.moves import Move
+from rcp_frames.robot import Moment, RobotFrames, no_transform, pose_path
+from rcp_frames.shapes import Shape, shape_of
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.errors import FilterUnsupported, RcpError
+from rcp_kernel.features import FeatureHost
+from rcp_kernel.model import Operation
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.samples import Sample
+from rcp_kernel.wire import Request
+
+__all__ = ["Frames"]
+
+_SEES = int(Operation.READ | Operation.SUBSCRIBE)
+
+
+class Frames:
+    """The `FrameConverter` of a gateway."""
+
+    def __init__(self, config: FramesConfig, host: FeatureHost) -> None:
+        self.config = config
+        self._entries = host.robots.entries
+        self._now = host.clock.now
+        self._demand = PoseDemand(host.robots, host.loop)
+        self.close = self._demand.close
+        self._conversions: WeakValueDictionary[tuple[Entry, str, bool], _Conversion] = (
+            WeakValueDictionary()
+        )
+
+    def configure(self, config: FramesConfig) -> None:
+        """Apply another configuration, to running subscriptions too."""
+        self.config = config
+        self._conversions.clear()
+
+    def converts(self, entry: Entry) -> bool:
+        """Return whether a resource's values name their frame."""
+        return entry.tenant is not None and shape_of(entry.resource.value) is not None
+
+    def view(self, session: Session, entry: Entry, frame: str) -> _View:
+        """Return a resource's values in a frame.
+
+        :raises FilterUnsupported: its values name no frame.
+        """
+        shape = shape_of(entry.resource.value) if entry.tenant is not None else None
+        if shape is None:
+            raise FilterUnsupported(
+                f"the values of {entry.path} have no frame that they could be converted from",
+                path=entry.path,
+                remedy="Omit `frame`; `discover` lists the `frames` of resources that have them.",
+            )
+        return _View(self, session, entry, shape, frame)
+
+    def conversion(self, rights: Rights, entry: Entry, shape: Shape, frame: str) -> _Conversion:
+        """Return the conversion that all who may know as much share."""
+        key = (entry, frame, self._may_locate(rights, entry))
+        found = self._conversions.get(key)
+        if found is None:
+            robot = self._robot(entry, moving=key[2])
+            found = self._conversions[key] = _Conversion(robot, entry, shape, frame)
+        return found
+
+    def goal(self, session: Session, request: Request, entry: Entry) -> Any:
+        """Return a goal in a frame that the robot takes; None: it is so already.
+
+        :raises RcpError: nothing leads from its frame to one that the robot takes.
+        """
+        own = goal_frame(entry.resource.input) if entry.tenant is not None else None
+        if own is None:
+            return None
+        robot = self._robot(entry, moving=self._may_locate(session.rights, entry))
+        moment = Moment(None, self._now())
+        return in_robot_frame(request, entry, own, robot, moment, self.config)
+
+    def known(self, rights: Rights, entry: Entry) -> list[str]:
+        """Return the frames of a resource, for a principal."""
+        if entry.tenant is None:
+            return []
+        robot = self._robot(entry, moving=self._may_locate(rights, entry))
+        default = goal_frame(entry.resource.input)
+        if default is not None:
+            source = own_frame(entry, default, robot)
+        else:
+            shape = shape_of(entry.resource.value)
+            if shape is None:
+                return []
+            try:
+                source = shape.current(entry)
+            except RcpError:  # reported as its backend's fault
+                return []
+        return robot.known(source)
+
+    def _robot(self, entry: Entry, *, moving: bool) -> RobotFrames:
+        return RobotFrames(
+            entry, self._entries, self.config, moving=moving, request=self._demand.request
+        )
+
+    def _may_locate(self, rights: Rights, entry: Entry) -> bool:
+        """Return whether a principal may learn where the robot is: whoever may read its pose."""
+        path = pose_path(entry)
+        pose = self._entries.get(path)
+        if pose is None:
+            return bool(rights.compute_mask(path) & _SEES)
+        return bool(rights.mask(path) & _SEES) or rights.permits(pose, Operation.READ)
+
+
+class _View:
+    """A resource's values in a frame, as far as a session may know the robot's place."""
+
+    def __init__(
+        self, frames: Frames, session: Session, entry: Entry, shape: Shape, frame: str
+    ) -> None:
+        self._frames, self._session, self._entry = frames, session, entry
+        self._shape, self._frame = shape, frame
+        self.value_type = shape.earth if frame == EARTH else shape.type
+        self._shared: _Conversion | None = None
+        """Kept, so that others find it."""
+
+    def _conversion(self) -> _Conversion:
+        rights = self._session.rights
+        self._shared = self._frames.conversion(rights, self._entry, self._shape, self._frame)
+        return self._shared
+
+    def check(self) -> None:
+        """Make sure that the frame is known.
+
+        :raises InvalidValue: it is not.
+        """
+        self._conversion().check()
+
+    def convert(self, sample: Sample) -> Sample:
+        """Return a sample in the frame; raises as `RobotFrames.transform`."""
+        return self._conversion().convert(sample)
+
+
+class _Conversion:
+    """The conversion of one resource's values to a frame; each is converted once."""
+
+    def __init__(self, robot: RobotFrames, entry: Entry, shape: Shape, frame: str) -> None:
+        self._robot, self._shape, self._frame = robot, shape, frame
+        self._geographic = frame == EARTH
+        self._entry = entry
+        self.path, self.owner = entry.path, entry.owner
+        self.value_type = shape.earth if self._geographic else shape.type
+        self._last: tuple[Sample, Sample | RcpError] | None = None
+
+    def check(self) -> None:
+        """Make sure that something connects the values' frame to the target.
+
+        :raises InvalidValue: nothing does.
+        """
+        source = self._shape.current(self._entry)
+        if source and self._frame not in (known := self._robot.known(source)):
+            raise no_transform(self._frame, source, known)
+
+    def convert(self, sample: Sample) -> Sample:
+        """Return a sample in the frame."""
+        last = self._last
+        if last is None or last[0] is not sample:
+            last = self._last = sample, self._outcome(sample)
+        if isinstance(last[1], RcpError):
+            raise last[1]
+        return last[1]
+
+    def _outcome(self, sample: Sample) -> Sample | RcpError:
+        try:
+            return self._converted(sample)
+        except RcpError as error:
+            return error
+
+    def _converted(self, sample: Sample) -> Sample:
+        value = sample.value
+        source = self._shape.frame_of(value)
+        if source == self._frame and not self._geographic:
+            return sample
+        moment = Moment(sample.timestamp, sample.received)
+        pose = self._robot.transform(self._frame, source, moment)
+        moved = self._shape.moved(value, Move(self._frame, pose, geographic=self._geographic))
+        return Sample(self, moved, sample.timestamp, sample.received, sample.seq)
