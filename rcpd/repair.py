@@ -12,7 +12,6 @@ from pathlib import Path
 
 import msgspec
 
-from rcp_kernel.access.tokens import make_table
 from rcp_kernel.errors import ConfigError
 from rcp_store.chain import GENESIS, Head, Row, seal, written
 from rcp_store.damage import find_damage, interim_of, known_head
@@ -28,6 +27,7 @@ from rcp_store.file import (
 )
 from rcp_store.interim import SUFFIXES, stamp
 from rcp_store.latch_file import GATEWAY, LATCHES, latch_row, latches_beside
+from rcp_store.tokens import make_table
 from rcpd.recovery import readable_kept, readable_records, readable_tokens
 
 __all__ = ["Repaired", "repair", "restore"]
