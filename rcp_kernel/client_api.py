@@ -46,11 +46,11 @@ from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.plugin_store import PluginStore
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
+from rcp_store.plugin_store import PluginStore
+from rcp_store.store import Store
 
 __all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs", "StatusView"]
 

@@ -155,11 +155,11 @@ class FrameTree(Protocol):
         """Return the names of all frames."""
         ...
 
-    def lookup(self, target: str, source: str, time: int) -> tuple[Transform, int | None]:
+    def lookup(self, target: str, source: str, time: int | None) -> tuple[Transform, float]:
         """Return the pose of `source` in `target` at a source time, ns, or the nearest one known.
 
-        The time of the pose is returned too; None: it never changes. Called on the event loop for
-        single samples: no I/O.
+        None: now, by the robot's clock. The seconds between that time and the pose's are returned
+        too; 0: it is exact, or never changes. Called on the event loop for single samples: no I/O.
 
         :raises LookupError: nothing connects the two.
         """

@@ -11,8 +11,8 @@ import click
 
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import BadRequest, ConfigError
-from rcp_kernel.store.chain import Head, decoded, parse_head, written
-from rcp_kernel.store.file import FAULTS, open_read_only
+from rcp_store.chain import Head, decoded, parse_head, written
+from rcp_store.file import FAULTS, open_read_only
 from rcpd.examination import examined, rows_of
 from rcpd.exits import FAILED, fail
 from rcpd.options import config_argument, path_of, store_option

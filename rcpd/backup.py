@@ -9,9 +9,9 @@ from contextlib import closing
 from pathlib import Path
 
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import GENESIS
-from rcp_kernel.store.damage import find_damage
-from rcp_kernel.store.file import HeadFile, open_read_only, store_errors
+from rcp_store.chain import GENESIS
+from rcp_store.damage import find_damage
+from rcp_store.file import HeadFile, open_read_only, store_errors
 from rcpd.examination import examined
 from rcpd.verification import Verdict
 

@@ -12,7 +12,7 @@ import click
 
 from rcp_kernel.config.file import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
-from rcp_kernel.store.damage import find_damage
+from rcp_store.damage import find_damage
 from rcpd.audit import audit
 from rcpd.exits import FAILED, fail
 from rcpd.profiles import profiles

@@ -8,8 +8,8 @@ from contextlib import closing
 from pathlib import Path
 
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import Head, Row
-from rcp_kernel.store.file import FAULTS, ROWS, anchor_of, head_beside, open_read_only
+from rcp_store.chain import Head, Row
+from rcp_store.file import FAULTS, ROWS, anchor_of, head_beside, open_read_only
 from rcpd.verification import Verdict, verify
 
 __all__ = ["examined", "rows_of"]

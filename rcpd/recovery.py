@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
-from rcp_kernel.store.chain import GENESIS, Row
-from rcp_kernel.store.file import FAULTS, ROWS, Kept
+from rcp_store.chain import GENESIS, Row
+from rcp_store.file import FAULTS, ROWS, Kept
 
 __all__ = ["readable_kept", "readable_records", "readable_tokens"]
 

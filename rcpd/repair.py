@@ -12,11 +12,10 @@ from pathlib import Path
 
 import msgspec
 
-from rcp_kernel.access.tokens import make_table
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import GENESIS, Head, Row, seal, written
-from rcp_kernel.store.damage import find_damage, interim_of, known_head
-from rcp_kernel.store.file import (
+from rcp_store.chain import GENESIS, Head, Row, seal, written
+from rcp_store.damage import find_damage, interim_of, known_head
+from rcp_store.file import (
     FAULTS,
     HeadFile,
     anchor_of,
@@ -26,8 +25,9 @@ from rcp_kernel.store.file import (
     open_writable,
     store_errors,
 )
-from rcp_kernel.store.interim import SUFFIXES, stamp
-from rcp_kernel.store.latch_file import GATEWAY, LATCHES, latch_row, latches_beside
+from rcp_store.interim import SUFFIXES, stamp
+from rcp_store.latch_file import GATEWAY, LATCHES, latch_row, latches_beside
+from rcp_store.tokens import make_table
 from rcpd.recovery import readable_kept, readable_records, readable_tokens
 
 __all__ = ["Repaired", "repair", "restore"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import written
+from rcp_store.chain import written
 from rcpd.examination import examined
 from rcpd.exits import FAILED, fail
 from rcpd.options import config_argument, path_of, store_option
@@ -30,8 +30,8 @@ def store() -> None:
 @store_option
 def check(config: Path, store: Path | None) -> None:
     """Check every page and record, also while the gateway runs; exit code 1 if damaged."""
-    from rcp_kernel.store.damage import find_damage
-    from rcp_kernel.store.file import store_errors
+    from rcp_store.damage import find_damage
+    from rcp_store.file import store_errors
     from rcpd.backup import check_whole
 
     path = store or path_of(config)

@@ -14,9 +14,9 @@ from rcp_kernel.errors import ConfigError
 from rcpd.exits import fail
 
 if TYPE_CHECKING:
-    from rcp_kernel.access.tokens import Token, TokenFile
     from rcp_kernel.config.file import GatewayConfig
     from rcp_kernel.contract.identity import Grants
+    from rcp_store.tokens import Token, TokenFile
 
 __all__ = ["token"]
 
@@ -130,9 +130,9 @@ def _opened(path: Path) -> Generator[TokenFile]:
 
     :raises ConfigError: they cannot be read or written.
     """
-    from rcp_kernel.access.tokens import TokenFile
-    from rcp_kernel.store.damage import find_damage, interim_of
-    from rcp_kernel.store.file import store_errors
+    from rcp_store.damage import find_damage, interim_of
+    from rcp_store.file import store_errors
+    from rcp_store.tokens import TokenFile
 
     with store_errors(path):
         damage = find_damage(path, bound=_GLANCE)

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.store.chain import GENESIS, Head, Row, decoded, joint, link, parse_head
+from rcp_store.chain import GENESIS, Head, Row, decoded, joint, link, parse_head
 
 __all__ = ["Verdict", "verify"]
 

@@ -11,11 +11,11 @@ from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.ladder import Rung
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["AT_REST", "Measurement"]
+__all__ = ["AT_REST", "SETTLED", "Measurement"]
 
 AT_REST = 0.35  # m/s; a copter that holds its position in wind stays below it
 _MOVES = 0.5  # m/s above which a vehicle at rest counts as moving again: a gust is not motion
-_SETTLED = 1.0  # s that it must be still: a braking copter swings back once
+SETTLED = 1.0  # s that it must be still: a braking copter swings back once
 _POSITIONS = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")
 _HEARTBEAT_LATE = 2.5  # s, two periods of a message at 1 Hz
 _LANDED_LATE = 2.0  # s, four periods of a message at 2 Hz
@@ -65,7 +65,7 @@ class Measurement:
         """Update the time since when the positions show it still."""
         now, speed, since = time.monotonic(), self.speed, self._still_since
         gap = now - self._looked > self.limit or (since is not None and since < self.doubtful_since)
-        settled = since is not None and now - since >= _SETTLED
+        settled = since is not None and now - since >= SETTLED
         self._looked = now
         if speed is None or speed >= (_MOVES if settled else AT_REST):
             self._still_since = None
@@ -179,7 +179,7 @@ class Measurement:
         if mode in family.circling(hovering=vehicle.hovering):
             return MotionState(at_rest=True, detail=f"circles in {mode}", energised=True)
         still = self.still_for
-        if still < _SETTLED:
+        if still < SETTLED:
             moves = "coming to rest" if still else f"moves at {speed:.1f} m/s"
             detail = f"{moves} in {mode}"
             return MotionState(at_rest=False, detail=detail, energised=True)

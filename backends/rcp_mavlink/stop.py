@@ -16,7 +16,7 @@ from rcp_mavlink.commands import Command, Commands, mode_command
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.ladder import LOITER, Group, Rung, ladder
-from rcp_mavlink.measurement import Measurement
+from rcp_mavlink.measurement import SETTLED, Measurement
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["PAUSE_PX4", "Stop"]
@@ -58,6 +58,8 @@ class _Attempt:
         """Start time of the step, and since when its mode is not in effect."""
         self.taken: float | None = None
         """Since when telemetry shows its mode."""
+        self.was_free = False
+        """Whether the vehicle was in another mode before, which may have set it in motion."""
         self.at_rest_since: float | None = None
         """Since when the vehicle is on the ground."""
         self.refusals = 0
@@ -294,6 +296,7 @@ class Stop:
             if own and ack["command"] == number and ack["result"] not in (_ACCEPTED, _IN_PROGRESS):
                 attempt.refusals += 1
 
+        attempt.was_free = vehicle.mode != attempt.rung.mode
         with vehicle.listening("COMMAND_ACK", take):
             while True:
                 vehicle.check()
@@ -325,7 +328,9 @@ class Stop:
             if attempt.taken is None:
                 attempt.taken, self._taken = now, self._taken or not attempt.pause
                 self._request(_POSITION)
-            if self._rests(rung, since=attempt.taken):
+            # Telemetry is late: it may show it still although the mode before has just moved it.
+            settled = not attempt.was_free or now - attempt.taken >= SETTLED
+            if settled and self._rests(rung, since=attempt.taken):
                 return ""
             return self._too_long(rung, now - attempt.taken)
         if attempt.taken is not None:

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
 from rcp_kernel.model import Kind, Resource, kind_of
 from rcp_ros2.actions import Run
+from rcp_ros2.arms import Arms
 from rcp_ros2.assets import Assets
 from rcp_ros2.atomic_parameters import AtomicParameters
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
@@ -22,7 +23,9 @@ from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
 from rcp_ros2.config import Mapping
 from rcp_ros2.conventions import LIMITS
+from rcp_ros2.description import Descriptions
 from rcp_ros2.diagnostics import Diagnostics
+from rcp_ros2.facts import Facts
 from rcp_ros2.goals import Goals, goals_of
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
@@ -72,12 +75,24 @@ class Catalog:
         self._actions: set[str] = set()
         self._services: set[str] = set()
         transforms = Transforms(shared, wanted.exposes, clock.on_jump)
-        self._profiles = Profiles(shared, wanted, self.bindings, self._events, transforms.known)
+        self._descriptions = Descriptions(shared, wanted.matters)
+        self._arms = Arms(shared, self._descriptions)
+        self._profiles = Profiles(
+            shared, wanted, self.bindings, self._events, transforms.known, self._arms
+        )
+        diagnostics = Diagnostics(shared, wanted.exposes)
+        self._facts = Facts(
+            shared.host,
+            shared.naming,
+            self.bindings,
+            self._descriptions,
+            diagnostics.hardware,
+        )
         self._constructs: tuple[Construct, ...] = (
             Goals(shared, self._actions),
             Calls(shared, self._services),
             Lifecycles(shared, wanted.exposes),
-            Diagnostics(shared, wanted.exposes),
+            diagnostics,
             clock,
             GraphView(shared),
             transforms,
@@ -110,6 +125,10 @@ class Catalog:
     def update(self, graph: Graph) -> None:
         """Apply a new poll of the graph."""
         self._shared.graph = graph
+        self._descriptions.update(graph)
+        for action in self._arms.unknown(graph, self._wanted.matters):
+            if self._is_due(f"arm {action}"):
+                self._start(f"arm {action}", self._find_joints(action))
         for name, mapping in self._mapped.items():
             self._want(name, mapping, graph, mapped=True)
         brought = {
@@ -136,6 +155,7 @@ class Catalog:
                 self._start(f"limit {node}", self._find_limit(node))
         self._sweep(found.keys() | brought.keys(), graph)
         self._tag()
+        self._facts.tell()
         self._report(graph)
         if self._is_complete():
             self.complete.set()
@@ -280,7 +300,20 @@ class Catalog:
             return
         if described and described[0].kind == _DOUBLE:
             self._profiles.limits[name] = (node, described[0])
+        else:  # Nav2's servers declare theirs when they are configured
+            self._events.follow(name, partial(self._changed, name))
         self._types[key] = "parameters"
+
+    async def _find_joints(self, action: str) -> None:
+        """Ask a trajectory controller for its joints."""
+        try:
+            async with self._queries:
+                await self._arms.ask(action, self._node)
+        except RcpError as error:
+            self._later[f"arm {action}"] = time.monotonic() + _AGAIN
+            log.warning("ros_joints_unknown", action=action, detail=error.message)
+            return
+        self._shared.refresh()
 
     async def _bind_parameter(self, name: str, mapping: Mapping) -> Binding:
         node = await self._node(mapping.target)
@@ -351,6 +384,8 @@ class Catalog:
             if setting is not None and kind == 0:
                 self._remove(setting.resource.name, setting)
             self._types.pop(f"node {node}", None)
+        if not kinds.keys().isdisjoint(LIMITS):
+            self._types.pop(f"limit {node}", None)
         self.update(self._shared.graph)
 
     def _absent(self, name: str, mapping: Mapping, why: str, remedy: str) -> Absent:

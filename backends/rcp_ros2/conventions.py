@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-__all__ = ["CONVENTIONS", "LIMITS", "SPEED_LIMIT", "Convention", "may_be", "rank_of"]
+__all__ = [
+    "CONVENTIONS",
+    "JOINT_TRAJECTORY",
+    "LIMITS",
+    "SPEED_LIMIT",
+    "Convention",
+    "may_be",
+    "rank_of",
+]
 
 Noun = Literal["topic", "service", "action"]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
+JOINT_TRAJECTORY = "control_msgs/action/FollowJointTrajectory"
 _ODOM = ("odom", "odometry")
+_TRAJECTORY = ("*/follow_joint_trajectory",)
 
 
 class Convention(NamedTuple):
@@ -19,7 +29,7 @@ class Convention(NamedTuple):
     noun: Noun
     names: tuple[str, ...]
     """Names below the robot's namespace, the usual one first; one that begins with `*/` is below a part
-    of the robot as well."""
+    of the robot as well, and each part has one."""
     types: tuple[str, ...]
 
 
@@ -49,6 +59,8 @@ CONVENTIONS = (
         ("sensor_msgs/msg/BatteryState",),
     ),
     Convention("sensor/joint_states", "topic", ("joint_states",), ("sensor_msgs/msg/JointState",)),
+    Convention("action/move_joints", "action", _TRAJECTORY, (JOINT_TRAJECTORY,)),
+    Convention("action/follow_trajectory", "action", _TRAJECTORY, (JOINT_TRAJECTORY,)),
     Convention(
         "sensor/camera",
         "topic",
@@ -58,6 +70,8 @@ CONVENTIONS = (
 )
 
 SPEED_LIMIT = "param/speed_limit"
+LIMIT_TOPIC = ("/speed_limit", "nav2_msgs/msg/SpeedLimit")
+"""The name below the robot's namespace and the type of the topic on which Nav2 takes a limit."""
 LIMITS = (
     "speed_limit",
     "FollowPath.max_vel_x",

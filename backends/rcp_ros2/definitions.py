@@ -15,8 +15,17 @@ from rcp_ros2.idl import WIDTHS, Field, MissingType, Primitive, Ref, Sequence, T
 from rcp_ros2.idl import define as define_class
 from rcp_ros2.support import IDS, forge
 
-__all__ = ["TF_MESSAGE", "BadText", "define_described", "define_text", "is_made", "parse"]
+__all__ = [
+    "SPEED_LIMIT",
+    "TF_MESSAGE",
+    "BadText",
+    "define_described",
+    "define_text",
+    "is_made",
+    "parse",
+]
 
+SPEED_LIMIT = "nav2_msgs/msg/SpeedLimit"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 _LINE = re.compile(
     r"(?P<base>[A-Za-z]\w*(?:/\w+){0,2})(?:<=(?P<limit>\d+))?"
@@ -177,3 +186,4 @@ def _described(field: Any) -> Part:
 
 
 define_text(TF_MESSAGE, "geometry_msgs/TransformStamped[] transforms")
+define_text(SPEED_LIMIT, "std_msgs/Header header\nbool percentage\nfloat64 speed_limit")

@@ -22,6 +22,7 @@ __all__ = ["ARRAY", "Diagnostics"]
 ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 Level = Literal["ok", "warn", "error", "stale"]
 _LEVELS: tuple[Level, ...] = ("ok", "warn", "error", "stale")
+_NO_HARDWARE = ("", "none")
 _MOST = 1000  # statuses per topic; names that change with every message would fill the tree
 
 
@@ -72,6 +73,12 @@ class Diagnostics:
             board.sweep()
             found |= board.offers()
         return found
+
+    def hardware(self, space: str) -> frozenset[str]:
+        """Return the ids of the hardware that the statuses of a namespace tell."""
+        boards = (b for t, b in self._boards.items() if t.rpartition("/")[0] == space)
+        ids = (s.diagnosis.hardware_id for board in boards for s in board.statuses.values())
+        return frozenset(id_ for id_ in ids if id_.lower() not in _NO_HARDWARE)
 
 
 class _Board:

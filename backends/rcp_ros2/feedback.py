@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.spi import MotionState
@@ -20,6 +20,7 @@ from rcp_ros2.topics import Tap
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
+_APART = 0.1  # s between two positions of which a speed is made
 _SETTLE = 0.1  # s of measured rest required: a velocity may merely cross zero
 Measured = tuple[float, float]
 """Speed in m/s and rate of turn in rad/s."""
@@ -33,11 +34,39 @@ def _twist(value: Any) -> Measured:
     )
 
 
-def _joints(velocities: Sequence[float]) -> Measured | None:
-    if not len(velocities):
-        return None
-    # `max` would ignore a NaN
-    return 0.0, math.nan if any(map(math.isnan, velocities)) else max(map(abs, velocities))
+class Joints:
+    """The speed of the fastest joint, from messages that each may have a part of the joints."""
+
+    def __init__(self, max_age: float) -> None:
+        self.needed: frozenset[str] = frozenset()
+        """The joints that are measured; empty: those of each message."""
+        self._max_age = max_age
+        self._speeds: dict[str, tuple[float, float]] = {}
+        """By name: when it was measured, and the speed."""
+        self._places: dict[str, tuple[float, float]] = {}
+        """By name: a time and the position then, of joints without a velocity."""
+
+    def measure(self, state: Any) -> Measured | None:
+        """Return the speed; None while it is unknown."""
+        now, told = time.monotonic(), bool(len(state.velocity))
+        names = list(state.name) or [str(at) for at in range(len(state.velocity))]
+        for name, number in zip(names, state.velocity if told else state.position, strict=False):
+            if told:
+                self._speeds[name] = now, abs(number)
+            else:
+                self._derive(name, number, now)
+        known = (self._speeds.get(name) for name in self.needed or names)
+        speeds = [None if one is None or now - one[0] > self._max_age else one[1] for one in known]
+        if not speeds or None in speeds:
+            return None
+        found = [speed for speed in speeds if speed is not None]
+        return 0.0, math.nan if any(map(math.isnan, found)) else max(found)  # `max` ignores a NaN
+
+    def _derive(self, name: str, position: float, now: float) -> None:
+        at, before = self._places.setdefault(name, (now, position))
+        if now - at >= _APART:
+            self._speeds[name] = now, abs(position - before) / (now - at)
+            self._places[name] = now, position
 
 
 _MEASURES: dict[str, tuple[str | None, Callable[[Any], Measured | None]]] = {
@@ -46,9 +75,9 @@ _MEASURES: dict[str, tuple[str | None, Callable[[Any], Measured | None]]] = {
     "geometry_msgs/msg/TwistStamped": ("twist", _twist),
     "geometry_msgs/msg/TwistWithCovariance": ("twist", _twist),
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist", _twist),
-    "sensor_msgs/msg/JointState": ("velocity", _joints),
 }
 """The field of each type that contains the velocity, and the function that reads it."""
+_JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 class Feedback:
@@ -65,7 +94,11 @@ class Feedback:
         self.topic = topic
         self.robot = robot
         self.demanded = False
-        """Whether the configuration requires it to confirm a stop."""
+        """Whether the configuration requires it to confirm a stop, and it alone does."""
+        self.required = False
+        """Whether a stop is not confirmed without it: it alone measures some joints."""
+        self.joints = Joints(max_age)
+        """Measured if the topic has joint states."""
         self.max_age = max_age
         self._limits = limits
         self._restored = restored
@@ -83,10 +116,11 @@ class Feedback:
         :raises MissingType: the type is not installed.
         :raises ValueError: the type contains no velocity.
         """
-        if type_ not in _MEASURES:
-            known = ", ".join(sorted(_MEASURES))
+        measures = _MEASURES | {_JOINT_STATE: (None, self.joints.measure)}
+        if type_ not in measures:
+            known = ", ".join(sorted(measures))
             raise ValueError(f"{type_} contains no velocity; supported types for feedback: {known}")
-        field, self._measure = _MEASURES[type_]
+        field, self._measure = measures[type_]
         cls = load(type_)
         codec = Codec(cls, field)
         self.type = type_

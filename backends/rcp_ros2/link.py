@@ -58,6 +58,19 @@ class RosLink:
         """Remaining time in s for the discovery of the graph."""
         return max(0.0, self._settled - time.monotonic())
 
+    def stamp(self) -> Any:
+        """Return the robot's time for a header, zero while that of a simulation is unknown.
+
+        Called in the ROS thread. Drivers judge the age of stamped commands by their own clock: to a
+        simulated one, the time of the wall is far ahead and never too old.
+        """
+        if not self.config.use_sim_time:
+            return self.ros.node.get_clock().now().to_msg()
+        from builtin_interfaces.msg import Time
+
+        sec, nanosec = divmod(self.subscriptions.now() or 0, 1_000_000_000)
+        return Time(sec=sec, nanosec=nanosec)
+
     def trouble(self, key: str, detail: str | None) -> None:
         """Set or clear the problem with a key."""
         if detail is not None:

@@ -26,6 +26,7 @@ class Outlet:
         """With `stamped`, each message gets the time at which it is sent, repeated ones too."""
         self._node = lambda: link.ros.node
         self._stamped = stamped
+        self._stamp = link.stamp
         self._pulses = link.pulses
         self._complain = link.complain
         self._topic = topic
@@ -81,7 +82,7 @@ class Outlet:
         hearing = self._hearing()
         if hearing == "heard" or anyhow:
             if self._stamped:
-                message.header.stamp = self._node().get_clock().now().to_msg()
+                message.header.stamp = self._stamp()
             self._publisher.publish(message)
         return hearing
 

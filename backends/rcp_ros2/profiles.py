@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from collections.abc import Mapping as Named
 from functools import partial
@@ -11,24 +12,28 @@ import msgspec
 import structlog
 from msgspec import structs
 
-from rcp_kernel.errors import ConfigError, PluginError
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
 from rcp_kernel.types import PoseStamped
 from rcp_profiles import STANDARD, claim
+from rcp_profiles import messages as m
+from rcp_ros2.arm import FollowTrajectory, JointMotion, MoveJoints
+from rcp_ros2.arms import ARM, Arms
 from rcp_ros2.binding import Binding, Offer, Shared
 from rcp_ros2.config import Mapping
-from rcp_ros2.conventions import CONVENTIONS, LIMITS, SPEED_LIMIT, Convention, rank_of
+from rcp_ros2.conventions import CONVENTIONS, LIMIT_TOPIC, LIMITS, SPEED_LIMIT, Convention, rank_of
 from rcp_ros2.going import Going, located
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
 from rcp_ros2.parameters import Described, Events, NodeParameters
 from rcp_ros2.services import Called
+from rcp_ros2.speed_limit import NavigatorLimit
 from rcp_ros2.standard import Driven, SpeedLimit, observed
 from rcp_ros2.wanted import Wanted
 
 __all__ = ["Profiles"]
 
 log = structlog.get_logger("rcp.ros2")
-_CLAIMED = ("drive", "mobile", "battery", "camera", "lidar", "power")
+_CLAIMED = ("drive", "mobile", "arm", "battery", "camera", "lidar", "power")
 _FRAMES = frozenset({"map", "odom"})
 
 
@@ -39,6 +44,8 @@ class _Choice(NamedTuple):
     robot: str | None
     mapping: Mapping
     type: str
+    joints: tuple[str, ...] = ()
+    """Of joint states: those of one arm of several."""
 
 
 class Profiles:
@@ -51,8 +58,10 @@ class Profiles:
         bindings: Named[str, Binding],
         events: Events,
         frames: Callable[[str], frozenset[str]],
+        arms: Arms,
     ) -> None:
         """Tell with `frames` the known frames of a namespace."""
+        self._arms = arms
         self._shared = shared
         self._is_conventional = wanted.is_conventional
         self._free = wanted.free
@@ -75,11 +84,14 @@ class Profiles:
             for path, choice in self._found(graph).items()
             if free(path, choice.mapping)
         }
-        present = {choice.robot for choice in found.values()}
+        present = {choice.robot for choice in found.values()} | {None}
+        """The robots that are there; that of the whole backend is configured, and never leaves."""
+        offered = {(choice.standard, choice.mapping.target) for choice in found.values()}
         for path, choice in self._chosen.items():
             binding = self._bindings.get(path)
             claimed = binding is not None and binding.standard and binding.resource.profiles
-            if path not in found and claimed and choice.robot in present:
+            moved = (choice.standard, choice.mapping.target) in offered  # to a path of its own
+            if path not in found and claimed and choice.robot in present and not moved:
                 found[path] = choice  # degraded, until it is back
         self._chosen = found
         return {path: self._offer(path, choice) for path, choice in found.items()}
@@ -100,7 +112,20 @@ class Profiles:
                     each.setdefault(robot, []).append((rank, name, type_))
             for robot, options in each.items():
                 found |= self._picked(convention, robot, sorted(options))
-        return found | self._found_limits(graph)
+        return found | self._found_limits(graph) | self._found_states(found)
+
+    def _found_states(self, found: dict[str, _Choice]) -> dict[str, _Choice]:
+        """Return the joint states of each arm, where a robot has several."""
+        parts: dict[str, _Choice] = {}
+        for path, choice in found.items():
+            before, whole, after = path.rpartition("move_joints")
+            place = before.replace("action/", "sensor/", 1)
+            states = self._shared.naming.below("sensor/joint_states", choice.robot)
+            own = f"{place}joint_states"
+            if whole and not after and own != states and states in found:
+                joints = self._arms.joints.get(choice.mapping.target, ())
+                parts[own] = found[states]._replace(joints=joints)
+        return parts
 
     def _offered(self, convention: Convention, graph: Graph) -> Iterator[tuple[str, str]]:
         match convention.noun:
@@ -119,35 +144,63 @@ class Profiles:
     def _picked(
         self, convention: Convention, robot: str | None, options: list[tuple[int, str, str]]
     ) -> dict[str, _Choice]:
-        """Return the option by its rank; cameras are all taken, each under its own name."""
+        """Return the option by its rank; of parts each is taken, under its own name if several."""
         found: dict[str, _Choice] = {}
-        several = len(options) > 1
-        for _, name, type_ in options if convention.resource == "sensor/camera" else options[:1]:
+        branch, _, leaf = convention.resource.partition("/")
+        parted = convention.names[0].startswith("*/")
+        for _, name, type_ in options if parted else options[:1]:
+            if convention.resource in ARM and not self._arms.is_known(name):
+                continue
             path = convention.resource
-            if several and convention.resource == "sensor/camera":
+            if parted and len(options) > 1:
                 _, _, rest = self._shared.naming.split(name)
-                camera = rest.removesuffix("/image_raw/compressed").strip("/") or "camera"
-                path = f"sensor/{camera}/camera"
+                part = rest.removesuffix(convention.names[0][1:]).strip("/") or leaf
+                path = f"{branch}/{part}/{leaf}"
             path = self._shared.naming.below(path, robot)
             mapping = msgspec.convert({convention.noun: name}, Mapping)
             found[path] = _Choice(convention.resource, robot, mapping, type_)
         return found
 
     def _found_limits(self, graph: Graph) -> dict[str, _Choice]:
-        found: dict[str, tuple[int, _Choice]] = {}
-        for node, (_, described) in sorted(self.limits.items()):
-            if node not in graph.nodes:
-                continue
-            robot = self._shared.naming.split(node)[0]
+        """Return the speed limit of each robot: a base's own, Nav2's topic, or a controller's."""
+        found: dict[str, tuple[float, _Choice]] = {}
+        for rank, target, mapping, type_ in self._limits_in(graph):
+            robot = self._shared.naming.split(target)[0]
             path = self._shared.naming.below(SPEED_LIMIT, robot)
-            rank = LIMITS.index(described.name)
-            mapping = Mapping(node=node, parameter=described.name)
             if path not in found or rank < found[path][0]:
-                found[path] = rank, _Choice(SPEED_LIMIT, robot, mapping, "")
+                found[path] = rank, _Choice(SPEED_LIMIT, robot, mapping, type_)
         return {path: choice for path, (_, choice) in found.items()}
 
+    def _limits_in(self, graph: Graph) -> Iterator[tuple[float, str, Mapping, str]]:
+        for node, (_, described) in sorted(self.limits.items()):
+            if node in graph.nodes:
+                mapping = Mapping(node=node, parameter=described.name)
+                yield LIMITS.index(described.name), node, mapping, ""
+        name, type_ = LIMIT_TOPIC
+        for topic, found in filter(
+            lambda item: self._is_conventional(item[0]), graph.topics.items()
+        ):
+            taken = found == type_ and graph.subscribers.get(topic)
+            if taken and self._shared.naming.split(topic)[2] == name:
+                yield 0.5, topic, Mapping(topic=topic), type_
+
+    async def _ceiling(self, topic: str) -> float | None:
+        """Return the highest speed of the controller that a topic limits; None if unknown."""
+        robot = self._shared.naming.split(topic)[0]
+        for name, (node, described) in sorted(self.limits.items()):
+            if described.name != LIMITS[0] and self._shared.naming.split(name)[0] == robot:
+                with contextlib.suppress(RcpError):
+                    return await node.get(described.name, described.kind)
+        return None
+
     def _offer(self, path: str, choice: _Choice) -> Offer:
-        key = f"{choice.standard} {choice.type} {choice.mapping.target}"
+        key = f"{choice.standard} {choice.type} {choice.mapping.target} {choice.joints}"
+        if choice.standard in ARM:
+            joints = self._arms.of(choice.mapping.target)
+            binding = self._bindings.get(path)
+            if isinstance(binding, JointMotion) and binding.is_busy:
+                joints = binding.joints  # until its goal has ended
+            key = f"{key} {joints}"
         return Offer(choice.mapping, partial(self._make, path, choice), key)
 
     def _make(self, path: str, choice: _Choice) -> Binding:
@@ -156,6 +209,9 @@ class Profiles:
             return SpeedLimit(
                 self._shared, path, choice.standard, choice.mapping, node, described, self._events
             )
+        if choice.joints:
+            cls = load(choice.type)
+            return observed(self._shared, path, choice.standard, choice.mapping, cls, choice.joints)
         return self.make(path, choice.standard, choice.mapping, choice.type)
 
     # -- bindings --------------------------------------------------------------------------------
@@ -166,6 +222,10 @@ class Profiles:
         :raises MissingType: the type is not installed.
         :raises ConfigError: this resource cannot be made of the type.
         """
+        if standard == SPEED_LIMIT and type_ == LIMIT_TOPIC[1]:
+            ceiling = partial(self._ceiling, mapping.target)
+            cls = load(type_)
+            return NavigatorLimit(self._shared, path, standard, mapping, cls, ceiling=ceiling)
         convention = next((c for c in CONVENTIONS if c.resource == standard), None)
         if convention is None or type_ not in convention.types:
             known = convention.types if convention else ()
@@ -182,6 +242,17 @@ class Profiles:
                 made = Called(shared, path, mapping, load(type_, "srv"))
                 made.standard = standard
                 return made
+            case "action" if standard in ARM:
+                states = path.replace("action/", "sensor/", 1).rpartition("/")[0] + "/joint_states"
+                return (MoveJoints if standard == "action/move_joints" else FollowTrajectory)(
+                    shared,
+                    path,
+                    standard,
+                    mapping,
+                    load(type_, "action"),
+                    joints=self._arms.of(mapping.target),
+                    states=partial(self._joint_states, states),
+                )
             case "action":
                 pose = path.replace("action/", "sensor/", 1).removesuffix("move_to") + "pose"
                 return Going(
@@ -193,6 +264,15 @@ class Profiles:
                     locate=partial(self._locate, pose),
                     frames=partial(self._known_frames, mapping.target),
                 )
+
+    async def _joint_states(self, path: str) -> m.JointStates:
+        binding = self._bindings.get(path)
+        if binding is None or not binding.standard:
+            raise AdapterUnavailable(f"the arm has no {path}")
+        try:
+            return await binding.read()
+        except ValueError as error:
+            raise AdapterUnavailable(f"{binding.mapping.target} cannot be read: {error}") from error
 
     async def _locate(self, path: str) -> PoseStamped | None:
         binding = self._bindings.get(path)
@@ -243,7 +323,7 @@ def _is_served(binding: Binding, graph: Graph) -> bool:
     mapping = binding.mapping
     if mapping.topic is None:
         return graph.has(mapping.noun, mapping.target)
-    written = (binding.standard or "").startswith("actuator/")
+    written = not (binding.standard or "").startswith("sensor/")
     return bool((graph.subscribers if written else graph.publishers).get(mapping.topic))
 
 

@@ -15,7 +15,7 @@ from rcp_protocol.clock import iso
 from rcp_protocol.types import AngularVelocity, LinearVelocity
 from rcp_ros2.cdr import Codec, Malformed
 
-__all__ = ["SHAPES", "Shape", "Shaped", "extended", "seconds", "stamped_pose"]
+__all__ = ["SHAPES", "Shape", "Shaped", "extended", "joints_of", "seconds", "stamped_pose"]
 
 
 class Shape(NamedTuple):
@@ -147,6 +147,25 @@ def _joints(message: Any) -> dict[str, Any]:
         "effort": effort or None,
         "timestamp": _header(message, "")["timestamp"],
     }
+
+
+def joints_of(names: tuple[str, ...]) -> Shape:
+    """Return the shape of joint states with these joints only."""
+
+    def part(message: Any) -> dict[str, Any]:
+        own = [at for at, name in enumerate(message.name) if name in names]
+        whole = _joints(message)
+        if not own:
+            raise Malformed("the message has none of these joints")
+        lists: dict[str, Any] = {
+            key: [whole[key][at] for at in own if at < len(whole[key])]
+            for key in ("name", "position", "velocity")
+        }
+        effort = whole["effort"]
+        lists["effort"] = None if effort is None else [effort[at] for at in own if at < len(effort)]
+        return whole | lists
+
+    return Shape(m.JointStates, part)
 
 
 def _image(message: Any) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
 from rcp_ros2.parameters import Described, Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Form, Observed
-from rcp_ros2.shapes import SHAPES, Shaped
+from rcp_ros2.shapes import SHAPES, Shaped, joints_of
 
-__all__ = ["Driven", "SpeedLimit", "defined", "observed"]
+__all__ = ["Driven", "SpeedLimit", "defined", "observed", "standard_value"]
 
 _DEFINED = {
     definition.name: definition.resource
@@ -33,9 +33,21 @@ def defined(name: str, standard: str, mapping: Mapping, **own: Any) -> Resource:
     return structs.replace(_DEFINED[standard], name=name, **(own | kept))
 
 
-def observed(shared: Shared, name: str, standard: str, mapping: Mapping, cls: Any) -> Observed:
-    """Create a sensor of a profile."""
-    codec = Shaped(cls, SHAPES[standard])
+def standard_value(standard: str) -> Any:
+    """Return the type of a profile's values."""
+    return _DEFINED[standard].value
+
+
+def observed(
+    shared: Shared,
+    name: str,
+    standard: str,
+    mapping: Mapping,
+    cls: Any,
+    joints: tuple[str, ...] = (),
+) -> Observed:
+    """Create a sensor of a profile; of joint states, only those of some `joints`."""
+    codec = Shaped(cls, joints_of(joints) if joints else SHAPES[standard])
     own = Observed.of(shared, name, mapping, cls).resource
     resource = defined(name, standard, mapping, value=codec.type, native=own.native, meta=own.meta)
     if SHAPES[standard].whole:  # the profile's examples lack the message's own fields

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout
 from rcp_kernel.model import Kind, kind_of
 from rcp_kernel.spi import MotionState, StopPlan, Watchdog
+from rcp_ros2.arm import JointMotion
 from rcp_ros2.binding import Absent, Binding, Shared
 from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import StopTopic
@@ -214,7 +215,7 @@ class Stops:
         demanded = [one.state(since) for one in found if one.demanded]
         if demanded:
             return _worst(demanded)
-        fresh = [one for one in found if one.is_fresh()]
+        fresh = [one for one in found if one.is_fresh() or one.required]
         return _worst([one.state(since) for one in (fresh or found[:1])])
 
     def _sent(self, rest: Rest, since: float | None) -> MotionState:
@@ -319,6 +320,7 @@ class Stops:
             for topic, type_ in graph.topics.items():
                 if type_ == ODOMETRY and graph.publishers.get(topic):
                     self.feedbacks.follow(topic, naming.split(topic)[0], type_)
+            self._measure_arms(graph)
         elif isinstance(feedback, str):
             for topic, robot in self._each(feedback):
                 one = self.feedbacks.follow(topic, robot, graph.topics.get(topic))
@@ -335,6 +337,18 @@ class Stops:
                 one.max_age = binding.mapping.feedback_timeout or one.max_age
         self._make_means()
         self._update_guard()
+
+    def _measure_arms(self, graph: Graph) -> None:
+        """Measure the joints that trajectory controllers move: their goals end before these do."""
+        joints: dict[str | None, set[str]] = {}
+        for binding in self._bindings():
+            if isinstance(binding, JointMotion):
+                joints.setdefault(binding.resource.robot, set()).update(binding.joints.names)
+        for binding in self._bindings():
+            robot, topic = binding.resource.robot, binding.mapping.target
+            if binding.standard == "sensor/joint_states" and robot in joints:
+                one = self.feedbacks.follow(topic, robot, graph.topics.get(topic))
+                one.required, one.joints.needed = True, frozenset(joints[robot])
 
     def _each(self, name: str) -> list[tuple[str, str | None]]:
         """Return the absolute form of a configured name, for each robot if it is relative."""

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 from functools import partial
+from time import time_ns
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -14,6 +15,7 @@ from msgspec import Meta
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, InvalidValue, OutOfRange, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
+from rcp_kernel.types import Point, Quaternion, Transform
 from rcp_ros2.binding import Binding, Offer, Shared, common
 from rcp_ros2.config import Mapping, Qos
 from rcp_ros2.definitions import TF_MESSAGE
@@ -74,10 +76,7 @@ class Transforms:
     def known(self, space: str) -> frozenset[str]:
         """Return the frames of a namespace; none if its tree is not exposed."""
         tree = self.trees.get(space) or self.trees.get("")
-        if tree is None:
-            return frozenset()
-        parents = tree.frames.tree()
-        return frozenset(parents.keys()) | frozenset(parents.values())
+        return frozenset() if tree is None else tree.known.frames()
 
     def find(self, graph: Graph) -> dict[str, Offer]:
         """Return the sensors and the lookup of each tree."""
@@ -85,7 +84,10 @@ class Transforms:
         topics = [topic for topic, type_ in graph.topics.items() if type_ == TF_MESSAGE]
         for topic in filter(self._exposes, topics):
             space = topic.rpartition("/")[0]
-            self.trees.setdefault(space, Tree(self._shared, space))
+            if space not in self.trees:
+                tree = self.trees[space] = Tree(self._shared, space)
+                robot, _, _ = self._shared.naming.split(f"{space}/tf")
+                self._shared.host.transforms(tree.known, robot)
         for topic in topics:  # a tree needs its static transforms
             tree = self.trees.get(topic.rpartition("/")[0])
             if tree is not None:
@@ -106,6 +108,8 @@ class Tree:
         self._version = -1
         self._paths: dict[str, str] = {}
         self._offers: dict[str, Offer] = {}
+        self.known = KnownFrames(self.frames, lambda: shared.subscriptions.now() or time_ns())
+        """The same for the gateway, which converts values with it."""
 
     def follow(self, topic: str) -> None:
         """Add the transforms of a topic."""
@@ -200,6 +204,34 @@ class Tree:
             ) from None
         except Extrapolation as error:
             raise _out_of_range(error) from None
+
+
+class KnownFrames:
+    """The `FrameTree` of a robot."""
+
+    def __init__(self, frames: Frames, now: Callable[[], int]) -> None:
+        self._frames, self._now = frames, now
+
+    def frames(self) -> frozenset[str]:
+        """Return the names of all frames."""
+        parents = self._frames.tree()
+        return frozenset(parents.keys()) | frozenset(parents.values())
+
+    def lookup(self, target: str, source: str, time: int | None) -> tuple[Transform, float]:
+        """Return the pose of a frame in another, and by how many seconds it misses the time.
+
+        :raises LookupError: they are not connected.
+        """
+        wanted = self._now() if time is None else time
+        try:
+            try:
+                place, found = self._frames.lookup(target, source, wanted)
+            except Extrapolation:
+                place, found = self._frames.lookup(target, source)
+        except (UnknownFrame, NotConnected, Extrapolation) as error:
+            raise LookupError(str(error)) from None
+        moved = Transform(Point(*place[:3]), Quaternion(*place[3:]), target, source)
+        return moved, 0.0 if found is None else abs(wanted - found) / 1e9
 
 
 def _root(frame: str, above: dict[str, str]) -> str | None:

@@ -8,8 +8,8 @@ from typing import Any
 
 from rcp_kernel.contract.events import Event
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.model import tenant_of
-from rcp_kernel.store.touches import EVERYTHING
 
 __all__ = ["who_did"]
 

@@ -13,8 +13,8 @@ from rcp_audit.log import FULL
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.sessions.session import Answer
 from rcp_kernel.sessions.unrecorded import unrecorded
-from rcp_kernel.store.ledger import Ledger
 from rcp_kernel.wire import Reply
+from rcp_store.ledger import Ledger
 
 __all__ = ["HeldReplies"]
 

@@ -11,8 +11,8 @@ import msgspec
 from rcp_audit.config import AuditConfig
 from rcp_kernel.clock import parse_time
 from rcp_kernel.features import FeatureHost
-from rcp_kernel.store.chain import Head
-from rcp_kernel.store.file import ROWS
+from rcp_store.chain import Head
+from rcp_store.file import ROWS
 
 __all__ = ["Retention"]
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 from weakref import WeakValueDictionary
 
 from rcp_frames.config import EARTH, FramesConfig
 from rcp_frames.demand import PoseDemand
-from rcp_frames.goals import goal_frame, in_robot_frame
+from rcp_frames.goals import goal_frame, in_robot_frame, own_frame
 from rcp_frames.moves import Move
 from rcp_frames.robot import Moment, RobotFrames, no_transform, pose_path
 from rcp_frames.shapes import Shape, shape_of
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.errors import FilterUnsupported
+from rcp_kernel.errors import FilterUnsupported, RcpError
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
@@ -22,6 +23,7 @@ from rcp_kernel.wire import Request
 
 __all__ = ["Frames"]
 
+_AGAIN = 10_000_000  # ns after which a sample without a transform is tried again
 _SEES = int(Operation.READ | Operation.SUBSCRIBE)
 
 
@@ -67,7 +69,7 @@ class Frames:
         found = self._conversions.get(key)
         if found is None:
             robot = self._robot(entry, moving=key[2])
-            found = self._conversions[key] = _Conversion(robot, entry, shape, frame)
+            found = self._conversions[key] = _Conversion(robot, entry, shape, frame, self._now)
         return found
 
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
@@ -79,20 +81,26 @@ class Frames:
         if own is None:
             return None
         robot = self._robot(entry, moving=self._may_locate(session.rights, entry))
-        moment = Moment(self._now(), self._now())
+        moment = Moment(None, self._now())
         return in_robot_frame(request, entry, own, robot, moment, self.config)
 
     def known(self, rights: Rights, entry: Entry) -> list[str]:
         """Return the frames of a resource, for a principal."""
         if entry.tenant is None:
             return []
-        source = goal_frame(entry.resource.input)
-        if source is None:
+        robot = self._robot(entry, moving=self._may_locate(rights, entry))
+        default = goal_frame(entry.resource.input)
+        if default is not None:
+            source = own_frame(entry, default, robot)
+        else:
             shape = shape_of(entry.resource.value)
             if shape is None:
                 return []
-            source = shape.default if entry.latest is None else shape.frame_of(entry.latest.value)
-        return self._robot(entry, moving=self._may_locate(rights, entry)).known(source)
+            try:
+                source = shape.current(entry)
+            except RcpError:  # reported as its backend's fault
+                return []
+        return robot.known(source)
 
     def _robot(self, entry: Entry, *, moving: bool) -> RobotFrames:
         return RobotFrames(
@@ -140,21 +148,30 @@ class _View:
 class _Conversion:
     """The conversion of one resource's values to a frame; each is converted once."""
 
-    def __init__(self, robot: RobotFrames, entry: Entry, shape: Shape, frame: str) -> None:
+    def __init__(
+        self,
+        robot: RobotFrames,
+        entry: Entry,
+        shape: Shape,
+        frame: str,
+        now: Callable[[], int],
+    ) -> None:
+        self._now = now
         self._robot, self._shape, self._frame = robot, shape, frame
         self._geographic = frame == EARTH
         self._entry = entry
         self.path, self.owner = entry.path, entry.owner
         self.value_type = shape.earth if self._geographic else shape.type
         self._last: tuple[Sample, Sample] | None = None
+        self._refused: tuple[Sample, RcpError, int] | None = None
+        """A sample that cannot be converted, why, and until when it is not tried again."""
 
     def check(self) -> None:
         """Make sure that something connects the values' frame to the target.
 
         :raises InvalidValue: nothing does.
         """
-        latest = self._entry.latest
-        source = self._shape.default if latest is None else self._shape.frame_of(latest.value)
+        source = self._shape.current(self._entry)
         if source and self._frame not in (known := self._robot.known(source)):
             raise no_transform(self._frame, source, known)
 
@@ -163,13 +180,25 @@ class _Conversion:
         last = self._last
         if last is not None and last[0] is sample:
             return last[1]
+        if self._refused is not None:
+            refused, error, until = self._refused
+            if refused is sample and self._now() < until:
+                raise error
+        try:
+            converted = self._converted(sample)
+        except RcpError as error:
+            error = error.with_traceback(None)
+            self._refused = sample, error, self._now() + _AGAIN
+            raise error from None
+        self._last, self._refused = (sample, converted), None
+        return converted
+
+    def _converted(self, sample: Sample) -> Sample:
         value = sample.value
         source = self._shape.frame_of(value)
-        converted = sample
-        if source != self._frame or self._geographic:
-            moment = Moment(sample.timestamp, sample.received)
-            pose = self._robot.transform(self._frame, source, moment)
-            moved = self._shape.moved(value, Move(self._frame, pose, geographic=self._geographic))
-            converted = Sample(self, moved, sample.timestamp, sample.received, sample.seq)
-        self._last = sample, converted
-        return converted
+        if source == self._frame and not self._geographic:
+            return sample
+        moment = Moment(sample.timestamp, sample.received)
+        pose = self._robot.transform(self._frame, source, moment)
+        moved = self._shape.moved(value, Move(self._frame, pose, geographic=self._geographic))
+        return Sample(self, moved, sample.timestamp, sample.received, sample.seq)

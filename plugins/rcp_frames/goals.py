@@ -16,13 +16,14 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ANY, value_type
 from rcp_kernel.wire import Request
 
-__all__ = ["goal_frame", "in_robot_frame"]
+__all__ = ["goal_frame", "in_robot_frame", "own_frame"]
 
 _NEEDED = {"position", "frame", "yaw"}
 
 
 class _Named(msgspec.Struct, frozen=True):
     frame: str | None = None
+    position: Any = None
 
 
 class _Place(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -72,10 +73,19 @@ def goal_frame(type_: Any) -> str | None:
     return default if isinstance(default, str) else None
 
 
+def own_frame(entry: Entry, default: str, robot: RobotFrames) -> str:
+    """Return the frame into which goals are converted: that of the robot's own pose.
+
+    Fences compare goals with it.
+    """
+    taken = entry.unit.facts.frames or entry.unit.whole.facts.frames
+    return taken[0] if taken else robot.base or default
+
+
 def in_robot_frame(
     request: Request,
     entry: Entry,
-    own: str,
+    default: str,
     robot: RobotFrames,
     moment: Moment,
     config: FramesConfig,
@@ -85,17 +95,17 @@ def in_robot_frame(
     :raises RcpError: it cannot be converted, and the robot does not take it as it is.
     """
     label = f"input of {entry.label}"
-    taken = entry.unit.facts.frames or entry.unit.whole.facts.frames
-    own = taken[0] if taken else own
     try:
-        frame = request.decode_body(_NAMED, label).frame
+        named = request.decode_body(_NAMED, label)
     except RcpError:  # the type of the resource says better what is wrong
         return None
-    if frame is None or frame == own:
+    own, frame = own_frame(entry, default, robot), named.frame or default
+    if frame == own or named.position is None:
         return None
     known = robot.known(own)
     if frame not in known:
-        if frame in taken or not (taken or frame == EARTH or frame in config.origins):
+        facts = entry.unit.facts.frames or entry.unit.whole.facts.frames
+        if frame in facts or not (facts or frame == EARTH or frame in config.origins):
             return None
         raise no_transform(own, frame, known)
     plain = request.decode_body(ANY, label)

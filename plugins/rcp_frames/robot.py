@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from rcp_frames.config import EARTH, FramesConfig
@@ -27,8 +27,8 @@ _NEXT = 0.25  # s after which to try again when a pose has just been requested
 class Moment(NamedTuple):
     """The time of a value."""
 
-    stamp: int
-    """By the robot's clock, ns."""
+    stamp: int | None
+    """By the robot's clock, ns; None: now."""
     received: int
     """By the gateway's, ns."""
 
@@ -139,6 +139,11 @@ class RobotFrames:
                     waiting.append(other)
         return ways
 
+    @property
+    def base(self) -> str | None:
+        """The frame in which the robot reports its own pose; None: unknown."""
+        return next((link.outer for link in self._posed()), None) if self._moving else None
+
     # Links
 
     @property
@@ -150,7 +155,7 @@ class RobotFrames:
         links = [self._fixed(EARTH, name, pose) for name, pose in self._origins()]
         anchor = self._anchor
         if anchor is not None:
-            pose = local(anchor.latitude, anchor.longitude, anchor.altitude, anchor.yaw)
+            pose = _placed(anchor.latitude, anchor.longitude, anchor.altitude, anchor.yaw)
             links.append(self._fixed(EARTH, anchor.frame, pose))
         if self._moving:
             links += self._posed()
@@ -163,7 +168,7 @@ class RobotFrames:
     def _origins(self) -> Iterator[tuple[str, Rigid]]:
         for name, one in self._config.origins.items():
             if one.tenant is None or one.tenant == self._entry.tenant:
-                pose = local(one.latitude, one.longitude, one.altitude)
+                pose = _placed(one.latitude, one.longitude, one.altitude, 0.0)
                 down = one.axes == "ned"
                 yield name, pose._replace(rotation=pose.turn(NED)) if down else pose
 
@@ -187,6 +192,8 @@ class RobotFrames:
             if entry is None or shape is None:
                 continue
             outer, inner = shape.default, "base_link"
+            if entry.latest is None and not entry.live:
+                self._request(entry)
             if entry.latest is not None:
                 try:
                     value = entry.latest.value
@@ -231,10 +238,10 @@ class RobotFrames:
         :raises PreconditionFailed: its time is too far from that of the value.
         """
         try:
-            found, time = tree.lookup(target, source, moment.stamp)
+            found, age = tree.lookup(target, source, moment.stamp)
         except LookupError:
             raise no_transform(target, source, [source]) from None
-        age, bound = 0.0 if time is None else abs(time - moment.stamp) / 1e9, self._config.max_age
+        bound = self._config.max_age
         if age > bound:
             raise PreconditionFailed(
                 f"the transform between '{source}' and '{target}' is {age:.1f} s away from the time "
@@ -246,9 +253,12 @@ class RobotFrames:
         return Rigid((t.x, t.y, t.z), (r.x, r.y, r.z, r.w))
 
 
+_placed = lru_cache(1024)(local)
+
+
 def _is_connected(tree: FrameTree, target: str, source: str) -> bool:
     try:
-        tree.lookup(target, source, 0)
+        tree.lookup(target, source, None)
     except LookupError:
         return False
     return True

@@ -13,6 +13,7 @@ from msgspec.structs import FieldInfo, fields, replace
 from rcp_frames.moves import GeoPoint, Move
 from rcp_geometry import Rigid
 from rcp_geometry.rigid import Quat, Vec
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Shape", "shape_of"]
@@ -94,6 +95,13 @@ class Shape:
         for name in self._frame:
             value = getattr(value, name)
         return str(value).lstrip("/") or self.default
+
+    def current(self, entry: Entry) -> str:
+        """Return the frame of a resource's latest value.
+
+        :raises DeviceRejected: it is invalid.
+        """
+        return self.default if entry.latest is None else self.frame_of(entry.latest.value)
 
     def child_of(self, value: Any) -> str:
         """Return the frame whose pose a value is."""

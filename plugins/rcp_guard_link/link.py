@@ -166,7 +166,7 @@ class GuardLink:
                 state = backend.motion(None)
         if state is not None and state.at_rest is not None:
             return state.at_rest
-        if any(self._control.holds(entry) for entry in supervisor.entries.values()):
+        if any(self._control.is_in_force(entry) for entry in supervisor.entries.values()):
             return False
         measures_nothing = backend is not None and state is None
         return measures_nothing or since > _UNKNOWN

@@ -156,6 +156,10 @@ class MotionLimit:
             where = place.commanded(value)
             if where is None:
                 self._refuse(place.point[0].text, "has no position", None, None)
+            frame = place.foreign(value)
+            if frame is not None:
+                text = f"is given in the frame '{frame}', in which the fence is not known"
+                self._refuse(place.point[0].text, text, None, None)
             trouble = place.trouble(*where)
             if trouble is not None:
                 self._raise(

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
+
+import msgspec
 
 from rcp_conditions.fields import Field
 from rcp_kernel.errors import RcpError
@@ -30,6 +33,7 @@ class Place:
         self._outside = {name: Polygon(corners) for name, corners in fence.outside.items()}
         self._max_age = fence.max_age
         self._entries = entries
+        self._entry = entry
 
     def trouble(self, x: float, y: float) -> tuple[list[str], str] | None:
         """Return the violated areas with a clause for messages; None if there are none."""
@@ -45,6 +49,33 @@ class Place:
         """Return the commanded position, or None if the value contains none."""
         return _point(self.point[0].one(value), self.point[1].one(value))
 
+    def foreign(self, value: Any) -> str | None:
+        """Return the frame of a commanded position, unless it is that of the fence.
+
+        Goals are converted to the frame of the robot's pose before they are checked; one that names
+        another frame is known only to the robot.
+        """
+        frame = getattr(value, "frame", None)
+        if not isinstance(frame, str):
+            return None
+        unit = self._entry.unit
+        declared = (unit.facts.frames or unit.whole.facts.frames)[:1]
+        return (
+            None if frame in (declared or (_default_frame(type(value)), self._of_pose())) else frame
+        )
+
+    def _of_pose(self) -> str | None:
+        """Return the frame in which the robot reports its pose, if it does."""
+        entry, own = self._entry, self._entry.unit.robot
+        name = f"sensor/{own}/pose" if own else "sensor/pose"
+        pose = self._entries.get(full_path(entry.tenant or "", entry.robot, name))
+        if pose is None or pose.latest is None:
+            return None
+        try:
+            return getattr(pose.latest.value, "frame_id", None)
+        except RcpError:  # reported as a fault of the backend
+            return None
+
     def of_sample(self, sample: Sample) -> tuple[float, float] | None:
         """Return the robot's position in a sample, or None if it contains none."""
         try:
@@ -59,6 +90,13 @@ class Place:
             return None
         age = entry.age
         return None if age is None or age > self._max_age else self.of_sample(entry.latest)
+
+
+@cache
+def _default_frame(type_: Any) -> Any:
+    """Return the frame of goals that name none."""
+    known = msgspec.structs.fields(type_) if issubclass(type_, msgspec.Struct) else ()
+    return next((field.default for field in known if field.name == "frame"), None)
 
 
 def _point(x: Any, y: Any) -> tuple[float, float] | None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel._plain import is_map
+from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
@@ -31,7 +31,6 @@ from rcp_kernel.features.approval import ApprovalService
 from rcp_kernel.features.control import ControlService
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.scope import Scope
 from rcp_kernel.values import Encoding, ValueType, dump
@@ -46,6 +45,7 @@ from rcp_plans.node import MARK, Checked, Node, references
 from rcp_plans.pace import Allowance
 from rcp_plans.reading import ConditionReader
 from rcp_plans.symbolic import from_symbolic
+from rcp_protocol.plain import is_map
 
 __all__ = ["PlanChecker"]
 

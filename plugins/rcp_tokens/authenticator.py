@@ -9,9 +9,9 @@ import msgspec
 import structlog
 
 from rcp_kernel.access.authenticator import Authenticator
-from rcp_kernel.access.tokens import Token
 from rcp_kernel.contract.identity import Grants, Keyring, Principal
 from rcp_kernel.features import FeatureHost
+from rcp_store.tokens import Token
 from rcp_tokens.watch import TokenWatch, changes
 
 __all__ = ["TokenAuthenticator", "TokenTables"]
@@ -76,7 +76,10 @@ class TokenAuthenticator(Authenticator):
         """Apply the tenants and roles of another configuration; the caller reviews the sessions."""
         self._tables = tables
         valid = (token for token in self._tokens if token.revoked is None)
-        self._keyring = Keyring({one.hash: one.principal(self._granted(one)) for one in valid})
+        self._keyring = Keyring({one.hash: self._principal(one) for one in valid})
+
+    def _principal(self, token: Token) -> Principal:
+        return Principal(token.name, self._granted(token), self.name, token.hash, token.expires)
 
     def _granted(self, token: Token) -> Grants:
         """Return the grants of a key whose tenants and roles are still configured."""

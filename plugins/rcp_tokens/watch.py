@@ -11,8 +11,8 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from rcp_kernel.access.tokens import Token, TokenFile
 from rcp_kernel.errors import ConfigError
+from rcp_store.tokens import Token, TokenFile
 
 __all__ = ["TokenWatch", "changes"]
 

@@ -19,6 +19,7 @@ from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shared_work import SharedWork
+from rcp_kernel.contract.touches import EVERYTHING as TOUCHES_EVERYTHING
 from rcp_kernel.contract.turns import Turns, at_once
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.requests.discovery import Query
@@ -28,15 +29,14 @@ from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.unsent import left_out
-from rcp_kernel.store.modes import others_may
-from rcp_kernel.store.plugin_store import PluginStore
-from rcp_kernel.store.touches import EVERYTHING as TOUCHES_EVERYTHING
 from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.streams.outbound import Backlog, Outbound
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.tree.samples import Sample
 from rcp_protocol.structure import LONG as LONG_MESSAGE
 from rcp_protocol.structure import check_structure
+from rcp_store.modes import others_may
+from rcp_store.plugin_store import PluginStore
 
 __all__ = [
     "BACKLOG_SHARE",

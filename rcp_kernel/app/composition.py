@@ -76,13 +76,13 @@ from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.ledger import Ledger
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
+from rcp_store.ledger import Ledger
+from rcp_store.store import Store
 
 __all__ = ["compose"]
 

@@ -22,10 +22,10 @@ from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.backpressure import shed, waiting_bytes
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.ledger import Ledger
-from rcp_kernel.store.plugin_store import PluginStore
-from rcp_kernel.store.store import Store
 from rcp_kernel.wire import Request
+from rcp_store.ledger import Ledger
+from rcp_store.plugin_store import PluginStore
+from rcp_store.store import Store
 
 __all__ = ["GatewayFeatureHost"]
 

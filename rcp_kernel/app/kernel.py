@@ -27,10 +27,10 @@ from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.registry import Registry
+from rcp_store.store import Store
 
 __all__ = ["Kernel"]
 

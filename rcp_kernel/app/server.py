@@ -25,8 +25,8 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.safety.retry import retry_until_confirmed
-from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.store import Store
+from rcp_store.disk_store import DiskStore
+from rcp_store.store import Store
 
 __all__ = [
     "Prepared",

@@ -26,12 +26,12 @@ from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.store.store import Store
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import is_system
 from rcp_kernel.tree.registry import Registry
+from rcp_store.store import Store
 
 __all__ = ["StatusReport"]
 

@@ -333,7 +333,7 @@ class BackendSupervisor:
                 with contained():
                     await self._live(kind, config)
             except (ConfigError, PluginError) as error:
-                self._hold(None)
+                self._set_backend(None)
                 self._enter("failed", str(error))
                 self._interrupt(str(error))
                 return
@@ -353,7 +353,7 @@ class BackendSupervisor:
     async def _live(self, kind: BackendKind, config: Any) -> None:
         async with kind.open(config, self) as opened:
             backend = ContainedBackend(opened)
-            self._hold(backend)
+            self._set_backend(backend)
             self._on_loss = backend.on_loss
             self._enter("ready", None)
             self._tell_cut_off()
@@ -367,7 +367,7 @@ class BackendSupervisor:
                     recovery.cancel()
                 if not self._closing.is_set():
                     self._enter("down", self.detail or "the backend stopped")
-        self._hold(None)
+        self._set_backend(None)
 
     def _regain(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; otherwise settle its lost commands."""
@@ -405,7 +405,7 @@ class BackendSupervisor:
                 self._events.recovered(unit, lost, done)
 
     def _down(self, error: Exception) -> None:
-        self._hold(None)
+        self._set_backend(None)
         text = _sentence(error)
         self.last_error = text
         known = isinstance(error, (NotReady, RcpError, ConnectionError, TimeoutError))
@@ -430,7 +430,7 @@ class BackendSupervisor:
         growing = not self._closing.is_set() and (opens or looks)
         self._registry.grow(self, growing=growing)
 
-    def _hold(self, backend: ContainedBackend | None) -> None:
+    def _set_backend(self, backend: ContainedBackend | None) -> None:
         """Have an open backend, which works as far as the present state says so."""
         self._backend = backend
         self.backend = backend if self.state in _WORKING else None
@@ -438,7 +438,7 @@ class BackendSupervisor:
     def _enter(self, state: State, detail: str | None) -> None:
         changed = state != self.state
         self.state, self.detail = state, detail
-        self._hold(self._backend)
+        self._set_backend(self._backend)
         self._note_growth()
         if detail is not None:
             self.last_error = detail

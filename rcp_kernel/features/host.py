@@ -17,9 +17,9 @@ from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.ledger import Ledger
-from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
+from rcp_store.ledger import Ledger
+from rcp_store.plugin_store import PluginStore
 
 __all__ = ["FeatureHost"]
 

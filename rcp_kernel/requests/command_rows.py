@@ -8,11 +8,11 @@ from typing import Any
 import structlog
 from msgspec import Raw
 
+from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.sessions.resume import hashed
-from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import is_system
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body

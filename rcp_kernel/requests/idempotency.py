@@ -20,9 +20,9 @@ from rcp_kernel.errors import DuplicateRequest, InternalError
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.store import Store
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, Request, encode_reply, failure
+from rcp_store.store import Store
 
 __all__ = ["Keys", "Outcome"]
 

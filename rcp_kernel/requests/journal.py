@@ -19,8 +19,8 @@ from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.store.store import Store
 from rcp_kernel.wire import FINAL, Request
+from rcp_store.store import Store
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Answer, OwnCommand, Session

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 
 from rcp_kernel.errors import Refused
 from rcp_kernel.model import Kind, Operation
+from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.command import Command, CommandTable
@@ -70,9 +71,9 @@ class Control:
         """The paths with a write that is valid for a time, in flight, or to be stopped."""
         return self._deadman.paths
 
-    def holds(self, entry: Entry) -> bool:
+    def is_in_force(self, entry: Entry) -> bool:
         """Return whether a command, or a stop that is not confirmed, is in force on an actuator."""
-        return self._deadman.holds(entry)
+        return self._deadman.is_in_force(entry)
 
     def end_stopped(self, owner: Owner, reason: str) -> asyncio.Task[None] | None:
         """End the commands of a backend whose robots were stopped by something else.
@@ -82,13 +83,13 @@ class Control:
         """
         whole = owner.unit(None)
         whole.count_stop()
-        for entry in owner.entries.values():
-            if entry.moves:
-                self._deadman.cancel_writes(entry)
-        for command in list(self._commands.running.values()):
-            entry = command.entry
-            if entry is not None and entry.owner is owner and entry.barred:
-                self._commands.cancel(command, reason)
+        end_commands(
+            self._deadman,
+            self._commands,
+            owner.entries.values(),
+            lambda one: one.entry is not None and one.entry.owner is owner and one.entry.barred,
+            reason,
+        )
         if owner.backend is None:
             return None
         held = ExitStack()  # from now on, not from when the task first runs
@@ -106,7 +107,7 @@ class Control:
         deadman, commanded = self._deadman, self._deadman.paths
         for entry in entries:
             moves = entry.kind is Kind.ACTUATOR and bool(entry.operations & Operation.WRITE)
-            if moves and deadman.holds(entry):
+            if moves and deadman.is_in_force(entry):
                 deadman.stop(entry)
             elif entry.path in commanded:
                 deadman.cut(entry)

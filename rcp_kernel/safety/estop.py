@@ -21,6 +21,7 @@ from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
+from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import Stop, StopController
 from rcp_kernel.sessions.command import CommandTable
@@ -332,18 +333,15 @@ class Estop:
 
     def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
         """End running, queued and pending requests on stopped robots."""
-        ending: list[asyncio.Task[Any]] = []
-        paths: set[str] = set()
-        for robot in robots:
-            for entry in robot.entries.values():
-                paths.add(entry.path)
-                if entry.moves:
-                    ending += self._deadman.cancel_writes(entry)
-        for command in list(self._commands.running.values()):
-            if command.path in paths or not paths.isdisjoint(command.touches):
-                if command.task is not None:
-                    ending.append(command.task)
-                self._commands.cancel(command, "emergency stop")
+        entries = [entry for robot in robots for entry in robot.entries.values()]
+        paths = {entry.path for entry in entries}
+        ending = end_commands(
+            self._deadman,
+            self._commands,
+            entries,
+            lambda one: one.path in paths or not paths.isdisjoint(one.touches),
+            "emergency stop",
+        )
         if ending:
             self._ending.add(task := self._loop.create_task(self._again(robots, ending)))
             task.add_done_callback(self._ending.discard)

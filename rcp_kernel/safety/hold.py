@@ -11,6 +11,7 @@ import msgspec
 from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
+from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.spi import MotionState, Progress
 from rcp_kernel.tree.entry import StopGroup
 from rcp_kernel.wire import NO_BODY
@@ -74,17 +75,15 @@ class Hold:
 
     def _end_commands(self) -> list[asyncio.Task[Any]]:
         """Cancel what drives the robot; return the work that has not ended yet."""
-        ending: list[asyncio.Task[Any]] = []
         moving = [e for unit in self._units for e in unit.entries.values() if e.moves]
-        for entry in moving:
-            ending += self._deadman.cancel_writes(entry)
         paths = {entry.path for entry in moving}
-        for other in list(self._commands.running.values()):
-            if other.path in paths:
-                self._commands.cancel(other, "the robot was commanded to hold")
-                if other.task is not None:
-                    ending.append(other.task)
-        return ending
+        return end_commands(
+            self._deadman,
+            self._commands,
+            moving,
+            lambda one: one.path in paths,
+            "the robot was commanded to hold",
+        )
 
     async def _hold(self) -> None:
         await asyncio.gather(*(unit.hold() for unit in self._units))

@@ -226,7 +226,7 @@ class Deadman:
         """The paths with a command that is valid for a time, in flight, or to be stopped."""
         return {*self._timers, *self._stops, *self._flights}
 
-    def holds(self, entry: Entry) -> bool:
+    def is_in_force(self, entry: Entry) -> bool:
         """Return whether a command, or an unacknowledged stop, is in force on an actuator."""
         path = entry.path
         if path in self._timers or path in self._stops:

@@ -132,7 +132,7 @@ class Hub:
 
     def _keep(self, feed: PathSubscription) -> None:
         """Keep the history of a path for a disconnected client."""
-        _hold(feed.entry, feed.subscription.options.rate)
+        _keep_history(feed.entry, feed.subscription.options.rate)
         self.demand.retune(feed.entry)
 
     def relink(self, feed: PathSubscription) -> None:
@@ -175,7 +175,7 @@ class Hub:
     @staticmethod
     def keep(entry: Entry) -> None:
         """Keep the whole history of a path even without subscribers."""
-        _hold(entry, 0.0)
+        _keep_history(entry, 0.0)
 
     def listen(self, entry: Entry, listener: Listener) -> None:
         """Offer every sample to a listener of the gateway, and keep the source running for it."""
@@ -255,7 +255,7 @@ class Hub:
         await self.demand.close()
 
 
-def _hold(entry: Entry, rate: float | None) -> None:
+def _keep_history(entry: Entry, rate: float | None) -> None:
     """Keep an entry's history for a client that needs `rate` from its source."""
     absent = absent_listener(entry)
     if absent is None:

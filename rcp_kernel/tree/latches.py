@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.store.latch_file import GATEWAY, LATCHES
-from rcp_kernel.store.store import Store
+from rcp_store.latch_file import GATEWAY, LATCHES
+from rcp_store.store import Store
 
 __all__ = ["GATEWAY", "Latch", "Latches", "robot_key", "tenant_key"]
 

@@ -31,11 +31,11 @@ from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.store.damage import find_damage
-from rcp_kernel.store.file import open_read_only
-from rcp_kernel.store.latch_file import LatchFile
 from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.values import Encoding
+from rcp_store.damage import find_damage
+from rcp_store.file import open_read_only
+from rcp_store.latch_file import LatchFile
 from rcpd.examination import examined
 
 CONFIG = """

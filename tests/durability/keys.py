@@ -19,9 +19,9 @@ from crash import FINAL, Journal, keyed, lines, prepared
 from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.server import Server, running
 from rcp_kernel.requests.idempotency import Keys
-from rcp_kernel.store import store_writer
-from rcp_kernel.store.disk_store import DiskStore
 from rcp_kernel.values import Encoding
+from rcp_store import store_writer
+from rcp_store.disk_store import DiskStore
 
 LIVES = 3
 REQUESTS = {

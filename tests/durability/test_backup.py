@@ -15,8 +15,8 @@ from click.testing import CliRunner
 
 from durability.process import ADMIN, BOUND, RCPD
 from kernel.world import World, kept_in, settled, world_of
-from rcp_kernel.store.chain import parse_head
-from rcp_kernel.store.file import head_beside, open_read_only
+from rcp_store.chain import parse_head
+from rcp_store.file import head_beside, open_read_only
 from rcpd.cli import main
 from rcpd.examination import examined
 

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from kernel.world import World, kept_in, settled, world_of
-from rcp_kernel.store.damage import find_damage, interim_of
-from rcp_kernel.store.file import open_read_only
-from rcp_kernel.store.latch_file import latches_beside
+from rcp_store.damage import find_damage, interim_of
+from rcp_store.file import open_read_only
+from rcp_store.latch_file import latches_beside
 from rcpd.cli import main
 from rcpd.examination import examined
 

@@ -16,9 +16,9 @@ from click.testing import CliRunner, Result
 
 from durability.process import ADMIN, BOUND, Served, until
 from kernel.world import kept_in, settled, world_of
-from rcp_kernel.store.damage import find_damage
-from rcp_kernel.store.file import beside
-from rcp_kernel.store.latch_file import LatchFile
+from rcp_store.damage import find_damage
+from rcp_store.file import beside
+from rcp_store.latch_file import LatchFile
 from rcpd.cli import main
 
 DRIVE = "/tenant/alpha/actuator/cmd_vel"

@@ -25,10 +25,10 @@ from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.store.store import Store
 from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
+from rcp_store.store import Store
 
 BOUND = 20.0  # s any wait of a test may take, on a machine that is busy otherwise
 

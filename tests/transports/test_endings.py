@@ -25,13 +25,13 @@ from websockets.exceptions import ConnectionClosed
 from certs import Authority, Signed
 from issuer import AUDIENCE, Key
 from issuer import Issuer as Signer
-from rcp_kernel.access.tokens import TokenFile
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
 from rcp_kernel.testing import ScriptedRobot, Served, eventually, scripted, serve
 from rcp_kernel.types import Twist, quantity
+from rcp_store.tokens import TokenFile
 
 pytestmark = pytest.mark.anyio
 BOUND = 30.0  # s

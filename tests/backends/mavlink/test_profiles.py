@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
@@ -13,9 +14,10 @@ import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, on_the_ground, skip, speed, twin
 from backends.mavlink.relay import commander
 from backends.mavlink.test_gateway import Pilot, flying
-from rcp_kernel.testing import Body, ProfileSuite, eventually
+from rcp_kernel.testing import Body, ProfileSuite, Robot, eventually
 from rcp_mavlink import enu
 from rcp_mavlink.fences import is_enabled
+from rcp_mavlink.measurement import SETTLED
 from rcp_mavlink_sim import Twin, Vehicle
 from rcp_mavlink_sim.modes import Mode
 
@@ -106,6 +108,24 @@ class TestCopterProfiles(VehicleProfiles):
     async def make_ready(self) -> None:
         airborne(self.vehicle)
         await agrees(self.backend, self.vehicle)
+
+    @pytest.mark.parametrize("_time", range(3))  # it depends on when the next position comes
+    async def test_a_hold_at_the_start_of_a_motion_waits_for_its_end(
+        self, robot: Robot, _time: int
+    ) -> None:
+        await self.make_ready()
+        measurement = self.backend.robots[""].measurement
+
+        async def settled() -> bool:
+            return measurement.still_for > SETTLED
+
+        await eventually(settled, "telemetry has shown it still for long")
+        await self.drive(self.speed)
+        while speed(self.vehicle) < 0.1:  # noqa: ASYNC110 - the vehicle tells nobody
+            await asyncio.sleep(0.001)
+        await self.do("execute", "service/hold")
+        body = await self.body()
+        assert not body.moves, f"the hold is completed, but the robot moves: {body}"
 
 
 class GroundProfiles(VehicleProfiles):

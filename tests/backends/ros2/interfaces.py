@@ -1,6 +1,6 @@
 """Real ROS 2 interface packages that no registry has, built with rosidl's own generators and a C compiler.
 
-`nav2_msgs` comes with a ROS installation only. Run as `python interfaces.py ROOT` with ROS's
+`nav2_msgs` and `control_msgs` come with a ROS installation only. Run as `python interfaces.py ROOT` with ROS's
 prefix in AMENT_PREFIX_PATH; `built()` does that once a run.
 """
 
@@ -20,8 +20,71 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-ACTIONS = {
-    "nav2_msgs/action/NavigateToPose": """\
+_POINT = "float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\nfloat64[] effort\n"
+_LIMITS = "float64 position\nfloat64 velocity\nfloat64 acceleration\n"
+PACKAGES = {  # a package comes after those that it refers to
+    "trajectory_msgs": {
+        "msg/JointTrajectoryPoint": f"{_POINT}builtin_interfaces/Duration time_from_start\n",
+        "msg/JointTrajectory": """\
+std_msgs/Header header
+string[] joint_names
+JointTrajectoryPoint[] points
+""",
+        "msg/MultiDOFJointTrajectoryPoint": """\
+geometry_msgs/Transform[] transforms
+geometry_msgs/Twist[] velocities
+geometry_msgs/Twist[] accelerations
+builtin_interfaces/Duration time_from_start
+""",
+        "msg/MultiDOFJointTrajectory": """\
+std_msgs/Header header
+string[] joint_names
+MultiDOFJointTrajectoryPoint[] points
+""",
+    },
+    "control_msgs": {
+        "msg/JointTolerance": f"string name\n{_LIMITS}",
+        "msg/JointComponentTolerance": f"""\
+uint16 X_AXIS=1
+uint16 Y_AXIS=2
+uint16 Z_AXIS=3
+uint16 TRANSLATION=4
+uint16 ROTATION=5
+string joint_name
+uint16 component
+{_LIMITS}""",
+        "action/FollowJointTrajectory": """\
+trajectory_msgs/JointTrajectory trajectory
+trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
+JointTolerance[] path_tolerance
+JointComponentTolerance[] component_path_tolerance
+JointTolerance[] goal_tolerance
+JointComponentTolerance[] component_goal_tolerance
+builtin_interfaces/Duration goal_time_tolerance
+---
+int32 error_code
+int32 SUCCESSFUL = 0
+int32 INVALID_GOAL = -1
+int32 INVALID_JOINTS = -2
+int32 OLD_HEADER_TIMESTAMP = -3
+int32 PATH_TOLERANCE_VIOLATED = -4
+int32 GOAL_TOLERANCE_VIOLATED = -5
+string error_string
+---
+std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint desired
+trajectory_msgs/JointTrajectoryPoint actual
+trajectory_msgs/JointTrajectoryPoint error
+string[] multi_dof_joint_names
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
+""",
+    },
+    "nav2_msgs": {
+        "msg/SpeedLimit": "std_msgs/Header header\nbool percentage\nfloat64 speed_limit\n",
+        "action/NavigateToPose": """\
 geometry_msgs/PoseStamped pose
 string behavior_tree
 ---
@@ -35,10 +98,17 @@ builtin_interfaces/Duration estimated_time_remaining
 int16 number_of_recoveries
 float32 distance_remaining
 """,
+    },
 }
 """As in Kilted."""
-_NEEDS = ("builtin_interfaces", "geometry_msgs", "action_msgs", "unique_identifier_msgs")
-_ALSO = ("service_msgs", "std_msgs")
+_NEEDS = (
+    "builtin_interfaces",
+    "geometry_msgs",
+    "action_msgs",
+    "unique_identifier_msgs",
+    "service_msgs",
+    "std_msgs",
+)
 _SUPPORTS = ("fastrtps_c", "introspection_c", "c")
 
 
@@ -71,18 +141,20 @@ def built() -> Path:
 
 def use(root: Path) -> None:
     """Make built packages importable in this process."""
-    for name in sorted({action.partition("/")[0] for action in ACTIONS}):
-        for part in ("rosidl_generator_c", *(f"rosidl_typesupport_{s}" for s in _SUPPORTS)):
+    for name in PACKAGES:
+        supports = (f"rosidl_typesupport_{support}" for support in _SUPPORTS)
+        for part in ("rosidl_generator_c", *supports, "rosidl_generator_py"):
             ctypes.CDLL(str(root / f"lib{name}__{part}.so"), mode=ctypes.RTLD_GLOBAL)
     sys.path.append(str(root))
 
 
 def _build(root: Path) -> None:
     _stand_in_for_catkin()
-    for action, text in ACTIONS.items():
-        package, _, leaf = action.split("/")
-        _generate(root, package, leaf, text)
-        _compile(root, package)
+    known: list[str] = []
+    for package, texts in PACKAGES.items():
+        _generate(root, package, texts)
+        _compile(root, package, known)
+        known.append(package)
 
 
 def _stand_in_for_catkin() -> None:
@@ -97,7 +169,7 @@ def _stand_in_for_catkin() -> None:
     sys.modules |= {"catkin_pkg": types.ModuleType("catkin_pkg"), "catkin_pkg.package": module}
 
 
-def _generate(root: Path, package: str, leaf: str, text: str) -> None:
+def _generate(root: Path, package: str, texts: dict[str, str]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from rosidl_generator_c.cli import GenerateC
@@ -106,9 +178,12 @@ def _generate(root: Path, package: str, leaf: str, text: str) -> None:
         from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
         from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-    source = root / "source" / package
-    (source / "action").mkdir(parents=True)
-    (source / "action" / f"{leaf}.action").write_text(text)
+    source, share = root / "source" / package, root / "share"
+    files = [f"{name}.{name.partition('/')[0]}" for name in texts]
+    for file, text in zip(files, texts.values(), strict=True):
+        (source / file).parent.mkdir(parents=True, exist_ok=True)
+        (source / file).write_text(text)
+    share.mkdir(exist_ok=True)
     os.chdir(source)
     for kind in (
         GenerateC,
@@ -117,14 +192,18 @@ def _generate(root: Path, package: str, leaf: str, text: str) -> None:
         GenerateIntrospectionCTypesupport,
         GenerateCTypesupport,
     ):
-        share = Path(sys.prefix, "share")
         apart = kind is GenerateIntrospectionCTypesupport  # its files have the names of another's
         out = (root / "introspection" if apart else root) / package
-        kind(kind.__name__).generate(package, [f"action/{leaf}.action"], [share], out)
+        kind(kind.__name__).generate(package, files, [Path(sys.prefix, "share"), share], out)
     (root / package / "__init__.py").touch()
+    for made in (root / package / "tmp", root / package):  # for packages that refer to it
+        for ending in ("idl", "json"):
+            for path in made.glob(f"msg/*.{ending}"):
+                (share / package / "msg").mkdir(parents=True, exist_ok=True)
+                shutil.copy(path, share / package / "msg")
 
 
-def _compile(root: Path, package: str) -> None:
+def _compile(root: Path, package: str, known: list[str]) -> None:
     import numpy as np
 
     prefix = Path(sys.prefix)
@@ -137,8 +216,7 @@ def _compile(root: Path, package: str) -> None:
     folders += [Path(sysconfig.get_paths()["include"]), Path(np.get_include())]
     flags = ["-shared", "-fPIC", "-O0", "-w", f"-L{prefix / 'lib'}", f"-L{root}"]
     flags += [f"-I{folder}" for folder in folders]
-    detail = root / package / "action" / "detail"
-    needs = (*_NEEDS, *_ALSO)
+    needs = (*_NEEDS, *known)
 
     def link(part: str, compiler: str, sources: list[Path], *libraries: str) -> None:
         name = f"lib{package}__{part}.so"
@@ -161,11 +239,11 @@ def _compile(root: Path, package: str) -> None:
     plain = [
         path
         for end in ("functions", "description", "type_support")
-        for path in detail.glob(f"*__{end}.c")
+        for path in (root / package).glob(f"*/detail/*__{end}.c")
     ]
     inner = [*(root / "introspection" / package).rglob("*__type_support.c")]
     link("rosidl_generator_c", "gcc", plain, *base, *all_of("rosidl_typesupport_c"), *runtime)
-    fast = [*detail.glob("*__type_support_c.cpp")]
+    fast = [*(root / package).glob("*/detail/*__type_support_c.cpp")]
     link(
         "rosidl_typesupport_fastrtps_c", "g++", fast, own, *base,
         *all_of("rosidl_typesupport_fastrtps_c"), "rosidl_typesupport_fastrtps_c",
@@ -176,18 +254,19 @@ def _compile(root: Path, package: str) -> None:
         *all_of("rosidl_typesupport_introspection_c"), "rosidl_typesupport_introspection_c",
         *runtime,
     )  # fmt: skip
-    chosen = [*(root / package / "action").glob("*__type_support.cpp")]
+    chosen = [*(root / package).glob("*/*__type_support.cpp")]
     link(
         "rosidl_typesupport_c", "g++", chosen, own, *base, *all_of("rosidl_typesupport_c"),
         "rosidl_typesupport_c", *runtime,
     )  # fmt: skip
-    python = [
-        *(root / package / "action").glob("_*_s.c"),
-        root / package / f"_{package}_s.ep.rosidl_typesupport_c.c",
-    ]
     link(
-        "python", "gcc", python, own, f"{package}__rosidl_typesupport_c", *base,
-        *all_of("rosidl_typesupport_c"), *all_of("rosidl_generator_py"), *runtime,
+        "rosidl_generator_py", "gcc", [*(root / package).glob("*/_*_s.c")], own, *base,
+        *all_of("rosidl_generator_py"), *runtime,
+    )  # fmt: skip
+    link(
+        "python", "gcc", [root / package / f"_{package}_s.ep.rosidl_typesupport_c.c"], own,
+        f"{package}__rosidl_generator_py", f"{package}__rosidl_typesupport_c", *base,
+        *all_of("rosidl_typesupport_c"), *runtime,
     )  # fmt: skip
     made = root / f"lib{package}__python.so"
     made.rename(root / package / f"{package}_s__rosidl_typesupport_c.so")

@@ -292,3 +292,21 @@ class Wheels(RobotNodes):
     """A rover with the names that ROS 2 robots have in common."""
 
     script = "wheels.py"
+
+
+class Jointed(RobotNodes):
+    """An arm, or two, with a controller of ros2_control."""
+
+    script = "jointed.py"
+
+
+class Navigator(RobotNodes):
+    """Nav2's controller_server, as far as speed limits go."""
+
+    script = "navigator.py"
+
+
+class Simulated(RobotNodes):
+    """A simulator with a rover in it."""
+
+    script = "simulated.py"

@@ -53,6 +53,7 @@ class Monitor(Node):
         self.said: dict[str, DiagnosticStatus] = {}
         self.clock = self.create_publisher(ClockMessage, "/clock", 10)
         self.note = self.create_publisher(String, "/note", 10)
+        self.description = self.create_publisher(String, "/robot_description", LATCHED)
         self.create_timer(0.2, self.repeat)
 
     def repeat(self) -> None:
@@ -132,6 +133,10 @@ class RobotNodes:
         message.clock.sec, message.clock.nanosec = divmod(time, 10**9)
         self.monitor.clock.publish(message)
         self.monitor.note.publish(String(data="tick"))
+
+    def describe(self, text: str) -> None:
+        """Publish a description of the robot."""
+        self.monitor.description.publish(String(data=text))
 
     def log(self, level: str, text: str) -> None:
         """Log a text."""

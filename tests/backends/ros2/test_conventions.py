@@ -9,7 +9,8 @@ import pytest
 
 from backends.ros2 import interfaces
 from backends.ros2.robot import Wheels, fresh_domain, robot_of
-from rcp_ros2 import profiles
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_ros2 import catalog, profiles
 from rcp_ros2.conventions import CONVENTIONS, rank_of
 from rcp_ros2.idl import MissingType
 
@@ -33,7 +34,10 @@ def _claims(robot: Any, name: str) -> tuple[str, ...]:
     return robot.resources[name].profiles if name in robot.resources else ()
 
 
-async def test_a_claim_comes_with_the_robot_and_is_degraded_by_what_it_loses() -> None:
+async def test_a_claim_comes_with_the_robot_and_is_degraded_by_what_it_loses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(catalog, "_LINGER", 0.2)
     domain = fresh_domain()
     rover = Wheels(domain, str(interfaces.built()))
     async with robot_of(domain, grace=0.5, poll=0.2) as robot:
@@ -46,6 +50,16 @@ async def test_a_claim_comes_with_the_robot_and_is_degraded_by_what_it_loses() -
             rover.tell("withdraw", name="scan")
             await robot.until(lambda: any(r and "/scan" in r for r in robot.reports))
             assert _claims(robot, "sensor/scan") == ("lidar/1.0",)
+            rover.tell("leave")
+            await robot.until(lambda: any(r and "/odom" in r for r in robot.reports))
+            assert _claims(robot, "sensor/pose") == MOBILE  # gone, not forgotten
+            with pytest.raises(AdapterUnavailable):
+                await robot.backend.read("sensor/pose")
+
+            async def motion() -> Any:
+                return robot.backend.motion(None).at_rest
+
+            await robot.until_async(motion, lambda rests: rests is None)
         finally:
             rover.stop()
 

@@ -179,16 +179,23 @@ class Robot:
     """The rover, and what it can be told to do."""
 
     def __init__(self, *, stamped: bool) -> None:
-        self.rover = Rover(stamped=stamped)
-        executor = MultiThreadedExecutor(4)
-        executor.add_node(self.rover)
-        threading.Thread(target=executor.spin, daemon=True).start()
+        self.rover: Any = Rover(stamped=stamped)
+        self.executor = MultiThreadedExecutor(4)
+        self.executor.add_node(self.rover)
+        threading.Thread(target=self.executor.spin, daemon=True).start()
 
     def truth(self) -> dict[str, Any]:
         """Tell how things are, past every interface of ROS."""
         rover = self.rover
         names = ("x", "y", "yaw", "v", "w", "running", "resets", "stamps")
         return {name: getattr(rover, name) for name in names}
+
+    def leave(self) -> None:
+        """Have all of it leave the graph, in good order."""
+        self.executor.shutdown(timeout_sec=2)
+        self.rover.server.destroy()
+        self.rover.destroy_node()
+        self.rover = None
 
     def withdraw(self, name: str) -> None:
         """Publish a topic no more."""

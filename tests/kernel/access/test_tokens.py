@@ -8,9 +8,9 @@ import anyio
 import pytest
 
 from kernel.world import CONFIG, world_of
-from rcp_kernel.access.tokens import PREFIX, TokenFile
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import RateLimited, TokenExpired, Unauthenticated
+from rcp_store.tokens import PREFIX, TokenFile
 
 pytestmark = pytest.mark.anyio
 

@@ -12,11 +12,11 @@ from click.testing import CliRunner
 from structlog.testing import capture_logs
 
 from kernel.world import settled
-from rcp_kernel.access.tokens import TokenFile
 from rcp_kernel.app.log import configure
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.modes import check_store_modes
+from rcp_store.disk_store import DiskStore
+from rcp_store.modes import check_store_modes
+from rcp_store.tokens import TokenFile
 from rcpd.tokens import token
 
 pytestmark = [

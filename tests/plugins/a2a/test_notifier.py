@@ -26,8 +26,8 @@ from rcp_a2a.addresses import Addresses
 from rcp_a2a.config import PushConfig
 from rcp_a2a.push import Notifier, Subscribers
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.plugin_store import PluginStore
-from rcp_kernel.store.store import Store
+from rcp_store.plugin_store import PluginStore
+from rcp_store.store import Store
 
 pytestmark = pytest.mark.anyio
 LOCAL = ("127.0.0.0/8",)

@@ -21,8 +21,8 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.clock import SYSTEM_CLOCK, now
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.plugin_store import PluginStore
+from rcp_store.disk_store import DiskStore
+from rcp_store.plugin_store import PluginStore
 
 pytestmark = pytest.mark.anyio
 NOWHERE = "execute /service/nowhere"

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcp_audit.throttle import DenialThrottle
-from rcp_kernel.store.chain import GENESIS, Head, Row, link, parse_head, written
+from rcp_store.chain import GENESIS, Head, Row, link, parse_head, written
 from rcpd.verification import verify
 
 

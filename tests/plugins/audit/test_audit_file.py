@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from kernel.world import kept_in, settled, world_of
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import Row
-from rcp_kernel.store.file import ROWS, open_read_only
+from rcp_store.chain import Row
+from rcp_store.file import ROWS, open_read_only
 from rcpd.audit import audit
 from rcpd.examination import examined
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.clock import iso, now
+from rcp_protocol.clock import iso, now
 
 __all__ = [
     "GENESIS",

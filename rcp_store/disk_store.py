@@ -19,9 +19,10 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.store.chain import Row
-from rcp_kernel.store.damage import find_damage, interim_of
-from rcp_kernel.store.file import (
+from rcp_protocol.values import Encoding, dump
+from rcp_store.chain import Row
+from rcp_store.damage import find_damage, interim_of
+from rcp_store.file import (
     FAULTS,
     ROWS,
     HeadFile,
@@ -32,8 +33,8 @@ from rcp_kernel.store.file import (
     open_writable,
     store_errors,
 )
-from rcp_kernel.store.interim import open_beside, stamp
-from rcp_kernel.store.latch_file import (
+from rcp_store.interim import open_beside, stamp
+from rcp_store.latch_file import (
     GATEWAY,
     LATCHES,
     LatchFile,
@@ -41,11 +42,10 @@ from rcp_kernel.store.latch_file import (
     latch_row,
     union,
 )
-from rcp_kernel.store.modes import check_store_modes
-from rcp_kernel.store.record_batch import Batch
-from rcp_kernel.store.store import Store
-from rcp_kernel.store.store_writer import Reports, StoreWriter
-from rcp_kernel.values import Encoding, dump
+from rcp_store.modes import check_store_modes
+from rcp_store.record_batch import Batch
+from rcp_store.store import Store
+from rcp_store.store_writer import Reports, StoreWriter
 
 __all__ = ["DiskStore"]
 

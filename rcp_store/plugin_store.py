@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.store.store import Store
+from rcp_store.store import Store
 
 __all__ = ["PluginStore"]
 

@@ -12,9 +12,9 @@ from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 
-from rcp_kernel.store.chain import GENESIS, Head, Row, decoded, joint, link
-from rcp_kernel.store.file import FAULTS, ROWS, HeadFile, anchor_of, is_damage, open_for_inspection
-from rcp_kernel.store.latch_file import LatchFile, latches_beside
+from rcp_store.chain import GENESIS, Head, Row, decoded, joint, link
+from rcp_store.file import FAULTS, ROWS, HeadFile, anchor_of, is_damage, open_for_inspection
+from rcp_store.latch_file import LatchFile, latches_beside
 
 __all__ = ["find_damage", "interim_of", "known_head", "last_readable", "quick_check"]
 

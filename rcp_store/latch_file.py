@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.clock import now
+from rcp_protocol.clock import now
 
 __all__ = [
     "GATEWAY",

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import secrets
 import sqlite3
@@ -13,10 +14,9 @@ from pathlib import Path
 
 import msgspec
 
-from rcp_kernel.clock import now
-from rcp_kernel.contract.identity import Grants, Principal, fingerprint
-from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.modes import check_store_modes
+from rcp_protocol.clock import now
+from rcp_protocol.errors import ConfigError
+from rcp_store.modes import check_store_modes
 
 __all__ = ["PREFIX", "Token", "TokenFile", "make_table"]
 
@@ -29,6 +29,8 @@ CREATE TABLE IF NOT EXISTS tokens (
 );
 CREATE INDEX IF NOT EXISTS tokens_changed ON tokens (changed);
 """
+Grants = tuple[tuple[str, tuple[str, ...]], ...]
+"""Roles by tenant, in order; `*` is every tenant."""
 _NEXT = "(SELECT coalesce(max(changed), 0) + 1 FROM tokens)"
 _BUSY = 5.0  # s to wait for another process
 _FORGET = 90 * 86_400 * 1_000_000_000  # ns after which invalid keys are deleted
@@ -50,10 +52,6 @@ class Token(msgspec.Struct, frozen=True):
         if self.revoked is not None:
             return "revoked"
         return "expired" if self.expires is not None and self.expires <= moment else "good"
-
-    def principal(self, grants: Grants) -> Principal:
-        """Return the principal it proves, with its remaining grants."""
-        return Principal(self.name, grants, "token", self.hash, self.expires)
 
 
 def make_table(base: sqlite3.Connection) -> None:
@@ -94,7 +92,8 @@ class TokenFile:
         """Create a key; return its stored form, and the key itself, which is not stored."""
         key = PREFIX + secrets.token_urlsafe(32)
         id_ = "t-" + secrets.token_hex(4)
-        token = Token(id_, name, fingerprint(key), grants, now(), expires, None)
+        digest = hashlib.sha256(key.encode()).hexdigest()  # as `sha256` in `[[keys]]`
+        token = Token(id_, name, digest, grants, now(), expires, None)
         with self._base:
             self._base.execute(
                 "DELETE FROM tokens WHERE coalesce(revoked, expires, ?) < ?",

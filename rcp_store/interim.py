@@ -8,9 +8,9 @@ from pathlib import Path
 
 import msgspec
 
-from rcp_kernel.store.chain import Head, seal, written
-from rcp_kernel.store.damage import find_damage, known_head
-from rcp_kernel.store.file import HeadFile, Kept, create
+from rcp_store.chain import Head, seal, written
+from rcp_store.damage import find_damage, known_head
+from rcp_store.file import HeadFile, Kept, create
 
 __all__ = ["SUFFIXES", "open_beside", "stamp"]
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.chain import GENESIS, Head, Row, parse_head
+from rcp_protocol.errors import ConfigError
+from rcp_store.chain import GENESIS, Head, Row, parse_head
 
 __all__ = [
     "FAULTS",

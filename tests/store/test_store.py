@@ -13,9 +13,9 @@ import pytest
 
 from kernel.world import BOUND, kept_in, settled, until_trouble, world_of
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.store.disk_store import DiskStore
-from rcp_kernel.store.file import open_writable
-from rcp_kernel.store.store import Store
+from rcp_store.disk_store import DiskStore
+from rcp_store.file import open_writable
+from rcp_store.store import Store
 
 pytestmark = pytest.mark.anyio
 
@@ -168,7 +168,7 @@ async def test_a_full_disk_is_waited_out(store: DiskStore, monkeypatch: pytest.M
         base.execute("PRAGMA max_page_count = 20" if limited else "PRAGMA max_page_count = 9999")
         return base
 
-    monkeypatch.setattr("rcp_kernel.store.disk_store.open_writable", small)
+    monkeypatch.setattr("rcp_store.disk_store.open_writable", small)
     store.put("things", "a", 1)
     async with asyncio.timeout(BOUND):
         for number in range(40):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rcp_kernel.store.chain import Head, Row
+from rcp_store.chain import Head, Row
 
 __all__ = ["Store"]
 

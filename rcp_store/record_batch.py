@@ -8,7 +8,7 @@ from typing import Any
 
 import structlog
 
-from rcp_kernel.store.chain import Row
+from rcp_store.chain import Row
 
 __all__ = ["Batch", "commit", "run_query"]
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import structlog
 
-from rcp_kernel.store.file import HeadFile
-from rcp_kernel.store.latch_file import LatchFile
-from rcp_kernel.store.presence import Presence, StoreGone
-from rcp_kernel.store.record_batch import Batch, commit, run_query
+from rcp_store.file import HeadFile
+from rcp_store.latch_file import LatchFile
+from rcp_store.presence import Presence, StoreGone
+from rcp_store.record_batch import Batch, commit, run_query
 
 __all__ = ["Reports", "StoreWriter"]
 

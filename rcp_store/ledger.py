@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rcp_kernel.store.chain import GENESIS, Head, decoded, seal
-from rcp_kernel.store.store import Store
+from rcp_store.chain import GENESIS, Head, decoded, seal
+from rcp_store.store import Store
 
 __all__ = ["Ledger"]
 

@@ -1,1 +1,0 @@
-"""Persistence: the store, and the audit log with its hash chain."""
