@@ -20,6 +20,7 @@ from rcp_can.bus import Bus
 from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive, Fault
+from rcp_can.facts import Facts
 from rcp_can.guard import (
     STALLED,
     heartless,
@@ -55,10 +56,17 @@ class Axis(AxisState):
     """One motor: its drive, its limits and its current set-point."""
 
     def __init__(
-        self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host, health: Health
+        self,
+        name: str,
+        config: MotorConfig,
+        drive: Drive,
+        bus: Bus,
+        host: Host,
+        health: Health,
+        facts: Facts,
     ) -> None:
         super().__init__(name, config, drive, bus, host)
-        self._host, self._health = host, health
+        self._host, self._health, self._facts = host, health, facts
         self.released, self.still = False, 0
         """Whether the torque has been cut after a stop; and the number of consecutive velocity
         reports since
@@ -150,6 +158,7 @@ class Axis(AxisState):
                 if self.status.position is not None:
                     self.first.set()
                 self._report_protection()
+                self._facts.report(self.name, self.drive.identity)
                 self.show()
                 return
 

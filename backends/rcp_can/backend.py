@@ -17,6 +17,7 @@ from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.eds_node import EdsPart
+from rcp_can.facts import Facts
 from rcp_can.group_power import group_powers
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
@@ -47,7 +48,6 @@ from rcp_kernel.spi import (
     Host,
     MotionState,
     Progress,
-    RobotFacts,
     Watchdog,
     check_fence,
 )
@@ -179,16 +179,6 @@ class CanBackend(BaseBackend):
         raise DeviceTimeout(text, details=errors[0].details)
 
 
-def _kind(
-    drives: Sequence[DiffDrivePart], groups: Sequence[JointGroupPart], axes: dict[str, Axis]
-) -> str | None:
-    if drives:
-        return "mobile_manipulator" if groups else "differential_drive"
-    if groups:
-        return "arm"
-    return "motor" if axes else None
-
-
 @asynccontextmanager
 async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend]:
     """Open every configured bus and its devices; close them on exit.
@@ -198,7 +188,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     """
     health = Health(host)
     buses = {name: Bus(name, bus, host, health) for name, bus in config.buses.items()}
-    axes = make_axes(config, buses, host, health)
+    axes = make_axes(config, buses, host, health, Facts(config, host))
     backend = CanBackend(host, buses, axes)
     lines = [BusPart(bus, host) for bus in buses.values()]
     devices = [
@@ -221,7 +211,6 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     motors = [MotorPart(axis, shared_modes(axis, axes.values())) for axis in axes.values()]
     for part in (*lines, *motors, *devices, *nodes, *drives, *groups, *powers):
         backend.add(part)
-    host.describe(RobotFacts(kind=_kind(drives, groups, axes)))
     try:
         async with anyio.create_task_group() as tasks:
             await _start(tasks, buses.values())

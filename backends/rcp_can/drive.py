@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from rcp_can.sdo import Sdo
 
-__all__ = ["Drive", "Fault", "Profile", "Protection", "Reach", "Status", "StopFrame"]
+__all__ = ["Drive", "Fault", "Identity", "Profile", "Protection", "Reach", "Status", "StopFrame"]
 
 _ANSWER = 1.0  # s within which a drive must reach a requested state
 _AGAIN = 0.1  # s between two requests
@@ -44,6 +44,15 @@ class Protection(NamedTuple):
     """Seconds of silence until it acts; None: nothing does."""
     verified: bool = False
     """Whether the setting was read back from the drive."""
+
+
+class Identity(NamedTuple):
+    """What a drive is, as it reports itself; None: it does not say."""
+
+    vendor: str | None = None
+    model: str | None = None
+    firmware: str | None = None
+    serial: str | None = None
 
 
 class StopFrame(NamedTuple):
@@ -84,6 +93,8 @@ class Drive(ABC):
         self.status = Status()
         self.protection = Protection("none known")
         """The mechanism that stops the drive without the gateway, as far as known."""
+        self.identity: Identity | None = None
+        """What it is; None: not read, or the profile has no such report."""
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
     @property

@@ -12,6 +12,7 @@ import msgspec
 from rcp_can.axis import Axis
 from rcp_can.bus import Bus
 from rcp_can.config import CanConfig
+from rcp_can.facts import Facts
 from rcp_can.health import Health
 from rcp_can.profiles import profile
 from rcp_can.ticker import Ticker
@@ -26,7 +27,7 @@ _HEALTH = 1.0  # s between two reports of temperatures and supply
 
 
 def make_axes(
-    config: CanConfig, buses: dict[str, Bus], host: Host, health: Health
+    config: CanConfig, buses: dict[str, Bus], host: Host, health: Health, facts: Facts
 ) -> dict[str, Axis]:
     """Create the motors.
 
@@ -63,7 +64,7 @@ def make_axes(
                     f"motors.{name}.gravity: {motor.profile} takes no torque beside a position"
                 )
             drive.torque_offset = 0.0
-        axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health)
+        axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health, facts)
     return axes
 
 

@@ -20,7 +20,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Anchor, Host, Progress, RobotFacts
+from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.cameras import Cameras
@@ -33,6 +33,7 @@ from rcp_mavlink.flights import Flights
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.identity import describe
 from rcp_mavlink.intervals import FASTEST, Intervals
 from rcp_mavlink.logs import Logs
 from rcp_mavlink.measurement import Measurement
@@ -128,6 +129,7 @@ class Robot:
             22: self.parameters.take,  # PARAM_VALUE
             32: self._positioned,  # LOCAL_POSITION_NED
             33: self._positioned,  # GLOBAL_POSITION_INT
+            148: self._describe,  # AUTOPILOT_VERSION
             242: self._homed,  # HOME_POSITION
         }
         self.speed_limit = SpeedLimit(vehicle, self.parameters)
@@ -186,25 +188,30 @@ class Robot:
         """Declare its resources; request its messages and parameters."""
         sensors, derived = list(self._sensors.values()), list(self._deriveds.values())
         self._declare(resources(self._hub, self.vehicle, sensors, derived, self.scope))
-        family = self.vehicle.family
-        kind = "submarine" if family.kind == "sub" else family.kind
-        firmware = None if family.autopilot == "unknown" else family.autopilot
-        self._host.describe(RobotFacts(kind=kind, firmware=firmware, frames=("map",)), self.scope)
+        self._describe()
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telemetry_events.text)
         self.telemetry_events.begin()
         self.intervals.begin()
         self._request_time()
-        for message in ("AUTOPILOT_VERSION", "HOME_POSITION"):
-            self._start(self._first(message))
+        self._request_once()
         self._start(self._list_parameters())
 
     def back(self) -> None:
         """Request everything again: the vehicle is connected again."""
         self.intervals.begin()
-        self._start(self._first("HOME_POSITION"))
+        self._request_once()
         if not self.parameters.complete.is_set():
             self._start(self._list_parameters())
+
+    def _request_once(self) -> None:
+        """Request what is not sent periodically, without waiting for it."""
+        for message in ("AUTOPILOT_VERSION", "HOME_POSITION"):
+            self._start(self._first(message))
+
+    def _describe(self, _: Frame | None = None) -> None:
+        """Tell what it is, as far as it has said."""
+        self._host.describe(describe(self.vehicle), self.scope)
 
     def _declare(self, resources: list[Resource]) -> None:
         if self._prefix:
@@ -300,6 +307,7 @@ class Robot:
             self.telemetry_events.boot()
             self._clock.forget()
             self.intervals.begin()
+            self._request_once()  # it may have other firmware
         self._booted = clock
 
     def poll(self) -> None:

@@ -216,8 +216,9 @@ def _system_time(v: Systems) -> Any:
 def _version(v: Systems) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
     hashed, nothing = list(b"70746572"), [0] * 8
-    return mav.MAVLink_autopilot_version_message(
-        _CAPABLE, release, 0, 0, 0, hashed, nothing, nothing, 0, 0, v.options.system
+    own = list(f"twin {v.options.system}".encode().ljust(18, b"\0"))
+    return mav.MAVLink_autopilot_version_message(  # ArduPilot leaves all ids but `uid2` empty
+        _CAPABLE, release, 0, 0, 0, hashed, nothing, nothing, 0, 0, 0, own
     )
 
 

@@ -86,7 +86,6 @@ class Catalog:
             shared.naming,
             self.bindings,
             self._descriptions,
-            transforms.known,
             diagnostics.hardware,
         )
         self._constructs: tuple[Construct, ...] = (

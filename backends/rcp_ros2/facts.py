@@ -13,8 +13,6 @@ from rcp_ros2.naming import Naming
 
 __all__ = ["Facts"]
 
-_FRAMES = ("earth", "map", "odom")  # of goals and poses, in REP-105
-
 
 class Facts:
     """Describes each robot, and again when more is known of it."""
@@ -25,15 +23,17 @@ class Facts:
         naming: Naming,
         bindings: Named[str, Binding],
         descriptions: Descriptions,
-        frames: Callable[[str], AbstractSet[str]],
         hardware: Callable[[str], AbstractSet[str]],
     ) -> None:
-        """Tell by namespace the known `frames`, and the `hardware` ids in diagnostics."""
+        """Tell with `hardware` the hardware ids in the diagnostics of a namespace.
+
+        Frames are not told: what is told is where goals are taken without conversion, and a node of
+        the graph does not say that.
+        """
         self._host = host
         self._naming = naming
         self._bindings = bindings
         self._descriptions = descriptions
-        self._frames = frames
         self._hardware = hardware
         self._told: dict[str | None, RobotFacts] = {}
 
@@ -55,10 +55,8 @@ class Facts:
 
     def _facts(self, space: str, profiles: set[str]) -> RobotFacts:
         description, hardware = self._descriptions.of(space), self._hardware(space)
-        known = self._frames(space)
         return RobotFacts(
             kind="arm" if "arm" in profiles and "drive" not in profiles else None,
             model=None if description is None else description.name,
             serial=next(iter(hardware)) if len(hardware) == 1 else None,  # of parts there are many
-            frames=tuple(frame for frame in _FRAMES if frame in known),
         )

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 from rcp_audit.log import PATH
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.latches import GATEWAY
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Disclosure"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -22,6 +23,7 @@ from rcp_kernel.wire import Request
 
 __all__ = ["Frames"]
 
+_AGAIN = 10_000_000  # ns after which a sample without a transform is tried again
 _SEES = int(Operation.READ | Operation.SUBSCRIBE)
 
 
@@ -67,7 +69,7 @@ class Frames:
         found = self._conversions.get(key)
         if found is None:
             robot = self._robot(entry, moving=key[2])
-            found = self._conversions[key] = _Conversion(robot, entry, shape, frame)
+            found = self._conversions[key] = _Conversion(robot, entry, shape, frame, self._now)
         return found
 
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
@@ -146,13 +148,23 @@ class _View:
 class _Conversion:
     """The conversion of one resource's values to a frame; each is converted once."""
 
-    def __init__(self, robot: RobotFrames, entry: Entry, shape: Shape, frame: str) -> None:
+    def __init__(
+        self,
+        robot: RobotFrames,
+        entry: Entry,
+        shape: Shape,
+        frame: str,
+        now: Callable[[], int],
+    ) -> None:
+        self._now = now
         self._robot, self._shape, self._frame = robot, shape, frame
         self._geographic = frame == EARTH
         self._entry = entry
         self.path, self.owner = entry.path, entry.owner
         self.value_type = shape.earth if self._geographic else shape.type
-        self._last: tuple[Sample, Sample | RcpError] | None = None
+        self._last: tuple[Sample, Sample] | None = None
+        self._refused: tuple[Sample, RcpError, int] | None = None
+        """A sample that cannot be converted, why, and until when it is not tried again."""
 
     def check(self) -> None:
         """Make sure that something connects the values' frame to the target.
@@ -166,17 +178,20 @@ class _Conversion:
     def convert(self, sample: Sample) -> Sample:
         """Return a sample in the frame."""
         last = self._last
-        if last is None or last[0] is not sample:
-            last = self._last = sample, self._outcome(sample)
-        if isinstance(last[1], RcpError):
-            raise last[1]
-        return last[1]
-
-    def _outcome(self, sample: Sample) -> Sample | RcpError:
+        if last is not None and last[0] is sample:
+            return last[1]
+        if self._refused is not None:
+            refused, error, until = self._refused
+            if refused is sample and self._now() < until:
+                raise error
         try:
-            return self._converted(sample)
+            converted = self._converted(sample)
         except RcpError as error:
-            return error
+            error = error.with_traceback(None)
+            self._refused = sample, error, self._now() + _AGAIN
+            raise error from None
+        self._last, self._refused = (sample, converted), None
+        return converted
 
     def _converted(self, sample: Sample) -> Sample:
         value = sample.value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from rcp_frames.config import EARTH, FramesConfig
@@ -155,7 +155,7 @@ class RobotFrames:
         links = [self._fixed(EARTH, name, pose) for name, pose in self._origins()]
         anchor = self._anchor
         if anchor is not None:
-            pose = local(anchor.latitude, anchor.longitude, anchor.altitude, anchor.yaw)
+            pose = _placed(anchor.latitude, anchor.longitude, anchor.altitude, anchor.yaw)
             links.append(self._fixed(EARTH, anchor.frame, pose))
         if self._moving:
             links += self._posed()
@@ -168,7 +168,7 @@ class RobotFrames:
     def _origins(self) -> Iterator[tuple[str, Rigid]]:
         for name, one in self._config.origins.items():
             if one.tenant is None or one.tenant == self._entry.tenant:
-                pose = local(one.latitude, one.longitude, one.altitude)
+                pose = _placed(one.latitude, one.longitude, one.altitude, 0.0)
                 down = one.axes == "ned"
                 yield name, pose._replace(rotation=pose.turn(NED)) if down else pose
 
@@ -251,6 +251,9 @@ class RobotFrames:
             )
         t, r = found.translation, found.rotation
         return Rigid((t.x, t.y, t.z), (r.x, r.y, r.z, r.w))
+
+
+_placed = lru_cache(1024)(local)
 
 
 def _is_connected(tree: FrameTree, target: str, source: str) -> bool:

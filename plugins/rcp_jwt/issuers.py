@@ -27,10 +27,10 @@ from rcp_jwt.jwks import (
     read_static,
 )
 from rcp_jwt.webtokens import Claims, Read, principal_of, read_token, verify
-from rcp_kernel._plain import is_map
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
+from rcp_protocol.plain import is_map
 
 __all__ = ["Issuer", "Issuers"]
 

@@ -20,8 +20,8 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.errors import ConfigError
+from rcp_protocol.plain import is_list, is_map
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes

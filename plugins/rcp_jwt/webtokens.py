@@ -12,9 +12,9 @@ import msgspec
 
 from rcp_jwt.config import JwtConfig
 from rcp_jwt.jwks import PublicKey
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.contract.identity import Grants, Principal, check_time
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Claims", "Read", "is_jwt", "principal_of", "read_token", "verify"]
 

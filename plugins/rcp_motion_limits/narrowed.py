@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from rcp_conditions.fields import Field
-from rcp_kernel._plain import is_list, is_map
 from rcp_motion_limits.config import Bound
 from rcp_motion_limits.limit import within
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["narrowed"]
 

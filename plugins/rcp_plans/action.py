@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 
-from rcp_kernel._plain import is_map
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import PayloadTooLarge, QueueFull
 from rcp_kernel.features import ActionHost
@@ -20,6 +19,7 @@ from rcp_plans.model import Plan, PlanState
 from rcp_plans.pace import Allowance
 from rcp_plans.run import PlanRun
 from rcp_plans.stops import only_stops
+from rcp_protocol.plain import is_map
 
 __all__ = ["Plans"]
 

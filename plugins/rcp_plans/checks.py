@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel._plain import is_map
 from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
@@ -46,6 +45,7 @@ from rcp_plans.node import MARK, Checked, Node, references
 from rcp_plans.pace import Allowance
 from rcp_plans.reading import ConditionReader
 from rcp_plans.symbolic import from_symbolic
+from rcp_protocol.plain import is_map
 
 __all__ = ["PlanChecker"]
 

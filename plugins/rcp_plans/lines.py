@@ -9,11 +9,11 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel._plain import is_map
 from rcp_kernel.errors import BadRequest, InvalidValue, RcpError
 from rcp_kernel.features import ServiceKey
 from rcp_plans.fault import Fault
 from rcp_plans.model import Execute, Read, Step, Write
+from rcp_protocol.plain import is_map
 
 __all__ = ["LINES", "from_lines", "plain_steps", "word"]
 

@@ -6,11 +6,11 @@ from collections.abc import Generator, Iterable, Iterator
 from typing import Any
 
 from rcp_conditions import Condition
-from rcp_kernel._plain import is_index, is_list, is_map
 from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import Body
 from rcp_plans.model import Group, Plan, Step, StepState
+from rcp_protocol.plain import is_index, is_list, is_map
 
 __all__ = ["MARK", "Checked", "Filling", "Node", "every", "references"]
 

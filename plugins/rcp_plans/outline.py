@@ -9,8 +9,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rcp_kernel._plain import is_map
 from rcp_kernel.wire import NO_BODY
+from rcp_protocol.plain import is_map
 
 __all__ = ["outline"]
 

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.errors import BadRequest, InvalidPath, InvalidValue, RcpError
 from rcp_plans.config import ARGUMENT, PlansConfig
 from rcp_plans.fault import Fault
 from rcp_plans.lines import word
 from rcp_plans.model import Execute, Parallel, Read, Step, Write
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Action", "from_symbolic"]
 

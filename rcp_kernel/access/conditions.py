@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_conditions import CLOCK, Condition, Ref, size_of
 from rcp_conditions.fields import inner
-from rcp_kernel._plain import is_map
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain
+from rcp_protocol.plain import is_map
 
 if TYPE_CHECKING:
     from rcp_kernel.tree.entry import Entry

@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.config.features import active_features
 from rcp_kernel.config.identity import (
     Anonymous,
@@ -33,6 +32,7 @@ from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
+from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
 
 __all__ = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Generator
 from typing import Any
 
@@ -13,6 +14,7 @@ from rcp_kernel.wire import Body
 
 __all__ = ["LONGEST", "bounded", "hashed", "hashing"]
 
+_encode = msgspec.json.Encoder().encode
 _PIECE = 262_144  # bytes that are hashed in one step
 LONGEST = 4096
 """Bytes of a value that are written out."""
@@ -22,6 +24,8 @@ def bounded(value: Any) -> Any:
     """Return a value as JSON, or if long its length and hash."""
     if isinstance(value, msgspec.Raw):  # it is already
         return value
+    if type(value) is float and math.isfinite(value):
+        return msgspec.Raw(_encode(value))
     try:
         data = (
             value.encoded(Encoding.JSON)

@@ -32,7 +32,7 @@ class Acting(Protocol):
         ...
 
 
-class Event(msgspec.Struct, frozen=True, kw_only=True):
+class Event(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Something that happened: a write, a refusal, a login, an e-stop, a reload."""
 
     what: str

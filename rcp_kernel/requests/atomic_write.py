@@ -6,11 +6,11 @@ Each of them passes every check of a write of its own, before the robot receives
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import msgspec
+import structlog
 from msgspec import Raw
 
 from rcp_kernel.clock import iso, now
@@ -45,6 +45,8 @@ from rcp_kernel.wire import Reply, Request
 from rcp_protocol.structure import LONG
 
 __all__ = ["MOST", "AtomicWriteHandler", "DryRun", "check_group"]
+
+log = structlog.get_logger("rcp.requests")
 
 DryRun = Callable[[Call], Mapping[str, Any]]
 """Returns the features' part of the reply to a dry run."""
@@ -146,30 +148,40 @@ class AtomicWriteHandler:
     def stops(self, session: Session, request: Request) -> bool:
         """Return whether all values bring an actuator to rest, so that no rate limit may refuse."""
         try:
-            return all(is_safe(i.entry, i.value) for i in self._items(session, request))
+            parts = _parts(request).items()
+            found = (self._item(session, request, path, body) for path, body in parts)
+            return all(is_safe(item.entry, item.value) for item in found)
         except RcpError:
             return False
 
     def _items(self, session: Session, request: Request) -> list[_Item]:
-        """Resolve and decode all paths and values.
+        """Resolve and decode all paths and values, and charge them.
 
         :raises RcpError: of the first that is wrong, with all of them in `details.faults`.
         """
         faults: list[RcpError] = []
         items: dict[str, _Item] = {}
-        for path, body in _parts(request).items():
-            alone = msgspec.structs.replace(request, path=path, body=body)
+        parts = _parts(request)
+        for path, body in parts.items():
             try:
-                entry = self._resolver.resolve(session, path, Operation.WRITE)
-                alone.path = entry.path
-                if entry.path in items:
-                    raise BadRequest(f"{entry.path} is written twice", path=entry.path)
-                value = alone.decode_body(entry.value_type, entry.label)
-                items[entry.path] = _Item(entry, alone, value)
+                item = self._item(session, request, path, body)
+                if item.entry.path in items:
+                    raise BadRequest(f"{item.entry.path} is written twice", path=item.entry.path)
+                items[item.entry.path] = item
             except RcpError as error:
-                faults.append(_at(error, alone.path))
+                faults.append(_at(error, path))
+        rests = not faults and all(is_safe(i.entry, i.value) for i in items.values())
+        _charge(session, len(parts) - 1, rests=rests)  # the router has charged the first
         _raise(faults)
         return list(items.values())
+
+    def _item(self, session: Session, request: Request, path: str, body: Raw) -> _Item:
+        entry = self._resolver.resolve(session, path, Operation.WRITE)
+        alone = msgspec.structs.replace(request, path=entry.path, body=body)
+        try:
+            return _Item(entry, alone, alone.decode_body(entry.value_type, entry.label))
+        except RcpError as error:
+            raise _at(error, entry.path) from None
 
     def _admit(self, session: Session, request: Request, items: list[_Item]) -> _Admitted:
         """Admit all of them.
@@ -178,7 +190,6 @@ class AtomicWriteHandler:
         """
         together = tuple((item.entry, item.value) for item in items)
         calls = tuple(Call(session, i.request, i.entry, i.value, together) for i in items)
-        self._charge(session, calls)
         faults: list[RcpError] = []
         for call in calls:
             try:
@@ -206,24 +217,6 @@ class AtomicWriteHandler:
             entries = safe or entries[:1]
         found = {entry.path: self._deadman.window(entry, request) for entry in entries}
         return {path: window for path, window in found.items() if window is not None}
-
-    @staticmethod
-    def _charge(session: Session, calls: Sequence[Call]) -> None:
-        """Charge each path as a request; the router has charged the first.
-
-        :raises RcpError: that is more than allowed, and something is to move.
-        """
-        account = session.account
-        if account is None:
-            return
-        if all(call.rests for call in calls):  # counts, and is never refused
-            with suppress(Exception):
-                for _ in calls[1:]:
-                    account.take(session.monotonic())
-            return
-        for _ in calls[1:]:
-            if not account.take(session.monotonic()):
-                raise account.refusal(session.monotonic())
 
     def _dry_run_reply(self, request: Request, admitted: _Admitted) -> Reply:
         return Reply(
@@ -305,9 +298,12 @@ class AtomicWriteHandler:
             if at_risk:
                 deadman.arm_together(at_risk, 0)
             told = _attributed(error, admitted)
-            if told is error:
-                raise
-            raise told from error
+            try:
+                if told is error:
+                    raise
+                raise told from error
+            finally:
+                del told  # a frame that refers to its error forms a reference cycle
         calls[0].entry.owner.latency = perf_counter() - started
         for call in calls:
             events.took(call.entry, call.value, actual.get(call.entry.name, call.value))
@@ -326,6 +322,23 @@ async def _write(backend: Backend, values: dict[str, Any]) -> Mapping[str, Any]:
     [(name, value)] = values.items()
     actual = await backend.write(name, value)
     return {} if actual is None else {name: actual}
+
+
+def _charge(session: Session, count: int, *, rests: bool) -> None:
+    """Charge a number of paths as requests.
+
+    :raises RcpError: that is more than allowed, and they do not only bring something to rest.
+    """
+    account = session.account
+    for _ in range(0 if account is None else count):
+        assert account is not None
+        try:
+            taken = account.take(session.monotonic())
+        except Exception:  # a fault in a feature must not refuse a stop
+            log.exception("account_failed", feature=type(account).__module__)
+            taken = False
+        if not taken and not rests:
+            raise account.refusal(session.monotonic())
 
 
 def _parts(request: Request) -> dict[str, Raw]:
@@ -388,14 +401,18 @@ def _at(error: RcpError, path: str | None) -> RcpError:
     return error
 
 
-def _raise(faults: Sequence[RcpError]) -> None:
-    """Raise the first fault, with all of them in its details."""
+def _raise(faults: list[RcpError]) -> None:
+    """Raise the first fault, with all of them in its details; empties the list."""
     if not faults:
         return
-    first = faults[0]
     told = [_fault(fault) for fault in faults]
+    first = faults[0]
     first.details = {**(first.details or {}), "faults": told}
-    raise first
+    faults.clear()
+    try:
+        raise first
+    finally:
+        del first  # a frame that refers to its error forms a reference cycle
 
 
 def _fault(error: RcpError) -> dict[str, Any]:

@@ -25,17 +25,17 @@ class Finished:
 
     def __init__(self, forget: Callable[[Command], None]) -> None:
         self._forget = forget
-        self._known: OrderedDict[str, tuple[Command, int]] = OrderedDict()
+        self._known: OrderedDict[str, Command] = OrderedDict()
+        self._sizes: dict[str, int] = {}
         self._bytes = 0
 
     def get(self, id_: str) -> Command | None:
         """Return a command by the gateway's id."""
-        found = self._known.get(id_)
-        return None if found is None else found[0]
+        return self._known.get(id_)
 
     def newest_first(self) -> list[Command]:
         """Return all of them."""
-        return [command for command, _ in reversed(self._known.values())]
+        return list(reversed(self._known.values()))
 
     def add(self, command: Command) -> None:
         """Remember a command, at the cost of the oldest."""
@@ -45,11 +45,12 @@ class Finished:
         for step in command.history:
             if step.body is not NO_BODY and not isinstance(step.body, SCALARS):
                 size += _length(step.body)
-        self._known[command.id] = (command, size)
+        self._known[command.id] = command
+        self._sizes[command.id] = size
         self._bytes += size
         while len(self._known) > _KEPT or (self._bytes > _BYTES and len(self._known) > 1):
-            _, (oldest, freed) = self._known.popitem(last=False)
-            self._bytes -= freed
+            id_, oldest = self._known.popitem(last=False)
+            self._bytes -= self._sizes.pop(id_)
             self._forget(oldest)
 
 

@@ -87,8 +87,11 @@ class CommandTable(Protocol):
         ...
 
 
-class Record(msgspec.Struct):
-    """What is remembered of one step of a command."""
+class Record(msgspec.Struct, gc=False):
+    """What is remembered of one step of a command.
+
+    Thousands are kept, and nothing in them refers back: Python need not look for cycles.
+    """
 
     status: Status
     time: int

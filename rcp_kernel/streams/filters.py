@@ -11,10 +11,10 @@ import msgspec
 from msgspec import Meta
 
 from rcp_conditions.fields import Field
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.errors import FilterUnsupported, InvalidValue
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import Encoding, ValueType
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
 

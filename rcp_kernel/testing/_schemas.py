@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel._plain import is_list, is_map
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["beyond", "legal", "numbers_without_unit", "same"]
 

@@ -9,12 +9,12 @@ from typing import Any, Protocol
 import msgspec
 
 from rcp_conditions.fields import Field
-from rcp_kernel._plain import is_map
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
 from rcp_kernel.spi import Native
 from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value_type
 from rcp_kernel.wire import Body, encode_frame
+from rcp_protocol.plain import is_map
 
 __all__ = ["NATIVE", "READ_PIECE", "Sample", "masked", "project"]
 

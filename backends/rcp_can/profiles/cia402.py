@@ -14,6 +14,7 @@ import structlog
 from rcp_can.bus import Bus, Route
 from rcp_can.drive import Drive, Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
+from rcp_can.profiles.cia402_identity import read_identity
 from rcp_can.profiles.cia402_objects import (
     COMMANDS,
     MESSAGES,
@@ -238,6 +239,7 @@ class Cia402Drive(Drive):
             self._pdos = own_map(self.node, offset=offset)
             pdos = own_pdos(offset=offset)
             self._sync = await map_pdos(self.sdo, self.node, self.options, pdos)
+        self.identity = await read_identity(self.sdo)
         if self.torque_offset is not None and "torque_offset" not in self._pdos.commanded:
             log.warning("no_torque_offset", node=self.node, text="no 0x60B2, or in no PDO")
         self._control = COMMANDS["disable_voltage"]

@@ -36,7 +36,14 @@ def make_dictionary(node: int) -> od.ObjectDictionary:
     _variable(made, "Device type", 0x1000, "I", 0x00020192, access="ro")
     _variable(made, "Error register", 0x1001, "B", 0, access="ro")
     identity = od.ODRecord("Identity", 0x1018)
-    for sub, (name, value) in enumerate((("Entries", 4), ("Vendor", 0x1CA), ("Product", 402))):
+    parts = (
+        ("Entries", 4),
+        ("Vendor", 0x1CA),
+        ("Product", 402),
+        ("Revision", 0x10002),
+        ("Serial", node),
+    )
+    for sub, (name, value) in enumerate(parts):
         identity.add_member(_entry(name, 0x1018, sub, "I" if sub else "B", value, access="ro"))
     made.add_object(identity)
     consumer = od.ODArray("Consumer heartbeat", 0x1016)

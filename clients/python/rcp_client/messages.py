@@ -104,6 +104,8 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     max_age: float | None = None
     valid_for: float | None = None
     safe: Any = None
+    atomic: str | None = None
+    """The group of resources of its robot that can be written as one (`Client.write_all`)."""
     native: str | None = None
     meta: dict[str, Any] = {}
     profiles: list[str] = []

@@ -127,6 +127,8 @@ export interface Resource {
   policy?: "reject" | "queue" | "preempt" | "parallel";
   max_age?: number;
   valid_for?: number;
+  /** The group of resources of its robot that can be written as one: `writeAll`. */
+  atomic?: string;
   safe?: unknown;
   native?: unknown;
   meta?: Record<string, unknown>;

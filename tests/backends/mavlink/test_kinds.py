@@ -108,7 +108,7 @@ async def test_a_kind_has_what_makes_sense_for_it(
         (listed,) = (await found.client.request("read", "/system/robots"))["body"]
         assert (listed["kind"], listed["firmware"]) == (
             {"sub": "submarine"}.get(kind, kind),
-            "ardupilot",
+            "ArduPilot",
         )
         names = await offered(found)
         assert not without & names

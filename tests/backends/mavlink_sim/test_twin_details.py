@@ -249,3 +249,11 @@ def test_a_mission_with_numbers_that_are_none_is_refused() -> None:
     assert upload(station, [item(0, 16), item(1, 16, p1=nan)]) == mav.MAV_MISSION_INVALID_PARAM1
     far = item(1, 16, lat=120)
     assert upload(station, [item(0, 16), far]) == mav.MAV_MISSION_INVALID_PARAM5_X
+
+
+def test_its_only_id_is_the_long_one_as_of_ardupilot() -> None:
+    station = Station()
+    station.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    version = station.last("AUTOPILOT_VERSION")
+    assert (version.vendor_id, version.product_id, version.uid) == (0, 0, 0)
+    assert any(version.uid2)

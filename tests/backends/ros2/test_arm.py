@@ -74,14 +74,16 @@ class TestArmProfile(ProfileSuite):
         here = (await self.joints())["shoulder"]
         return {"shoulder": -1.9 if here > 0 else 1.9}
 
-    async def begun(self, robot: Robot, goal: dict[str, float], speed: float = 0.4) -> str:
+    async def begun(
+        self, robot: Robot, goal: dict[str, float], speed: float = 0.4, moving: float = 0.15
+    ) -> str:
         """Start a long motion; return its id."""
         id_ = await robot.client.send(
             type="execute", path=robot.path(MOVE), body={"positions": goal, "speed": speed}
         )
 
         async def moves() -> bool:
-            return self.jointed.tell("truth")["speed"] > 0.15
+            return self.jointed.tell("truth")["speed"] > moving
 
         await eventually(moves, "it moves", self.complete_within)
         return id_
@@ -138,7 +140,7 @@ class TestArmProfile(ProfileSuite):
 
     async def test_a_stop_is_confirmed_when_the_joints_are_at_rest(self, robot: Robot) -> None:
         self.jointed.tell("set", braking=1.5)
-        id_ = await self.begun(robot, await self.far(), 0.8)
+        id_ = await self.begun(robot, await self.far(), 0.8, 0.7)
         await robot.backend.halt()
         assert self.jointed.tell("truth")["speed"] < 0.15
         assert (await robot.client.final(id_, self.complete_within))["status"] == "cancelled"

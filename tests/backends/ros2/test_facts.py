@@ -1,4 +1,4 @@
-"""What the inventory learns of a robot from its description, diagnostics and frames."""
+"""What the inventory learns of a robot from its description and diagnostics."""
 
 from __future__ import annotations
 
@@ -41,16 +41,14 @@ def test_what_is_no_description_is_refused(text: str) -> None:
 async def test_a_robot_is_described_when_it_is_known(
     nodes_domain: int, robot_nodes: RobotNodes
 ) -> None:
-    here: list[Any] = [0.0, 0, 0, 0, 0, 0, 1]
-    expose = ["/diagnostics", "/tf_static", "/robot_description"]
+    expose = ["/diagnostics", "/robot_description"]
     async with robot_of(nodes_domain, expose=expose) as robot:
         robot_nodes.tell("describe", text=URDF)
-        robot_nodes.tell("fix", by="arm", parent="map", child="odom", place=here)
         robot_nodes.tell("diagnose", name="motor", level=0)
 
         async def facts() -> Any:
             return robot.facts.get(None, RobotFacts())
 
-        whole = RobotFacts(model="reacher", serial="hw-1", frames=("map", "odom"))
+        whole = RobotFacts(model="reacher", serial="hw-1")
         await robot.until_async(facts, lambda found: found == whole)
     robot_nodes.tell("hush", name="motor")

@@ -32,7 +32,7 @@ class TwoWheels(Robot):
         super().declare()
         self.add(
             *(Resource(name=name, description="A wheel.", **WHEEL) for name in WHEELS),
-            Resource(name="param/gain", description="A gain.", value=SPEED, atomic="wheels"),
+            Resource(name="param/trim", description="A trim.", value=SPEED, atomic="wheels"),
             Resource(name="param/other", description="Another.", value=SPEED, atomic="others"),
         )
 
@@ -93,7 +93,7 @@ async def test_the_values_in_force_are_those_of_the_robot(wheels: World) -> None
 
 
 async def test_all_that_is_wrong_is_named_and_nothing_is_written(wheels: World) -> None:
-    body = {"/actuator/left": 9.0, "/actuator/right": "fast", "/actuator/none": 1, "/param/gain": 1}
+    body = {"/actuator/left": 9.0, "/actuator/right": "fast", "/actuator/none": 1, "/param/trim": 1}
     reply = await write(wheels.client(), body)
     assert reply["error"]["code"] == "out_of_range"
     assert reply["error"]["path"] == LEFT
@@ -275,6 +275,25 @@ async def test_subscribers_get_all_new_values_in_one_flush(wheels: World) -> Non
     assert [size for size in client.sizes if size] == [2]
 
 
+async def test_of_two_commanders_nobody_sees_a_mixture(wheels: World) -> None:
+    watcher = Flushes(wheels.server.client_api, "operator-operator")
+    await watcher.ask(type="subscribe", id="s", path="/actuator/*", body={"initial": False})
+    one, other = wheels.client(), wheels.client(ADMIN)
+    paths = tuple(BOTH)
+    sent = [
+        (client, client.send(type="write", body=dict.fromkeys(paths, speed)))
+        for speed in (0.1, 0.2, 0.3, 0.4)
+        for client in (one, other)
+    ]
+    for client, id_ in sent:
+        assert (await client.final(id_))["status"] == "completed"
+    last = {path: await watcher.update("s") for path in paths}
+    assert len({update["body"] for update in last.values()}) == 1
+    while watcher.inbox:
+        pair = [await watcher.update("s") for _ in paths]
+        assert len({update["body"] for update in pair}) == 1
+
+
 async def test_a_key_is_for_all_of_them(wheels: World) -> None:
     client = wheels.client()
     first = await write(client, idempotency_key="k")
@@ -286,14 +305,14 @@ async def test_a_key_is_for_all_of_them(wheels: World) -> None:
 
 
 async def test_a_dry_run_checks_all_of_them_and_writes_none(wheels: World) -> None:
-    reply = await write(wheels.client(), {**BOTH, "/param/gain": 1.0}, dry_run=True, valid_for=3.0)
+    reply = await write(wheels.client(), {**BOTH, "/param/trim": 1.0}, dry_run=True, valid_for=3.0)
     assert (reply["dry_run"], wheels.robot.together) == (True, [])
     assert reply["body"] == [
         {"path": LEFT, "write": 1.0, "valid_for": 3.0},
         {"path": RIGHT, "write": 0.5, "valid_for": 3.0},
-        {"path": "/tenant/alpha/param/gain", "write": 1.0},
+        {"path": "/tenant/alpha/param/trim", "write": 1.0},
     ]
-    assert code(await write(wheels.client(), {"/param/gain": 1.0}, valid_for=1.0)) == "bad_request"
+    assert code(await write(wheels.client(), {"/param/trim": 1.0}, valid_for=1.0)) == "bad_request"
 
 
 async def test_every_path_counts_as_a_request() -> None:
@@ -305,6 +324,15 @@ async def test_every_path_counts_as_a_request() -> None:
         assert len(world.robot.together) == 1
         rest = await write(client, dict.fromkeys(BOTH, 0.0))
         assert rest["status"] == "completed"
+
+
+async def test_paths_that_do_not_exist_count_too() -> None:
+    text = CONFIG + "\n[quotas.principal]\nrequests = 0.001\nburst = 3\n"
+    async with world_of(text, make=TwoWheels) as world:
+        client = world.client()
+        guesses = {f"/actuator/guess{number}": 0 for number in range(3)}
+        assert code(await write(client, guesses)) == "unknown_path"
+        assert code(await write(client, {"/actuator/guess9": 0})) == "rate_limited"
 
 
 async def test_a_hidden_path_is_answered_as_one_that_is_not_there() -> None:

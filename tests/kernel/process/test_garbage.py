@@ -9,10 +9,18 @@ from typing import Any
 import pytest
 
 from kernel.world import World
+from rcp_kernel.errors import DeviceRejected
+from rcp_kernel.model import Resource
+from rcp_kernel.types import quantity
 
 pytestmark = pytest.mark.anyio
 DRIVE = "/tenant/alpha/actuator/drive"
 GO = "/tenant/alpha/action/go"
+LOW, HIGH = "/tenant/alpha/param/low", "/tenant/alpha/param/high"
+SPAN = [
+    Resource(name=name, description="A bound.", value=quantity("m", le=5), atomic="span")
+    for name in ("param/low", "param/high")
+]
 TIMES = 50
 REQUESTS: dict[str, dict[str, Any]] = {
     "ping": {"type": "ping"},
@@ -28,6 +36,9 @@ REQUESTS: dict[str, dict[str, Any]] = {
     "cancel of nothing": {"type": "cancel", "command": "cmd-none"},
     "discover of nothing": {"type": "discover", "path": "/tenant/alpha/none/*"},
     "wrong type": {"type": "shout"},
+    "writes as one": {"type": "write", "body": {LOW: 1.0, HIGH: 1.0}},
+    "writes as one that are wrong": {"type": "write", "body": {LOW: 9, HIGH: "x", "/a/b": 1}},
+    "writes as one of no group": {"type": "write", "body": {LOW: 1.0, DRIVE: {}}},
     "batch": {"type": "batch", "body": [{"type": "read", "path": "/tenant/alpha/none"}] * 3},
 }
 
@@ -48,6 +59,7 @@ async def test_requests_leave_no_cycles(
     world: World, request_: dict[str, Any], uncollected: Callable[[], int]
 ) -> None:
     client = world.client()
+    world.robot.add(*SPAN)
     for _ in range(2):  # the first time makes what is kept
         uncollected()
         for _ in range(TIMES):
@@ -77,6 +89,23 @@ async def test_refusals_by_the_robot_leave_no_cycles(
         if count == 1:
             uncollected()
         reply = await client.ask(type="write", path="/tenant/alpha/param/limit", body=1.0)
+        assert reply["error"]["code"] == "device_rejected"
+    assert uncollected() < TIMES
+
+
+async def test_refusals_of_writes_as_one_leave_no_cycles(
+    world: World, uncollected: Callable[[], int]
+) -> None:
+    async def busy(value: Any) -> Any:
+        raise DeviceRejected("busy")
+
+    client = world.client()
+    world.robot.add(*SPAN)
+    world.robot.takes["param/high"] = busy
+    for count in range(TIMES + 1):
+        if count == 1:
+            uncollected()
+        reply = await client.ask(**REQUESTS["writes as one"])
         assert reply["error"]["code"] == "device_rejected"
     assert uncollected() < TIMES
 

@@ -50,6 +50,7 @@ async def test_reads_and_writes(gateway: Gateway, connect: Connect, encoding: st
 async def test_several_paths_are_written_as_one(gateway: Gateway, connect: Connect) -> None:
     values = {"/param/limit": 0.5, "/tenant/alpha/param/label": "box"}
     async with connect(gateway) as client:
+        assert {one.atomic for one in await client.discover("/param/*")} == {"params"}
         assert await client.write_all(values, idempotency_key="k") == values
         assert await client.write_all(values, idempotency_key="k") == values
         assert gateway.robot.together == [{"param/limit": 0.5, "param/label": "box"}]

@@ -107,3 +107,14 @@ def test_a_table_fits_the_terminal(url: str) -> None:
         assert terminal.wait() == 0
         assert "\x1b[32mready" in terminal.text
         assert "…" in terminal.text
+
+
+def test_robots_are_a_table_on_a_terminal_and_json_in_a_pipe(run: Run, url: str) -> None:
+    with Terminal(url, "robots", "rover") as terminal:
+        assert terminal.wait() == 0
+        head, row = terminal.text.splitlines()
+        assert "ROBOT" in head
+        assert "/tenant/alpha" in row
+        assert "\x1b[32mready" in row
+        assert "{" not in terminal.text
+    assert document(run("robots", "rover"))["path"] == "/tenant/alpha"

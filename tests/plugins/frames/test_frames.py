@@ -13,14 +13,22 @@ from rcp_frames.shapes import Shape
 from rcp_geometry import ecef, geodetic, local
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, Host, RobotFacts
-from rcp_kernel.testing import FeatureSuite, MemoryClient, ScriptedRobot, scripted, serve
+from rcp_kernel.testing import (
+    FeatureSuite,
+    MemoryClient,
+    ScriptedRobot,
+    SteppedClock,
+    eventually,
+    scripted,
+    serve,
+)
 from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, PoseStamped, Quaternion
 from rcp_profiles.messages import MoveTo, TwistStamped
 
 pytestmark = pytest.mark.anyio
 (KIND,) = rcp_frames.rcp_features()
-ADMIN, BLIND, FENCED = (f"{name}-{name}-{name}" for name in ("admin", "blind", "fenced"))
+ADMIN, BLIND, FENCED, AWAKE = (f"{n}-{n}-{n}" for n in ("admin", "blind", "fenced", "awake"))
 HOME = (48.137154, 11.576124, 519.0)
 CONFIG = f"""
 [[backends]]
@@ -30,6 +38,12 @@ tenant = "alpha"
 [roles.blind]
 allow = [{{ operations = ["discover", "read", "subscribe", "execute"], paths = ["/**"] }}]
 deny = [{{ operations = ["discover"], paths = ["/sensor/pose", "/sensor/odometry"] }}]
+
+[roles.awake]
+allow = [
+  {{ operations = ["discover", "read", "subscribe"], paths = ["/sensor/velocity", "/sensor/gain"] }},
+  {{ operations = ["read"], paths = ["/sensor/pose"], when = "sensor.gain > 0.5" }},
+]
 
 [roles.fenced]
 allow = [{{ operations = ["discover", "read", "subscribe", "execute"], paths = ["/**"] }}]
@@ -55,6 +69,11 @@ roles = {{ alpha = ["blind"] }}
 name = "fenced"
 key = "{FENCED}"
 roles = {{ alpha = ["fenced"] }}
+
+[[keys]]
+name = "awake"
+key = "{AWAKE}"
+roles = {{ alpha = ["awake"] }}
 
 [features.frames]
 max_age = 30
@@ -315,6 +334,57 @@ async def test_who_may_not_read_the_pose_learns_nothing_of_it(served: Served) ->
         assert reply["error"]["code"] == "invalid_value"
     fixed = {"position": geo(1.0, 1.0), "frame": "earth"}
     assert (await client.request("execute", MOVE_TO, body=fixed))["status"] == "completed"
+
+
+async def test_a_right_that_ends_ends_the_conversion_of_a_subscription(served: Served) -> None:
+    client, host = served.client(AWAKE), served.life.backend.host
+    host.publish("sensor/gain", 1.0)
+    await client.request("subscribe", VELOCITY, id="s", body={"frame": "map"})
+    update = await client.until(lambda m: m.get("type") == "update")
+    assert at(update["body"]["linear"]) == near(0.0, 1.0, 0.0)
+    host.publish("sensor/gain", 0.0)
+    publish(host)
+    notice = await client.until(lambda m: m.get("type") in ("update", "notice"))
+    assert notice["code"] == "no_transform"
+    assert "base_link" in notice["message"]
+
+
+async def test_a_pose_that_is_published_only_for_subscribers_is_requested() -> None:
+    def lazy(host: Host) -> ScriptedRobot:
+        robot = ScriptedRobot(
+            host,
+            Resource(name="sensor/pose", description="Where.", value=PoseStamped),
+            Resource(name="sensor/velocity", description="Speed.", value=TwistStamped, live=True),
+        )
+        robot.lazy["sensor/pose"] = PoseStamped(Point(3.0, 4.0), LEFT)
+        host.publish("sensor/velocity", TwistStamped(LinearVelocity(x=1.0), AngularVelocity()))
+        return robot
+
+    async with serve(CONFIG, scripted(lazy, "rover")) as served:
+        client = served.client(ADMIN)
+        first = (await read(client, VELOCITY, frame="map"))["error"]
+        assert (first["code"], first["retry_after"] > 0) == ("precondition_failed", True)
+
+        async def converted() -> bool:
+            return "error" not in await read(client, VELOCITY, frame="map")
+
+        await eventually(converted, "the pose is published")
+        velocity = (await read(client, VELOCITY, frame="map"))["body"]
+        assert at(velocity["linear"]) == near(0.0, 1.0, 0.0)
+
+
+async def test_a_pose_too_long_ago_converts_nothing(stepped: SteppedClock) -> None:
+    async with serve(CONFIG, scripted(rover, "rover"), clock=stepped.clock) as served:
+        client, host = served.client(ADMIN), served.life.backend.host
+        stepped.advance(31.0)
+        host.publish("sensor/velocity", TwistStamped(LinearVelocity(x=1.0), AngularVelocity()))
+        old = (await read(client, VELOCITY, frame="map"))["error"]
+        assert old["code"] == "precondition_failed"
+        assert old["details"] == {"age": pytest.approx(31.0, abs=1.0), "max_age": 30.0}
+        assert "error" not in await read(client, POSE, frame="earth")  # needs no pose but its own
+        goal = {"position": {"x": 1.0, "y": 0.0}, "frame": "base_link"}
+        refused = await client.request("execute", MOVE_TO, body=goal)
+        assert refused["error"]["code"] == "precondition_failed"
 
 
 async def test_discovery_lists_the_frames_that_a_caller_may_know(served: Served) -> None:

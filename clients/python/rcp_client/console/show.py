@@ -42,7 +42,7 @@ def resource(out: Output, found: ResourceInfo) -> None:
     out.line(f"{found.path}  {out.paint(found.state or '')}".rstrip())
     out.line(clean(found.description))
     rows = [("kind", found.kind), ("operations", ", ".join(found.operations))]
-    names = ("unit", "backend", "deadline", "timeout", "policy", "max_age", "valid_for")
+    names = ("unit", "backend", "deadline", "timeout", "policy", "max_age", "valid_for", "atomic")
     rows += [(n, str(fact)) for n in names if (fact := getattr(found, n)) is not None]
     for name, fact in rows:
         out.line(f"  {name:<11} {clean(fact)}")
