@@ -15,6 +15,7 @@ from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Point, PoseStamped, Quaternion
+from rcpd.garbage import collected_at_rest
 
 POSE = PoseStamped(Point(1.25, -3.5, 0.125), Quaternion(), "map", "2026-05-29T14:12:04Z")
 _CONFIG = 'limits = {sessions = 5000}\nlog = {level = "error"}\n[transports.asgi]\nport = 0\n'
@@ -76,9 +77,11 @@ def serve_gateway(rate: float = 0.0, burst: int = 1, more: str = "") -> None:
     """Serve until killed; publish `rate` poses a second in bursts of `burst`."""
 
     async def main() -> None:
+        loop = asyncio.get_running_loop()
         async with gateway(more) as (robot, url):
-            print(url.rpartition(":")[2], flush=True)
-            await produce(robot.publish, rate, burst)
+            with collected_at_rest(loop, moving=lambda: False):  # as in `rcpd`
+                print(url.rpartition(":")[2], flush=True)
+                await produce(robot.publish, rate, burst)
 
     uvloop.run(main())
 

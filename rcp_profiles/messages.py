@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 from rcp_protocol.types import (
     AngularVelocity,
     LinearVelocity,
+    Metres,
     Point,
     PoseStamped,
     Quaternion,
@@ -27,6 +28,7 @@ __all__ = [
     "BatteryState",
     "FollowTrajectory",
     "GnssFix",
+    "GoalPoint",
     "GripperState",
     "Height",
     "Image",
@@ -49,8 +51,12 @@ __all__ = [
 _FrameName = Annotated[str, Meta(min_length=1, max_length=64)]
 _GoalFrame = Annotated[
     _FrameName,
-    Meta(description="The frame of the goal: `map`, `odom`, or another one that the robot has."),
+    Meta(
+        description="The frame of the goal: one of the robot's own, such as `map`, or another that the gateway converts "
+        "from: `base_link`, a configured origin, or `earth`, with `latitude`, `longitude` and `altitude` as `position`."
+    ),
 ]
+_ToolFrame = Annotated[_FrameName, Meta(description="The frame of the goal, of the robot's own.")]
 _Left = Annotated[
     float, Meta(ge=0, description="Distance to the goal.", extra_json_schema={"unit": "m"})
 ]
@@ -124,15 +130,23 @@ class TwistStamped(Struct, frozen=True, forbid_unknown_fields=True):
     timestamp: Time | None = None
 
 
+class GoalPoint(Struct, frozen=True, forbid_unknown_fields=True):
+    """The position of a goal, in metres."""
+
+    x: Metres
+    y: Metres
+    z: Annotated[
+        Metres | None,
+        Meta(
+            description="Null: an aircraft keeps its height. A robot that keeps to the ground ignores it."
+        ),
+    ] = None
+
+
 class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     """A place to go to; the same for whatever drives, flies or swims."""
 
-    position: Annotated[
-        Point,
-        Meta(
-            description="A robot that keeps to the ground ignores `z`; an aircraft without it keeps its height."
-        ),
-    ]
+    position: GoalPoint
     frame: _GoalFrame = "map"
     yaw: (
         Annotated[
@@ -304,7 +318,7 @@ class MoveTool(Struct, frozen=True, forbid_unknown_fields=True):
 
     position: Point
     orientation: Annotated[Quaternion | None, Meta(description="Null: any.")] = None
-    frame: _GoalFrame = "base_link"
+    frame: _ToolFrame = "base_link"
     speed: _Speed | None = None
 
 

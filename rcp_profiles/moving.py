@@ -198,14 +198,14 @@ DRIVE = Profile(
 )
 MOBILE = Profile(
     name="mobile",
-    version="1.0",
+    version="1.1",
     description="A robot that is driven by velocity or sent to a position.",
     includes=(DRIVE,),
     resources=(_POSE, _MOVE_TO, _SPEED_LIMIT),
 )
 AERIAL = Profile(
     name="aerial",
-    version="1.0",
+    version="1.1",
     description="An aircraft: what a mobile robot has, and take-off, landing where it can, and return.",
     # Not `includes=(MOBILE,)`: an aeroplane cannot fly a velocity, and a copter claims both.
     resources=(

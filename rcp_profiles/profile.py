@@ -61,7 +61,7 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def id(self) -> str:
-        """Its name in discovery: `mobile/1.0`."""
+        """Its name in discovery: `mobile/1.1`."""
         return f"{self.name}/{self.version}"
 
     @property

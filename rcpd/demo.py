@@ -26,6 +26,10 @@ port = {port}
 [log]
 level = "{level}"
 
+[features.frames.anchors]
+"/tenant/alpha" = {{ latitude = -35.3632, longitude = 149.1653, altitude = 584 }}
+"/tenant/beta" = {{ latitude = -35.3631, longitude = 149.1654, altitude = 584 }}
+
 [[backends]]
 use = "sim"
 name = "rover-alpha"

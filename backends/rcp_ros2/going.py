@@ -11,7 +11,7 @@ import msgspec
 
 from rcp_kernel.errors import InvalidValue, RcpError
 from rcp_kernel.spi import Progress
-from rcp_kernel.types import Point, PoseStamped
+from rcp_kernel.types import PoseStamped
 from rcp_profiles import messages as m
 from rcp_ros2.actions import Run
 from rcp_ros2.binding import Shared
@@ -142,7 +142,7 @@ def _heading(pose: PoseStamped | None, goal: Any) -> float:
 
 def _goal_type(native: type[msgspec.Struct]) -> Any:
     """Return the profile's goal, or in its place a `pose` as the action itself has it."""
-    fields: list[Any] = [("position", Point | None, None)]
+    fields: list[Any] = [("position", m.GoalPoint | None, None)]
     known = {field.name for field in msgspec.structs.fields(m.MoveTo)}
     for field in msgspec.structs.fields(native):
         if field.name == "pose":

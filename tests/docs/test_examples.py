@@ -73,6 +73,11 @@ def test_poses_of_every_tenant_are_watched(live: Demo) -> None:
     }
 
 
+def test_any_mobile_robot_of_the_demo_patrols(live: Demo) -> None:
+    lines = example("patrol", "/tenant/alpha", "--side", "0.5", live=live)
+    assert sum(line.startswith("  there") for line in lines) == 4
+
+
 def test_a_controller_steps_a_robot_with_physics(live: Demo) -> None:
     if find_spec("mujoco") is None:
         pytest.skip("the demo has robots with physics only with MuJoCo")

@@ -46,9 +46,9 @@ def test_what_a_profile_requires_is_required_of_a_robot() -> None:
     with pytest.raises(PluginError) as caught:
         claim(["mobile"], "sensor/pose", "sensor/velocity", "actuator/cmd_vel")
     assert str(caught.value) == (
-        "the claim of drive/1.0, mobile/1.0 does not hold: "
-        "action/move_to is missing, which mobile/1.0 requires; "
-        "param/speed_limit is missing, which mobile/1.0 requires"
+        "the claim of drive/1.0, mobile/1.1 does not hold: "
+        "action/move_to is missing, which mobile/1.1 requires; "
+        "param/speed_limit is missing, which mobile/1.1 requires"
     )
 
 
@@ -59,8 +59,8 @@ def test_an_optional_resource_may_be_left_out() -> None:
 
 def test_a_claim_tells_all_profiles_that_a_resource_is_part_of() -> None:
     found = named(claim(["mobile", "battery"], *MOBILE, "sensor/battery"))
-    assert found["sensor/velocity"].profiles == ("drive/1.0", "mobile/1.0")
-    assert found["action/move_to"].profiles == ("mobile/1.0",)
+    assert found["sensor/velocity"].profiles == ("drive/1.0", "mobile/1.1")
+    assert found["action/move_to"].profiles == ("mobile/1.1",)
     assert found["sensor/battery"].profiles == ("battery/1.0",)
 
 

@@ -178,7 +178,7 @@ ADDING: dict[str, Callable[[], Profile]] = {
 def test_a_change_that_breaks_needs_a_new_major_version(says: str) -> None:
     made = BREAKING[says]()
     assert any(says in one for one in unannounced(document(MOBILE), document(made)))
-    minor = replace(made, version="1.1")
+    minor = replace(made, version="1.2")
     assert any(says in one for one in unannounced(document(MOBILE), document(minor)))
     assert unannounced(document(MOBILE), document(replace(made, version="2.0"))) == []
 
@@ -187,7 +187,7 @@ def test_a_change_that_breaks_needs_a_new_major_version(says: str) -> None:
 def test_what_is_only_added_needs_a_new_minor_version(what: str) -> None:
     made = ADDING[what]()
     assert unannounced(document(MOBILE), document(made))
-    assert unannounced(document(MOBILE), document(replace(made, version="1.1"))) == []
+    assert unannounced(document(MOBILE), document(replace(made, version="1.2"))) == []
 
 
 def test_the_wording_of_a_type_is_free() -> None:
@@ -228,7 +228,7 @@ def test_a_plugins_profiles_are_published_beside_the_standard_ones(
 
     monkeypatch.setattr(rcp_sim, "rcp_profiles", offer, raising=False)
     listed = CliRunner().invoke(main, ["profiles"]).output
-    assert "acme.crane/1.0" in listed
+    assert crane.id in listed
     assert json.loads(
         CliRunner().invoke(main, ["profiles", "acme.crane", "--schema"]).output
     ) == document(crane)

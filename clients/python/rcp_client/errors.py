@@ -49,6 +49,7 @@ def error_of(reply: Reply) -> RcpError | None:
         retry_after=body.get("retry_after"),
         details=details,
     )
+    error.status = reply.status  # the same code may come before or after the robot has acted
     error.retryable = bool(body.get("retryable", error.retryable))
     error.trace_id = body.get("trace_id")
     return error

@@ -13,6 +13,8 @@ export interface ReadOptions {
   fields?: string[];
   /** The frame of the value: `map`, `base_link`, `earth`. */
   frame?: string;
+  /** Only what these words find, where a path has a search: `/system/robots`. */
+  q?: string;
   /** Ask the robot, even where a sample is at hand. */
   fresh?: boolean;
   deadline?: number;

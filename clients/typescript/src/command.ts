@@ -1,4 +1,4 @@
-import { ConnectionLost, RcpError } from "./errors.ts";
+import { type ConnectionLost, RcpError } from "./errors.ts";
 import { FINAL, type Reply } from "./wire.ts";
 
 /** Feedback while a command runs. */
@@ -98,9 +98,9 @@ export class Command<O = any, F = any> {
   }
 
   /** The session it was started in is gone: how it ends will not be told here. */
-  lose(why: string): void {
+  lose(error: ConnectionLost): void {
     this.status = "failed";
-    this.#fail(new ConnectionLost(why));
+    this.#fail(error);
     for (const listener of [...this.#listeners]) listener();
   }
 }

@@ -1,4 +1,4 @@
-import type { WireError } from "./wire.ts";
+import type { Request, WireError } from "./wire.ts";
 
 /** What the gateway refused or failed to do, by its code, with what to do next. */
 export class RcpError extends Error {
@@ -28,8 +28,34 @@ export class RcpError extends Error {
 
 /** The gateway cannot be reached, or was lost before it had answered. */
 export class ConnectionLost extends RcpError {
-  constructor(message: string, remedy = "Wait for the connection, look at the robot, then ask again.") {
-    super({ code: "connection_lost", message, remedy, origin: "client", retryable: true });
+  /** `retryable` is false where the request may have acted: a repeat could act once more. */
+  constructor(message: string, remedy?: string, retryable = true) {
+    remedy ??= retryable ? "Wait for the connection, then ask again." : LOOK;
+    super({ code: "connection_lost", message, remedy, origin: "client", retryable });
     this.name = "ConnectionLost";
   }
 }
+
+/** The error of a request that was sent and has no answer in time. */
+export function unanswered(request: Request, seconds: number): RcpError {
+  const message = `no answer within ${seconds} s`;
+  const retryable = repeatable(request);
+  const remedy = retryable ? "Ask again, with more time if it needs more." : LOOK;
+  return new RcpError({ code: "deadline_exceeded", message, origin: "client", remedy, retryable });
+}
+
+/** Whether a request that was sent may be repeated without knowing what became of it: it does not act twice. */
+export function repeatable(request: Request): boolean {
+  const acts = request.type === "write" || request.type === "execute";
+  return !acts || request.dry_run === true || request.idempotency_key !== undefined || stops(request);
+}
+
+/** Whether all it does is to stop robots, which may be done twice; a late reset might undo the stop of somebody else. */
+function stops({ type, path = "", body }: Request): boolean {
+  if (path === "/system/estop") return !(body as { reset?: boolean } | null | undefined)?.reset;
+  return type === "execute" && HOLD.test(path);
+}
+
+const HOLD = /^(\/tenant\/[^/]+)?\/service\/([^/]+\/)?hold$/;
+
+const LOOK = "What became of it is not known: look at the robot before you send it again.";

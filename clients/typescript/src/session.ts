@@ -1,6 +1,6 @@
 import { Clock, Moment } from "./clock.ts";
 import type { Command } from "./command.ts";
-import { ConnectionLost, RcpError } from "./errors.ts";
+import { ConnectionLost, RcpError, repeatable, unanswered } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
 import type { Subscription } from "./subscription.ts";
 import { type Codec, type Discovered, FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
@@ -24,7 +24,9 @@ export interface SessionOptions {
 
 interface Waiting {
   take: (reply: Reply) => boolean;
-  lose: (why: string) => void;
+  lose: (error: ConnectionLost) => void;
+  /** Whether it may be asked again although it was sent. */
+  repeatable: boolean;
   /** Whether it was sent over a connection that was cut since. */
   cut: boolean;
   /** Whether the gateway has answered: what becomes of it is told for as long as the session lasts. */
@@ -133,10 +135,7 @@ export class Session {
       const id = request.id ?? this.newId("q");
       const timer = setTimeout(() => {
         this.#waiting.delete(id);
-        reject(new RcpError({
-          code: "deadline_exceeded", message: `no answer within ${seconds} s`, origin: "client",
-          remedy: "What became of it is not known: look at the robot.", retryable: true,
-        }));
+        reject(unanswered(request, seconds));
       }, seconds * 1000);
       this.#send({ ...request, id }, {
         take: (reply) => {
@@ -145,9 +144,9 @@ export class Session {
           resolve(reply);
           return true;
         },
-        lose: (why) => {
+        lose: (error) => {
           clearTimeout(timer);
-          reject(new ConnectionLost(why));
+          reject(error);
         },
         cut: false,
         answered: false,
@@ -160,18 +159,19 @@ export class Session {
     const id = this.newId("x");
     this.#send({ ...request, id }, {
       take: (reply) => command.take(reply),
-      lose: (why) => command.lose(why),
+      lose: (error) => command.lose(error),
       cut: false,
       answered: false,
     });
   }
 
-  #send(request: Request & { id: string }, waiting: Waiting): void {
+  #send(request: Request & { id: string }, waiting: Omit<Waiting, "repeatable">): void {
     if (this.state !== "open" || this.#link === undefined) {
-      waiting.lose(`not connected: ${this.problem?.message ?? "the connection is not open yet"}`);
+      const why = this.problem?.message ?? "the connection is not open yet";
+      waiting.lose(new ConnectionLost(`not connected: ${why}`));
       return;
     }
-    this.#waiting.set(request.id, waiting);
+    this.#waiting.set(request.id, { ...waiting, repeatable: repeatable(request) });
     this.#link.send(request);
   }
 
@@ -216,7 +216,7 @@ export class Session {
     const sent = Date.now();
     const reply = await new Promise<Reply>((resolve) => {
       const id = this.newId("hello");
-      this.#waiting.set(id, { take: (told) => (resolve(told), true), lose: () => undefined, cut: false, answered: false });
+      this.#waiting.set(id, { take: (told) => (resolve(told), true), lose: () => undefined, repeatable: true, cut: false, answered: false });
       link.send({ type: "hello", id, body });
     });
     if (link !== this.#link) return;
@@ -299,6 +299,7 @@ export class Session {
         return true;
       },
       lose: () => undefined,
+      repeatable: true,
       cut: false,
       answered: false,
     });
@@ -416,13 +417,13 @@ export class Session {
   #lose(id: string, why: string): void {
     const waiting = this.#waiting.get(id);
     this.#waiting.delete(id);
-    waiting?.lose(why);
+    waiting?.lose(new ConnectionLost(why, undefined, waiting.repeatable));
   }
 
   #loseAll(why: string): void {
     const waiting = [...this.#waiting.values()];
     this.#waiting.clear();
-    for (const one of waiting) one.lose(why);
+    for (const one of waiting) one.lose(new ConnectionLost(why, undefined, one.repeatable));
   }
 
   #to(state: State): void {

@@ -203,6 +203,38 @@ test("a command that was accepted is told of however long it runs after a cut", 
   assert.equal((await refusal(command.result)).code, "cancelled");
 });
 
+test("what may have acted may be repeated only with a key, whether its connection is lost or its answer is late", async (t) => {
+  const zero = { linear: { x: 0 }, angular: { z: 0 } };
+  const asked = (client: Client): Promise<unknown>[] => [
+    client.read("/sensor/pose"),
+    client.write("/actuator/cmd_vel", zero),
+    client.write("/actuator/cmd_vel", zero, { idempotencyKey: `w-${Math.random()}` }),
+    client.write("/actuator/cmd_vel", zero, { dryRun: true }),
+    client.execute("/action/move_to", { position: { x: 0, y: 0 } }).result,
+    client.execute("/action/move_to", { position: { x: 0, y: 0 } }, { idempotencyKey: `x-${Math.random()}` }).result,
+    client.hold(),
+    client.estop({ scope: "/tenant/nobody" }),
+    client.resetEstop({ scope: "/tenant/nobody" }),
+  ];
+  const safe = [true, false, true, true, false, true, true, true, false];
+  const lost = await connected();
+  const pending = asked(lost);
+  lost.close(); // sent, and no answer was taken
+  assert.deepEqual((await Promise.all(pending.map(refusal))).map((error) => error.retryable), safe);
+  const unsent = await Promise.all(asked(lost).map(refusal));
+  assert.ok(unsent.every((error) => error instanceof ConnectionLost && error.retryable), "nothing was sent");
+  const late = await connected();
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const all = asked(late);
+  const waiting = all.slice(0, 4);
+  for (const one of all) one.catch(() => undefined); // a command is not limited, and ends with its client
+  t.mock.timers.tick(12_000);
+  t.mock.timers.reset();
+  const errors = await Promise.all(waiting.map(refusal));
+  assert.ok(errors.every((error) => error.code === "deadline_exceeded"));
+  assert.deepEqual(errors.map((error) => error.retryable), safe.slice(0, 4));
+});
+
 test("what a second cut leaves without an answer is given the whole time after it", async (t) => {
   const client = await connected();
   t.mock.timers.enable({ apis: ["setTimeout"] });

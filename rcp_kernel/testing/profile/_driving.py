@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import math
+from contextlib import suppress
 from typing import Any
 
+from rcp_kernel.errors import RcpError
 from rcp_kernel.testing._suite import eventually
 from rcp_kernel.testing.backend._base import Robot
 from rcp_kernel.testing.profile._rig import Body, ProfileRig
+from rcp_kernel.values import value_type
 
 __all__ = ["DriveTests", "MobileTests"]
 
@@ -254,6 +258,15 @@ class MobileTests(DriveTests):
         goal = {"position": {"x": start.x + 1.0, "y": start.y}, "frame": "no_such_frame"}
         reply = await self.ask("execute", "action/move_to", body=goal)
         assert reply["status"] == "rejected", f"a goal in a frame that there is not: {reply}"
+        # The gateway may have refused it; where it knows none of a robot's frames, the robot has to.
+        name = self.full("action/move_to")
+        input_type = value_type(self.running.resources[name].input)
+        with suppress(RcpError):
+            result = await asyncio.wait_for(
+                self.backend.execute(name, input_type.convert(goal), lambda *_, **__: None),
+                self.complete_within,
+            )
+            raise AssertionError(f"the backend took a goal in a frame that there is not: {result}")
         assert math.hypot(*(await self.body()).ahead_of(start)) <= self.near
 
     async def test_it_keeps_to_the_speed_limit(self, robot: Robot) -> None:

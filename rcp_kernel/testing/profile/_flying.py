@@ -72,6 +72,18 @@ class FlyingTests(ProfileRig):
             assert abs(body.z - home.z) <= self.level, f"it is {body.z - home.z:g} m up"
             assert not await self.armed(), "it returned and is armed"
 
+    async def test_it_keeps_its_height_on_the_way_to_a_goal_without_one(self, robot: Robot) -> None:
+        self.needs("action/takeoff", "action/move_to")
+        await self.make_ready()
+        start = await self.body()
+        assert abs(start.z) > 2 * self.level, f"{start.z:g} m up: a descent to 0 would not be seen"
+        for height in ({}, {"z": None}):
+            body = await self.body()
+            there = {"x": body.x + self.hop, "y": body.y, **height}
+            await self.run("action/move_to", {"position": there, "frame": self.frame})
+            risen = (await self.body()).z - start.z
+            assert abs(risen) <= self.level, f"to a goal with {there}, it rose {risen:g} m"
+
     async def test_its_satellites_tell_where_it_is(self, robot: Robot) -> None:
         self.needs("sensor/gnss")
         told = await self.fresh("sensor/gnss")

@@ -95,7 +95,7 @@ async def test_a_stop_in_a_move_leaves_both_wheels_stopped_until_they_are_enable
 async def test_limits_and_profiles_are_told_to_clients() -> None:
     async with robot() as (rover, _):
         resources: dict[str, Any] = rover.resources
-        assert resources[CMD_VEL].profiles == ("drive/1.0", "mobile/1.0")
+        assert resources[CMD_VEL].profiles == ("drive/1.0", "mobile/1.1")
         assert resources["service/reset_system"].profiles == ("power/1.0",)
         client = rover.served.client(OPERATOR)
         for name, body in ((CMD_VEL, {"linear": {"x": 2.0}}), ("param/speed_limit", 2.0)):

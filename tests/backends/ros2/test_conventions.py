@@ -19,7 +19,7 @@ pytestmark = [
     pytest.mark.skipif(not interfaces.have_tools(), reason="nav2_msgs cannot be built"),
 ]
 DOMAIN = fresh_domain()
-MOBILE = ("drive/1.0", "mobile/1.0")
+MOBILE = ("drive/1.0", "mobile/1.1")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ async def test_a_claim_comes_with_the_robot_and_is_degraded_by_what_it_loses(
         assert not any(resource.profiles for resource in robot.resources.values())
         rover.start()
         try:
-            await robot.until(lambda: _claims(robot, "action/move_to") == ("mobile/1.0",))
+            await robot.until(lambda: _claims(robot, "action/move_to") == ("mobile/1.1",))
             await robot.until(lambda: _claims(robot, "sensor/pose") == MOBILE)
             await robot.until(lambda: _claims(robot, "sensor/scan") == ("lidar/1.0",))
             rover.tell("withdraw", name="scan")
@@ -85,7 +85,7 @@ async def test_what_is_exposed_keeps_its_own_names(wheels: Wheels) -> None:
     async with robot_of(DOMAIN, expose=["**"]) as robot:
         names = {"sensor/odom", "sensor/joints", "actuator/cmd_vel", "param/rover/speed_limit"}
         await robot.until(lambda: names <= robot.resources.keys())
-        await robot.until(lambda: "mobile/1.0" in _claims(robot, "param/speed_limit"))
+        await robot.until(lambda: "mobile/1.1" in _claims(robot, "param/speed_limit"))
         scan = await robot.backend.read("sensor/scan")
         assert (scan.frame_id, scan.header.frame_id, len(scan.intensities)) == ("laser", "", 0)
         battery = await robot.backend.read("sensor/battery")
@@ -127,7 +127,7 @@ async def test_a_map_points_a_profile_at_any_topic(wheels: Wheels) -> None:
 
 async def test_a_goal_in_the_action_s_own_form_is_taken(wheels: Wheels) -> None:
     async with robot_of(DOMAIN) as robot:
-        await robot.until(lambda: "mobile/1.0" in _claims(robot, "action/move_to"))
+        await robot.until(lambda: "mobile/1.1" in _claims(robot, "action/move_to"))
         truth = wheels.tell("truth")
         at = {"x": truth["x"] + 0.3, "y": truth["y"]}
         goal = {"pose": {"header": {"frame_id": "odom"}, "pose": {"position": at}}}

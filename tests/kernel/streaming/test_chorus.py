@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from typing import Any
+from typing import Any, Self
 
 import pytest
 
@@ -24,8 +24,9 @@ class Socket:
         self, world: World, depth: int, id_: str = "s", path: str = LEVEL, **body: Any
     ) -> None:
         client_api = world.server.client_api
+        self._flushed = asyncio.Event()
         self.connection = client_api.connect(
-            client_api.authenticate(None), Encoding.JSON, lambda: None
+            client_api.authenticate(None), Encoding.JSON, self._ready
         )
         self.connection.outbox.framing = lambda size, _text: b"%04d" % size
         envelope = {
@@ -35,7 +36,19 @@ class Socket:
             "body": {"qos": {"depth": depth}, **body},
         }
         self.connection.receive(json.dumps(envelope).encode())
-        self.take()
+
+    @classmethod
+    async def open(cls, world: World, depth: int, **facts: Any) -> Self:
+        """Subscribe, and wait for the reply: requests wait where their principal's share is used up."""
+        socket = cls(world, depth, **facts)
+        async with asyncio.timeout(60):
+            while not any(message["type"] == "subscribe" for message in socket.take()):
+                await socket._flushed.wait()
+                socket._flushed.clear()
+        return socket
+
+    def _ready(self) -> None:
+        self._flushed.set()
 
     def take(self) -> list[Any]:
         """Collect what waits, and cut it where the frames say."""
@@ -57,7 +70,7 @@ def publish(world: World, *values: float) -> None:
 
 
 async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World) -> None:
-    sockets = [Socket(world, 8) for _ in range(3)]
+    sockets = [await Socket.open(world, 8) for _ in range(3)]
     listeners = world.server.kernel.registry.entries[LEVEL].listeners
     assert [type(listener) for listener in listeners] == [SharedFanout]
     publish(world, 1.0, 2.0)
@@ -67,7 +80,7 @@ async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World
 
 
 async def test_one_that_falls_behind_skips_alone_and_is_told(world: World) -> None:
-    quick, slow = Socket(world, 4), Socket(world, 4)
+    quick, slow = await Socket.open(world, 4), await Socket.open(world, 4)
     seen: list[float] = []
     for value in range(10):
         publish(world, float(value))
@@ -81,16 +94,16 @@ async def test_one_that_falls_behind_skips_alone_and_is_told(world: World) -> No
 
 
 async def test_a_newcomer_hears_only_what_comes_after_it(world: World) -> None:
-    first = Socket(world, 8)
+    first = await Socket.open(world, 8)
     publish(world, 1.0)
-    second = Socket(world, 8)
+    second = await Socket.open(world, 8)
     publish(world, 2.0)
     assert [m["body"] for m in first.take()] == [1.0, 2.0]
     assert [m["body"] for m in second.take()] == [2.0]
 
 
 async def test_those_who_leave_are_forgotten(world: World) -> None:
-    sockets = [Socket(world, 8) for _ in range(2)]
+    sockets = [await Socket.open(world, 8) for _ in range(2)]
     listeners = world.server.kernel.registry.entries[LEVEL].listeners
     sockets[0].connection.close()
     publish(world, 1.0)
@@ -100,7 +113,7 @@ async def test_those_who_leave_are_forgotten(world: World) -> None:
 
 
 async def test_a_bad_value_is_left_out_for_all(world: World) -> None:
-    sockets = [Socket(world, 8) for _ in range(2)]
+    sockets = [await Socket.open(world, 8) for _ in range(2)]
     publish(world, 1.0, float("nan"), 2.0)
     assert [[m["body"] for m in socket.take()] for socket in sockets] == [[1.0, 2.0]] * 2
 
@@ -112,7 +125,13 @@ class Direct(Socket):
         super().__init__(world, depth, **body)
         self.got: list[bytes] = []
         self.full = False
-        self.connection.outbox.direct = self.pass_on
+
+    @classmethod
+    async def open(cls, world: World, depth: int, **facts: Any) -> Self:
+        """Subscribe, and take frames at once from then on."""
+        socket = await super().open(world, depth, **facts)
+        socket.connection.outbox.direct = socket.pass_on
+        return socket
 
     def pass_on(self, parts: list[bytes]) -> bool:
         if not self.full:
@@ -132,7 +151,7 @@ async def turn() -> None:
 
 
 async def test_who_takes_frames_at_once_need_not_collect_them(world: World) -> None:
-    sockets = [Direct(world, 8) for _ in range(3)]
+    sockets = [await Direct.open(world, 8) for _ in range(3)]
     publish(world, 1.0, 2.0)
     await turn()
     publish(world, 3.0)
@@ -142,7 +161,7 @@ async def test_who_takes_frames_at_once_need_not_collect_them(world: World) -> N
 
 
 async def test_a_full_socket_is_passed_nothing_before_it_has_collected(world: World) -> None:
-    full, other = Direct(world, 4), Direct(world, 4)
+    full, other = await Direct.open(world, 4), await Direct.open(world, 4)
     full.full = True
     publish(world, 1.0)
     await turn()
@@ -158,7 +177,7 @@ async def test_a_full_socket_is_passed_nothing_before_it_has_collected(world: Wo
 
 
 async def test_replies_that_wait_go_out_before_what_is_published_later(world: World) -> None:
-    socket = Direct(world, 4)
+    socket = await Direct.open(world, 4)
     socket.connection.receive(b'{"type":"ping","id":"p"}')
     publish(world, 1.0)
     await turn()
@@ -167,7 +186,7 @@ async def test_replies_that_wait_go_out_before_what_is_published_later(world: Wo
 
 
 async def test_what_a_backend_publishes_in_one_call_goes_out_at_its_end(world: World) -> None:
-    socket = Direct(world, 8)
+    socket = await Direct.open(world, 8)
     found: asyncio.Future[list[float]] = asyncio.get_running_loop().create_future()
 
     def both() -> None:
@@ -193,7 +212,7 @@ async def test_native_bytes_are_shared_too_and_named_once(world: World) -> None:
         Resource(name="sensor/frame", description="A frame.", value=str, native="frame", live=True)
     )
     path = "/tenant/alpha/sensor/frame"
-    sockets = [Direct(world, 2, path=path, encoding="native") for _ in range(2)]
+    sockets = [await Direct.open(world, 2, path=path, encoding="native") for _ in range(2)]
 
     async def told(*data: bytes) -> list[list[dict[str, Any]]]:
         for one in data:

@@ -206,7 +206,7 @@ def test_robots_are_listed_and_searched(run: Run) -> None:
     assert head.split() == columns
     assert row.split()[:3] == ["/tenant/alpha", "rover", "ready"]
     assert "operator (lease)" in row
-    assert "mobile/1.0" in row
+    assert "mobile/1.1" in row
     assert run("lease", "release", "/tenant/alpha").returncode == 0
 
 

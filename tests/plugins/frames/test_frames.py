@@ -404,3 +404,17 @@ async def test_discovery_lists_the_frames_that_a_caller_may_know(served: Served)
 
 class TestFramesSuite(FeatureSuite):
     kind = KIND
+
+
+@pytest.mark.parametrize("height", [None, 2.0])
+@pytest.mark.parametrize("frame", ["map", "base_link", "gate", "earth"])
+async def test_a_goal_of_the_profiles_without_a_height_has_none_for_the_robot(
+    served: Served, frame: str, height: float | None
+) -> None:
+    named = ("latitude", "longitude", "altitude") if frame == "earth" else ("x", "y", "z")
+    place = dict(zip(named, (*HOME[:2], height), strict=True))
+    for position in (place, {name: place[name] for name in named[: 2 if height is None else 3]}):
+        goal = {"position": position, "frame": frame}
+        reply = await served.client(ADMIN).request("execute", MOVE_TO, body=goal)
+        assert reply["status"] == "completed", reply
+        assert (ran(served).position.z is None) is (height is None)

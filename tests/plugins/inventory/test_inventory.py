@@ -166,7 +166,7 @@ async def test_a_robot_is_listed_with_what_is_known_of_it(served: Served) -> Non
         "Hornet 4",
         "ArduCopter 4.5.7",
     )
-    assert one["profiles"] == ["battery/1.0", "drive/1.0", "mobile/1.0"]
+    assert one["profiles"] == ["battery/1.0", "drive/1.0", "mobile/1.1"]
     assert one["mode"] == "GUIDED"
     assert one["battery"]["value"]["percentage"] == 0.8
     assert one["pose"]["value"]["position"] == {"x": 1.0, "y": 2.0}

@@ -49,7 +49,7 @@ async def test_each_robot_is_a_line_with_what_one_needs_to_choose_it(operator: C
     assert [one["path"] for one in robots] == [f"/tenant/alpha/r{n}" for n in range(6)]
     first = robots[0]
     assert (first["kind"], first["state"]) == ("rover", "ready")
-    assert {"mobile/1.0", "battery/1.0"} <= {*first["profiles"]}
+    assert {"mobile/1.1", "battery/1.0"} <= {*first["profiles"]}
     assert 0 < first["battery"] <= 1
     assert first["position"].keys() == {"x", "y", "z", "frame"}
     assert "fact_sheet" not in first

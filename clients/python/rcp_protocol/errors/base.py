@@ -16,7 +16,8 @@ class RcpError(Exception):
 
     code: ClassVar[str] = "internal"
     http: ClassVar[int] = 500
-    status: ClassVar[str] = "failed"
+    status: str = "failed"
+    """The status of the reply; an instance may say otherwise than its class."""
     retryable: bool = False
     """Whether the same request can succeed later; an instance may say otherwise than its class."""
     default_remedy: ClassVar[str] = "Report this to the operator of the gateway."

@@ -28,6 +28,20 @@ export function robotsOf(resources: Resource[], backends: [name: string, tenant:
   return [...robots.values()].sort((a, b) => a.name.localeCompare(b.name));
 }
 
+/** The scopes of each robot's resources among those that the inventory lists, by the robot's name. */
+export function scopesOf(robots: Robot[], listed: ReadonlySet<string>): Map<string, string[]> {
+  return new Map(
+    robots.map(({ name, resources }) => {
+      const scopes = resources.map(({ path }) => {
+        const [, , tenant, , place, ...more] = path.split("/");
+        const own = `/tenant/${tenant}/${place}`;
+        return more.length && listed.has(own) ? own : `/tenant/${tenant}`;
+      });
+      return [name, [...new Set(scopes)].filter((scope) => listed.has(scope))];
+    }),
+  );
+}
+
 /** The path below its tenant and branch: what tells resources of one robot apart. */
 export function shortName(path: string): string {
   return path.startsWith("/tenant/") ? path.split("/").slice(3).join("/") : path.slice(1);
