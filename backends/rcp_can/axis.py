@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -67,10 +68,11 @@ class Axis(AxisState):
     ) -> None:
         super().__init__(name, config, drive, bus, host)
         self._host, self._health, self._facts = host, health, facts
-        self.released, self.still = False, 0
-        """Whether the torque has been cut after a stop; and the number of consecutive velocity
-        reports since
-        the stop that show standstill."""
+        self.released = False
+        """Whether the torque has been cut after a stop."""
+        self._still: deque[float] = deque(maxlen=_STILL)
+        """When the last consecutive velocity reports that show standstill were received."""
+        self._braked_at = 0.0
         self.owner: str | None = None
         """The action that currently controls the motor."""
         self.gone: RcpError | None = None
@@ -97,8 +99,13 @@ class Axis(AxisState):
     # Reports from the drive
 
     def _take(self, message: can.Message) -> None:
-        if self.drive.take(message):
-            self.last_message_at = time.monotonic()
+        status = self.status
+        status.frame_at = self.bus.received_at(message)
+        try:
+            if self.drive.take(message):
+                self.last_message_at = time.monotonic()
+        finally:
+            status.frame_at = None
 
     def _batch(self) -> None:
         status = self.status
@@ -118,13 +125,21 @@ class Axis(AxisState):
             self._dropped()
         if status.counts["velocity"] != self._velocities:
             self._velocities = status.counts["velocity"]
-            self.still = self.still + 1 if self.slow else 0
+            if self.slow:
+                self._still.append(status.received_at["velocity"])
+            else:
+                self._still.clear()
         self.drive.wake_waiters()
         if status.moved != old[0]:
             self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
             if self.configured and status.position is not None:
                 self.first.set()
         self.show()
+
+    def rests_since(self, moment: float) -> bool:
+        """Return whether enough reports received after a monotonic time show standstill."""
+        still = self._still
+        return self.resting and len(still) == _STILL and still[0] > moment
 
     def _appear(self) -> None:
         self.online = True
@@ -260,7 +275,7 @@ class Axis(AxisState):
     def stop(self) -> None:
         """Start a quick stop: brake hard, repeatedly, until the drive reports rest."""
         self.mode = None
-        self.stopping, self.still = True, 0
+        self.stopping, self._braked_at = True, time.monotonic()
         if self.stop_began is None:
             self.stop_began = time.monotonic()
         self._brake()
@@ -341,7 +356,7 @@ class Axis(AxisState):
         if self.mode is not None and self.bus.lag > STALLED:
             self._stall()
         if self.stopping:
-            if self.resting and self.still >= _STILL:
+            if self.rests_since(self._braked_at):
                 self._stopped()
             else:
                 self._brake()

@@ -16,6 +16,7 @@ from rcp_can.health import Health
 from rcp_can.interface import open_interface
 from rcp_can.load import seconds_on_the_bus
 from rcp_can.wire import Wire
+from rcp_kernel.clock import Lateness
 from rcp_kernel.errors import AdapterUnavailable, QueueFull
 from rcp_kernel.spi import Host
 
@@ -27,6 +28,7 @@ __all__ = ["Bus", "Listener", "Route"]
 _LONGEST = 5.0  # s between two attempts to restart
 _WELL = 10.0  # s of operation after which the restart delay begins anew
 _ROUTES = 4096  # identifiers whose listeners are cached
+_QUEUED = 50.0  # s a frame may wait to be read; some adapters' clocks begin again each minute
 _ECHOING = frozenset(("udp_multicast",))  # interfaces that deliver our own frames to us
 
 
@@ -65,6 +67,7 @@ class Bus:
         self._reason = ""
         self._routes: list[tuple[Route, Listener]] = []
         self._known: dict[int, tuple[Listener, ...]] = {}
+        self._lateness = Lateness(_QUEUED)
         self._after_batch: list[Callable[[], None]] = []
         self._busy = 0.0
         self._past = {"rx": 0, "tx": 0, "dropped": 0, "expired": 0, "failed": 0}
@@ -76,6 +79,17 @@ class Bus:
         """Call `listener` with every frame that matches one of the routes."""
         self._routes += [(route, listener) for route in routes]
         self._known.clear()
+
+    def received_at(self, message: can.Message) -> float:
+        """Return the monotonic time when the interface received a frame, by its stamp if any.
+
+        Frames wait in the interface while the gateway is stalled. Most stamps are of this machine's
+        wall clock, which may be set; those of some adapters' own clocks begin anywhere.
+        """
+        now = time.monotonic()
+        if not message.timestamp:
+            return now
+        return now - self._lateness.of(time.time() - message.timestamp, now)
 
     def after_batch(self, function: Callable[[], None]) -> None:
         """Call a function after each batch of frames."""
@@ -170,6 +184,7 @@ class Bus:
 
     async def _live(self, bus: can.BusABC, ready: asyncio.Event, *, restarted: bool) -> None:
         self._lost.clear()
+        self._lateness = Lateness(_QUEUED)
         wire = Wire(
             bus,
             name=self.name,

@@ -18,7 +18,6 @@ __all__ = ["motion_of", "motion_of_all", "rested"]
 
 _REST = 4.0  # s a joint may need to come to rest
 _POLL_PERIOD = 0.01  # s
-_REPORTS = 3  # consecutive velocity reports: one or two on the bus may predate the stop
 
 
 def motion_of(axis: Axis) -> MotionState:
@@ -67,11 +66,9 @@ async def rested(axis: Axis) -> None:
     :raises DeviceTimeout: they do not, or feedback is lost.
     :raises AdapterUnavailable: the drive is lost meanwhile.
     """
-    begun = axis.status.counts["velocity"]
-    end = time.monotonic() + _REST
-    while time.monotonic() < end:
-        reports = axis.status.counts["velocity"] - begun
-        if axis.resting and min(axis.still, reports) >= _REPORTS:
+    begun = time.monotonic()
+    while time.monotonic() < begun + _REST:
+        if axis.rests_since(begun):
             return
         check_link(axis)
         check_feedback(axis)

@@ -30,6 +30,10 @@ class Status:
     def __init__(self) -> None:
         self.at: dict[str, float] = {}
         """When each signal was last reported, monotonic time in s."""
+        self.frame_at: float | None = None
+        """When the frame that is being decoded was received, monotonic time in s; None: now."""
+        self.received_at: dict[str, float] = {}
+        """When the frames of the last reports were received, however late they were decoded."""
         self.counts: Counter[str] = Counter()
         """How often each signal was reported."""
         self._position: float | None = None
@@ -61,7 +65,8 @@ class Status:
         now = time.monotonic()
         self.at[signal] = now
         self.counts[signal] += 1
-        return now
+        received = self.received_at[signal] = now if self.frame_at is None else self.frame_at
+        return received
 
     @property
     def position(self) -> float | None:

@@ -63,22 +63,30 @@ class Measurement:
 
     def take_position(self) -> None:
         """Update the time since when the positions show it still."""
-        now, speed, since = time.monotonic(), self.speed, self._still_since
-        gap = now - self._looked > self.limit or (since is not None and since < self.doubtful_since)
-        settled = since is not None and now - since >= SETTLED
-        self._looked = now
+        at, speed, since = self._measured_at, self.speed, self._still_since
+        gap = at - self._looked > self.limit or (since is not None and since < self.doubtful_since)
+        settled = since is not None and at - since >= SETTLED
+        self._looked = at
         if speed is None or speed >= (_MOVES if settled else AT_REST):
             self._still_since = None
         elif since is None or gap:
-            self._still_since = now
+            self._still_since = at
 
     @property
     def still_for(self) -> float:
-        """Seconds for which every position has shown it still."""
+        """Seconds for which every position was measured still, up to the latest."""
         since = self._still_since
         if since is None or since < self.doubtful_since or self.speed is None:
             return 0.0
-        return time.monotonic() - since
+        return self._measured_at - since
+
+    @property
+    def _measured_at(self) -> float:
+        """When the position was measured that tells its speed, on the monotonic clock."""
+        for name in _POSITIONS:
+            if self.age(name) <= self.limit:
+                return self._vehicle.measured_at[name]
+        return -math.inf
 
     @property
     def position_age(self) -> float:
@@ -115,8 +123,8 @@ class Measurement:
         return "no position received" if math.isinf(age) else f"no position for {age:.1f} s"
 
     def measured_since(self, moment: float) -> bool:
-        """Return whether a position arrived after a moment of the monotonic clock."""
-        return any(self._vehicle.received_at.get(name, -math.inf) > moment for name in _POSITIONS)
+        """Return whether a position was measured after a moment of the monotonic clock."""
+        return self._measured_at > moment
 
     def stale(self, *, strict: bool = True) -> bool:
         """Return whether its position is too old for motion; `strict` also if it has none."""

@@ -328,9 +328,9 @@ class Stop:
             if attempt.taken is None:
                 attempt.taken, self._taken = now, self._taken or not attempt.pause
                 self._request(_POSITION)
-            # Telemetry is late: it may show it still although the mode before has just moved it.
-            settled = not attempt.was_free or now - attempt.taken >= SETTLED
-            if settled and self._rests(rung, since=attempt.taken):
+            # The mode before may have just moved it, so that it moves on for a while.
+            since = attempt.taken + SETTLED if attempt.was_free else attempt.taken
+            if now >= since and self._rests(rung, since=since):
                 return ""
             return self._too_long(rung, now - attempt.taken)
         if attempt.taken is not None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from rcp_kernel.clock import Lateness
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_mavlink.dialect import Dialect
 from rcp_mavlink.flightmodes import Family, family
@@ -55,7 +56,11 @@ class Vehicle:
         self.latest: dict[str, Frame] = {}
         self.received_at: dict[str, float] = {}
         """Arrival time of the latest of each message, on the monotonic clock."""
+        self.measured_at: dict[str, float] = {}
+        """When the latest of each stamped message was measured, on the monotonic clock: before it
+        arrived if that took longer than usual."""
         self._stamps: dict[str, bytes] = {}
+        self._lateness = Lateness()
         self.last_message_at = time.monotonic()
         self.routes: dict[tuple[int, Any], tuple[Any, Any, float]] = {}
         """Links and addresses that it uses, with the time of the last frame."""
@@ -81,6 +86,8 @@ class Vehicle:
         self.last_message_at = now
         if not self._is_repeated(name, frame):
             self.received_at[name] = now
+            if name in _STAMPED:
+                self.measured_at[name] = self._measured(frame, now)
         if number == 0:
             self._heartbeat(frame)
         listeners = self._listeners.get(number)
@@ -103,6 +110,11 @@ class Vehicle:
         stamp, before = frame.payload[:4], self._stamps.get(name)
         self._stamps[name] = stamp
         return stamp == before and any(stamp)
+
+    def _measured(self, frame: Frame, now: float) -> float:
+        """Return when a stamped message that arrives now was measured."""
+        ticks = int.from_bytes(frame.payload[:4], "little")  # ms since boot
+        return now - self._lateness.of(now - ticks / 1e3, now) if ticks else now
 
     def overhear(self, frame: Frame) -> None:
         """Handle a frame of another component on board, such as a camera or gimbal."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import threading
+import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any, Self
@@ -249,6 +250,25 @@ class Motor(Rig):
         finally:
             gate.set()
             bus.send = real
+
+    @contextmanager
+    def unread(self) -> Generator[None]:
+        """Leave received frames in the interface while entered; read them one by one afterwards."""
+        gate = threading.Event()
+        wire = self.backend.buses["can0"]._wire
+        real = wire._bus._recv_internal
+
+        def receive(timeout: float | None = None) -> tuple[can.Message | None, bool]:
+            gate.wait(20)
+            while wire._inbox and not wire._closing:
+                time.sleep(0.001)  # until the event loop has taken the one before
+            return real(timeout)
+
+        wire._bus._recv_internal = receive
+        try:
+            yield
+        finally:
+            gate.set()
 
     async def enable(self) -> None:
         await self.ran("service/m/enable")

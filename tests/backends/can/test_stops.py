@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import struct
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -528,3 +529,23 @@ async def test_writing_what_moves_a_node_is_declared_to_move(tmp_path: Path) -> 
         assert found
         assert all(moves == (index >= "0x6000") for index, moves in found.items())
         assert rig.host.resources["actuator/can/can0/frame"].moves
+
+
+async def test_reports_from_before_a_stop_do_not_confirm_it_however_late_they_are_read() -> None:
+    async with motor("odrive", timeout=9.0, feedback_timeout=9.0) as rig:
+        await rig.enable()
+        await rig.ordered(lambda: setattr(rig.twin, "blind", True))
+        seen = rig.axis.status.counts["velocity"]
+        with Node(rig.channel) as node, rig.unread():
+            await rig.ordered(lambda: None)  # the reader waits
+            for _ in range(5):
+                node.send(1 << 5 | 0x09, struct.pack("<ff", 0.0, 0.0))
+            sent = time.monotonic()
+            await rig.until(lambda: time.monotonic() - sent > 0.05)
+            halting = asyncio.ensure_future(rig.backend.halt())
+            await rig.until(lambda: rig.axis.stopping)
+        await rig.until(lambda: rig.axis.status.counts["velocity"] >= seen + 5)
+        done, _ = await asyncio.wait((halting,), timeout=0.2)
+        assert not done
+        await rig.ordered(lambda: setattr(rig.twin, "blind", False))
+        await halting

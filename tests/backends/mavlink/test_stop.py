@@ -25,6 +25,7 @@ from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 BRAKE, LAND, GUIDED = 17, 9, 4
+GLOBAL_POSITION_INT = 33
 STAYS = 2.0  # s that it is watched to stay at rest
 AT_REST = 0.5  # m/s
 
@@ -767,3 +768,49 @@ async def _frozen_loop(link: str, others: str, mode: int) -> None:
         other.close()
         assert modes[0] == GUIDED
         assert modes[-1] == mode, modes
+
+
+# Telemetry that comes late
+
+
+class Delayed(Stubborn):
+    """It hovers in the mode of the stop, is moved in it, and brakes a while after each stop."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mode, self.delay = BRAKE, 0.0
+        self.velocity = (0.0, 0.0, 0.0)
+        self.stopped_at: float | None = None
+        self._kept: list[tuple[float, bytes]] = []
+
+    def write(self, frame: bytes) -> None:
+        if int.from_bytes(frame[7:10], "little") != GLOBAL_POSITION_INT:
+            super().write(frame)
+            return
+        now = time.monotonic()
+        self._kept.append((now + self.delay, bytes(frame)))
+        while self._kept and self._kept[0][0] <= now:
+            super().write(self._kept.pop(0)[1])
+
+    def tick(self) -> None:
+        if any(self.velocity) and self.commands(SET_MODE):
+            now = time.monotonic()
+            self.stopped_at = self.stopped_at or now + 0.5
+            if now >= self.stopped_at:
+                self.velocity = (0.0, 0.0, 0.0)
+        super().tick()
+
+
+async def test_rest_from_before_a_stop_does_not_confirm_it_however_late_it_is_told() -> None:
+    puppet = Delayed()
+    async with station(puppet, silence=10.0, feedback_timeout=5.0) as found:
+        measurement = found.robot.measurement
+        await until(lambda: measurement.still_for > 1.5, "it has been still for long")
+        puppet.delay = 0.8
+        await until(lambda: measurement.position_age > 0.5, "nothing comes")
+        await until(lambda: measurement.position_age < 0.3, "telemetry comes late")
+        began = time.monotonic()
+        puppet.velocity = (3.0, 0.0, 0.0)
+        await found.served.life.backend.halt()
+        took = time.monotonic() - began
+        assert not any(puppet.velocity), f"the stop was confirmed after {took:.2f} s"
