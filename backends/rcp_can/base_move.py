@@ -114,23 +114,25 @@ class BaseMove:
             raise self._ended
 
     async def _abandon(self, why: BaseException | None) -> None:
-        """Bring the wheels to rest, unless a stop controls them.
+        """Bring the wheels to rest, unless a stop or a new command controls them.
 
         :raises RcpError: the move was cancelled, and a wheel is not confirmed to be at rest.
         """
-        if fenced_off() or self._ended is not None:
+        cancelled = isinstance(why, asyncio.CancelledError)
+        if fenced_off() or (self._ended is not None and not cancelled):
             return
         wheels = self._axle.wheels
         try:
             with anyio.CancelScope(shield=True):
-                self._axle.rest()
+                if self._ended is None:  # otherwise, what ended it is stopping them
+                    self._axle.rest()
                 for wheel in wheels:
                     wheel.leaving = True
-                await together(rested(wheel) for wheel in wheels)
+                await together(rested(wheel, lambda: self._axle.driven) for wheel in wheels)
         except RcpError:
             for wheel in wheels:
                 wheel.stop()
-            if isinstance(why, asyncio.CancelledError):
+            if cancelled:
                 raise
         finally:
             for wheel in wheels:
