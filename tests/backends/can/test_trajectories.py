@@ -404,9 +404,9 @@ async def test_a_host_that_stands_still_resumes_without_a_leap(
         for name, axis in rig.axes.items():
             monkeypatch.setattr(axis.drive, "command", noting(name, axis.drive.command))
         running = await in_motion(rig)
-        stalls.append(0.2)
+        stalls.append(0.05)
         loop = asyncio.get_running_loop()
-        end = loop.time() + 0.2
+        end = loop.time() + 0.05
         while loop.time() < end:  # a plugin that blocks
             pass
         await asyncio.wait_for(running, 60)
