@@ -17,6 +17,7 @@ from rcp_kernel.errors import FilterUnsupported, RcpError
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.spi import Anchor
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.wire import Request
@@ -162,7 +163,8 @@ class _Conversion:
         self._entry = entry
         self.path, self.owner = entry.path, entry.owner
         self.value_type = shape.earth if self._geographic else shape.type
-        self._last: tuple[Sample, Sample] | None = None
+        self._last: tuple[Sample, Sample, Anchor | None] | None = None
+        """A sample, what it was converted to, and the anchor that it was converted with."""
         self._refused: tuple[Sample, RcpError, int] | None = None
         """A sample that cannot be converted, why, and until when it is not tried again."""
 
@@ -178,7 +180,8 @@ class _Conversion:
     def convert(self, sample: Sample) -> Sample:
         """Return a sample in the frame."""
         last = self._last
-        if last is not None and last[0] is sample:
+        anchor = self._robot.anchor
+        if last is not None and last[0] is sample and last[2] is anchor:
             return last[1]
         if self._refused is not None:
             refused, error, until = self._refused
@@ -190,7 +193,7 @@ class _Conversion:
             error = error.with_traceback(None)
             self._refused = sample, error, self._now() + _AGAIN
             raise error from None
-        self._last, self._refused = (sample, converted), None
+        self._last, self._refused = (sample, converted, anchor), None
         return converted
 
     def _converted(self, sample: Sample) -> Sample:

@@ -87,6 +87,7 @@ class RobotFrames:
         """
         self._entry, self._entries, self._config = entry, entries, config
         self._moving, self._request = moving, request
+        self._place, self._pose_path = robot_of(entry), pose_path(entry)
 
     def transform(self, target: str, source: str, moment: Moment) -> Rigid:
         """Return the pose of a frame in another.
@@ -153,7 +154,7 @@ class RobotFrames:
 
     def _links(self) -> list[_Link]:
         links = [self._fixed(EARTH, name, pose) for name, pose in self._origins()]
-        anchor = self._anchor
+        anchor = self.anchor
         if anchor is not None:
             pose = _placed(anchor.latitude, anchor.longitude, anchor.altitude, anchor.yaw)
             links.append(self._fixed(EARTH, anchor.frame, pose))
@@ -173,11 +174,12 @@ class RobotFrames:
                 yield name, pose._replace(rotation=pose.turn(NED)) if down else pose
 
     @property
-    def _anchor(self) -> Anchor | None:
-        configured = self._config.anchors.get(robot_of(self._entry))
+    def anchor(self) -> Anchor | None:
+        """Where one of its frames is on the earth now."""
+        configured = self._config.anchors.get(self._place)
         if configured is not None:
             return configured
-        pose = self._entries.get(pose_path(self._entry))
+        pose = self._entries.get(self._pose_path)
         for entry in (self._entry, pose):
             unit = None if entry is None else entry.unit
             if unit is not None and (found := unit.anchor or unit.whole.anchor) is not None:
@@ -225,7 +227,7 @@ class RobotFrames:
             )
         pose = shape.pose_of(sample.value)
         if pose is None:
-            raise PreconditionFailed(f"{entry.path} has no pose")
+            raise PreconditionFailed(f"{entry.path} has no pose with an orientation")
         return pose
 
     def _looked_up(self, tree: FrameTree, source: str, target: str) -> _Link:

@@ -418,3 +418,44 @@ async def test_a_goal_of_the_profiles_without_a_height_has_none_for_the_robot(
         reply = await served.client(ADMIN).request("execute", MOVE_TO, body=goal)
         assert reply["status"] == "completed", reply
         assert (ran(served).position.z is None) is (height is None)
+
+
+async def test_a_repeated_key_returns_its_command_although_the_goal_cannot_be_converted_any_more(
+    stepped: SteppedClock,
+) -> None:
+    async with serve(CONFIG, scripted(rover, "rover"), clock=stepped.clock) as served:
+        client = served.client(ADMIN)
+        goal = {"position": {"x": 2.0, "y": 0.0}, "frame": "base_link"}
+        first = await client.request("execute", MOVE_TO, body=goal, idempotency_key="k")
+        assert first["status"] == "completed"
+        stepped.advance(31.0)
+        again = await client.request("execute", MOVE_TO, body=goal, idempotency_key="k")
+        assert (again["status"], again["command"]) == ("completed", first["command"])
+        assert len(served.life.backend.ran) == 1
+
+
+async def test_a_value_is_converted_anew_after_the_anchor_has_moved(served: Served) -> None:
+    client, host = served.client(ADMIN), served.life.backend.host
+    await client.request("subscribe", POSE, body={"frame": "earth"})  # keeps the conversion
+    before = (await read(client, POSE, frame="earth"))["body"]["position"]
+    host.anchor(Anchor(latitude=HOME[0] + 1, longitude=HOME[1], altitude=HOME[2]))
+    after = (await read(client, POSE, frame="earth"))["body"]["position"]
+    assert after["latitude"] - before["latitude"] == pytest.approx(1.0, abs=1e-3)
+
+
+async def test_a_pose_whose_quaternion_is_not_of_unit_length_converts_without_scaling(
+    served: Served,
+) -> None:
+    client, host = served.client(ADMIN), served.life.backend.host
+    host.publish("sensor/pose", PoseStamped(Point(3.0, 4.0, 1.0), Quaternion(0.0, 0.0, 1.0, 1.0)))
+    own = (await read(client, POSE, frame="base_link"))["body"]
+    assert at(own["position"]) == near(0.0, 0.0, 0.0)
+
+
+async def test_a_pose_without_an_orientation_converts_no_goal(served: Served) -> None:
+    client, host = served.client(ADMIN), served.life.backend.host
+    host.publish("sensor/pose", PoseStamped(Point(3.0, 4.0, 1.0), Quaternion(0.0, 0.0, 0.0, 0.0)))
+    goal = {"position": {"x": 2.0, "y": 0.0}, "frame": "base_link"}
+    reply = await client.request("execute", MOVE_TO, body=goal)
+    assert reply["error"]["code"] == "precondition_failed", reply
+    assert not served.life.backend.ran
