@@ -291,6 +291,20 @@ async def test_a_cancelled_move_has_braked_when_it_ends() -> None:
         await rig.until(lambda: rig.truth.moving[0] > 0.15)
 
 
+async def test_a_velocity_while_a_cancelled_move_brakes_is_not_stopped_by_it() -> None:
+    async with rover() as rig:
+        axes = rig.backend.axes
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.8)
+        moving.cancel()
+        await rig.until(lambda: axes["left"].leaving)
+        await rig.velocity(0.4)
+        await asyncio.wait((moving,), timeout=20)
+        assert moving.cancelled()
+        assert not any(axes[name].stopped for name in ("left", "right"))
+        await rig.until(lambda: rig.truth.moving[0] == pytest.approx(0.4, abs=0.05))
+
+
 async def test_a_velocity_of_zero_ends_the_move() -> None:
     async with rover() as rig:
         moving = rig.moving(5.0)
