@@ -147,11 +147,6 @@ class Axle:
         if ended is not None:
             ended(lost, reason)
 
-    @property
-    def driven(self) -> bool:
-        """Whether a wheel is commanded to move."""
-        return any(w.mode == "position" or (w.mode and w.goal) for w in self.wheels)
-
     def release(self) -> None:
         """Release the motors, whatever they are doing."""
         self._ended = None

@@ -106,6 +106,10 @@ class BaseMove:
         await together(rested(wheel) for wheel in self._axle.wheels)
         self._check()
 
+    def _is_driven(self) -> bool:
+        """Return whether another command drives the wheels, which were to come to rest."""
+        return any(wheel.driven for wheel in self._axle.wheels)
+
     def _end(self, lost: Axis, reason: RcpError) -> None:
         self._ended = reason
 
@@ -128,7 +132,7 @@ class BaseMove:
                     self._axle.rest()
                 for wheel in wheels:
                     wheel.leaving = True
-                await together(rested(wheel, lambda: self._axle.driven) for wheel in wheels)
+                await together(rested(wheel, self._is_driven) for wheel in wheels)
         except RcpError:
             for wheel in wheels:
                 wheel.stop()

@@ -61,6 +61,7 @@ class Clock:
         time = codec.decode(value.data)
         now = time.sec * 1_000_000_000 + time.nanosec
         before, self.now = self.now, now
+        self._shared.ticks.add(now)
         if before is not None and now < before:
             for callback in self.on_jump:
                 callback()

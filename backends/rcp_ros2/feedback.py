@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 from rcp_kernel.spi import MotionState
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import MissingType, load
 from rcp_ros2.link import RosLink
+from rcp_ros2.stamps import Delays, Ticks
 from rcp_ros2.topics import Tap
 
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
@@ -26,12 +27,16 @@ Measured = tuple[float, float]
 """Speed in m/s and rate of turn in rad/s."""
 
 
-def _twist(value: Any) -> Measured:
+class _Measurement(NamedTuple):
+    speeds: Measured
+    at: float
+    """Monotonic time."""
+
+
+def _twist(value: Any, at: float) -> _Measurement:
     linear, angular = value.linear, value.angular
-    return (
-        math.hypot(linear.x, linear.y, linear.z),
-        math.hypot(angular.x, angular.y, angular.z),
-    )
+    speed = math.hypot(linear.x, linear.y, linear.z)
+    return _Measurement((speed, math.hypot(angular.x, angular.y, angular.z)), at)
 
 
 class Joints:
@@ -46,30 +51,32 @@ class Joints:
         self._places: dict[str, tuple[float, float]] = {}
         """By name: a time and the position then, of joints without a velocity."""
 
-    def measure(self, state: Any) -> Measured | None:
-        """Return the speed; None while it is unknown."""
-        now, told = time.monotonic(), bool(len(state.velocity))
+    def measure(self, state: Any, at: float) -> _Measurement | None:
+        """Return the speed, and when the last of the joints was measured; None if unknown."""
+        told = bool(len(state.velocity))
         names = list(state.name) or [str(at) for at in range(len(state.velocity))]
         for name, number in zip(names, state.velocity if told else state.position, strict=False):
             if told:
-                self._speeds[name] = now, abs(number)
+                self._speeds[name] = at, abs(number)
             else:
-                self._derive(name, number, now)
+                self._derive(name, number, at)
         known = (self._speeds.get(name) for name in self.needed or names)
-        speeds = [None if one is None or now - one[0] > self._max_age else one[1] for one in known]
-        if not speeds or None in speeds:
+        found = [one for one in known if one is not None and at - one[0] <= self._max_age]
+        if not found or len(found) < len(self.needed or names):
             return None
-        found = [speed for speed in speeds if speed is not None]
-        return 0.0, math.nan if any(map(math.isnan, found)) else max(found)  # `max` ignores a NaN
+        speeds = [speed for _, speed in found]
+        fastest = math.nan if any(map(math.isnan, speeds)) else max(speeds)  # `max` ignores a NaN
+        return _Measurement((0.0, fastest), min(moment for moment, _ in found))
 
-    def _derive(self, name: str, position: float, now: float) -> None:
-        at, before = self._places.setdefault(name, (now, position))
-        if now - at >= _APART:
-            self._speeds[name] = now, abs(position - before) / (now - at)
-            self._places[name] = now, position
+    def _derive(self, name: str, position: float, at: float) -> None:
+        since, before = self._places.setdefault(name, (at, position))
+        if at - since >= _APART:
+            self._speeds[name] = at, abs(position - before) / (at - since)
+            self._places[name] = at, position
 
 
-_MEASURES: dict[str, tuple[str | None, Callable[[Any], Measured | None]]] = {
+_Measure = Callable[[Any, float], _Measurement | None]
+_MEASURES: dict[str, tuple[str | None, _Measure]] = {
     ODOMETRY: ("twist.twist", _twist),
     "geometry_msgs/msg/Twist": (None, _twist),
     "geometry_msgs/msg/TwistStamped": ("twist", _twist),
@@ -90,6 +97,7 @@ class Feedback:
         limits: Measured,
         max_age: float,
         restored: Callable[[], None],
+        times: Delays | Ticks,
     ) -> None:
         self.topic = topic
         self.robot = robot
@@ -102,8 +110,13 @@ class Feedback:
         self.max_age = max_age
         self._limits = limits
         self._restored = restored
-        self._measure: Callable[[Any], Measured | None] = _twist
+        self._times = times
+        """Those of stamped samples."""
+        self._measure: _Measure = _twist
         self._at: float | None = None
+        """Monotonic time when the newest sample arrived."""
+        self._measured_at = -math.inf
+        """Monotonic time when it was measured."""
         self._stamp: int | None = None
         self._speed: Measured = (0.0, 0.0)
         self._rest: float | None = None
@@ -134,23 +147,25 @@ class Feedback:
         stamp = codec.stamp(value.data)
         if stamp is not None and stamp == self._stamp:
             return  # a driver that repeats its last measurement provides no new one
+        now = time.monotonic()
+        at = now if stamp is None else self._times.measured(stamp, now)
         try:
-            found = self._measure(value.decode())
+            found = self._measure(value.decode(), at)
         except Malformed:
             return
         if found is None:
             return
-        now = time.monotonic()
         lost = self._at is not None and now - self._at > self.max_age
+        gap = found.at - self._measured_at > self.max_age
         still = all(
-            one <= limit for one, limit in zip(found, self._limits, strict=True)
+            one <= limit for one, limit in zip(found.speeds, self._limits, strict=True)
         )  # false for NaN
-        self._stamp, self._speed = stamp, found
+        self._stamp, self._speed = stamp, found.speeds
         if not still:
             self._rest = None
-        elif self._rest is None or lost:
-            self._rest = now
-        self._at = now
+        elif self._rest is None or lost or gap:
+            self._rest = found.at
+        self._at, self._measured_at = now, found.at
         if lost:
             self._restored()
 
@@ -169,9 +184,9 @@ class Feedback:
         return f"no feedback on {self.topic} " + ("yet" if age is None else f"for {age:.1f} s")
 
     def state(self, since: float | None = None) -> MotionState:
-        """Report the measured state; with `since`, only later measurements count."""
-        at, rest, (speed, turn) = self._at, self._rest, self._speed
-        if at is None or not self.is_fresh():
+        """Report the measured state; with `since`, only what was measured later counts."""
+        at, rest, (speed, turn) = self._measured_at, self._rest, self._speed
+        if not self.is_fresh():
             return MotionState(None, self.missing())
         if rest is None:
             moving = f"{speed:.2f} m/s" if speed > self._limits[0] else f"{turn:.2f} rad/s"
@@ -203,6 +218,7 @@ class Feedbacks:
                 (stop.speed, stop.turn),
                 stop.max_age,
                 lambda: host.call_soon(self._restored, robot),
+                self._link.ticks if self._link.config.use_sim_time else Delays(),
             )
         if type_ is not None and found.type != type_:
             try:

@@ -17,6 +17,7 @@ from rcp_ros2.naming import Naming
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
+from rcp_ros2.stamps import Ticks
 from rcp_ros2.topics import Tap, TopicSubscriptions
 
 __all__ = ["RosLink"]
@@ -42,6 +43,8 @@ class RosLink:
         self._complaints: dict[str, str | None] = {}
         self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
         self.pulses = Pulses(ros, self.complain)
+        self.ticks = Ticks()
+        """The times of `/clock`, if it is used."""
         self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread with each poll of the graph."""
         self.refresh: Callable[[], None] = lambda: None

@@ -71,11 +71,15 @@ async def _gateway(
 
         async def ready() -> bool:
             found = (await client.request("read", "/system/robots"))["body"]
-            mobile = [one for one in found if "mobile/1.0" in one.get("profiles", ())]
+            mobile = [one for one in found if _is_mobile(one)]
             return [one["state"] for one in mobile] == ["ready"]
 
         await eventually(ready, "it is ready", 30.0)
         yield served, next(f["url"] for f in served.server.status.transports if "url" in f)
+
+
+def _is_mobile(facts: Mapping[str, Any]) -> bool:
+    return any(name.startswith("mobile/") for name in facts.get("profiles", ()))
 
 
 @asynccontextmanager

@@ -42,6 +42,10 @@ class Base(Node):
         self.lossy = False
         self.frozen = False
         self.works = True
+        self.grip = GRIP
+        self.delay = 0.0
+        """s for which odometry is kept before it is published."""
+        self.kept: deque[tuple[float, Odometry]] = deque()
         self.last = Odometry()
         self.zeroed = 0.0
         self.odom = self.create_publisher(Odometry, "odom", 10)
@@ -79,15 +83,18 @@ class Base(Node):
         """Turn the wheels, whether anybody is heard or not."""
         while True:
             wanted = 0.0 if any(self.brakes.values()) else self.told
-            self.wheel += max(-GRIP * PERIOD, min(GRIP * PERIOD, wanted - self.wheel))
+            self.wheel += max(-self.grip * PERIOD, min(self.grip * PERIOD, wanted - self.wheel))
             self.history.append((time.monotonic(), self.wheel))
             time.sleep(PERIOD)
 
     def measure(self) -> None:
         if not self.frozen:
+            self.last = Odometry()
             self.last.header.stamp = self.get_clock().now().to_msg()
             self.last.twist.twist.linear.x = self.wheel
-        self.odom.publish(self.last)
+        self.kept.append((time.monotonic(), self.last))
+        while self.kept and self.kept[0][0] + self.delay <= time.monotonic():
+            self.odom.publish(self.kept.popleft()[1])
 
 
 class Navigator(Node):
@@ -158,6 +165,7 @@ class Robot:
         """Stand still, with nothing broken."""
         self.cut = self.base.lossy = self.base.frozen = False
         self.base.works = True
+        self.base.grip, self.base.delay = GRIP, 0.0
         self.base.brakes.clear()
         self.base.told = self.base.wheel = 0.0
 
@@ -194,8 +202,8 @@ class Robot:
             at = when
         return at
 
-    def put(self, name: str, *, value: bool) -> None:
-        """Change what it does: `lossy`, `frozen`, `works`."""
+    def put(self, name: str, *, value: float) -> None:
+        """Change what it does: `lossy`, `frozen`, `works`, `grip`, `delay`."""
         setattr(self.base, name, value)
 
 

@@ -234,6 +234,27 @@ async def test_a_frozen_robot_is_not_confirmed_and_rests_when_it_goes_on(rig: Ri
         assert await rig.rests() == 0.0
 
 
+@pytest.mark.parametrize("frozen", [False, True])
+async def test_rest_from_before_the_motion_that_arrives_after_the_stop_confirms_nothing(
+    rig: Rig, *, frozen: bool
+) -> None:
+    async with gateway(rig) as robot:
+        (odometry,) = robot.backend._stops.feedbacks.of(None)
+        rig.base.tell("put", name="delay", value=2.0)
+        await until(lambda: not odometry.is_fresh())
+        await until(odometry.is_fresh)
+        rig.base.tell("put", name="grip", value=0.4)
+        await write(robot, 0.5)
+        await rig.drives()
+        assert odometry.state().at_rest, "the motion was seen already"
+        if frozen:
+            rig.base.freeze()
+            await until(lambda: (odometry.age() or 0.0) > 0.2)
+            rig.base.thaw()
+        await confirmed(robot)
+        assert rig.truth["wheel"] < 0.05
+
+
 async def test_odometry_that_repeats_its_last_measurement_measures_nothing(rig: Rig) -> None:
     async with gateway(rig) as robot:
         rig.base.tell("put", name="frozen", value=True)
