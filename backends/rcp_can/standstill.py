@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from rcp_can.guard import check_feedback, check_link
@@ -60,15 +60,15 @@ def motion_of_all(axes: Iterable[Axis]) -> MotionState | None:
     return MotionState(at_rest, "; ".join(s.detail for s in states if s.detail), energised)
 
 
-async def rested(axis: Axis) -> None:
-    """Wait until several consecutive fresh reports show standstill.
+async def rested(axis: Axis, unless: Callable[[], bool] = lambda: False) -> None:
+    """Wait until several consecutive fresh reports show standstill, unless it is not to rest any longer.
 
     :raises DeviceTimeout: they do not, or feedback is lost.
     :raises AdapterUnavailable: the drive is lost meanwhile.
     """
     begun = time.monotonic()
     while time.monotonic() < begun + _REST:
-        if axis.rests_since(begun):
+        if unless() or axis.rests_since(begun):
             return
         check_link(axis)
         check_feedback(axis)
