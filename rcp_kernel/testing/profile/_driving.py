@@ -263,7 +263,7 @@ class MobileTests(DriveTests):
         input_type = value_type(self.running.resources[name].input)
         with suppress(RcpError):
             result = await asyncio.wait_for(
-                self.backend.execute(name, input_type.convert(goal), lambda *_, **__: None),
+                self.backend.execute(name, input_type.convert(goal), _ignore),
                 self.complete_within,
             )
             raise AssertionError(f"the backend took a goal in a frame that there is not: {result}")
@@ -296,6 +296,10 @@ class MobileTests(DriveTests):
         assert slowed, f"limit {limit:g} m/s, and it was never that slow"
         assert fastest <= most, f"limit {limit:g} m/s, driven {fastest:g}"
         await self.do("write", "param/speed_limit", body=before)
+
+
+def _ignore(feedback: Any = None, *, fraction: float | None = None) -> None:
+    """Ignore feedback."""
 
 
 def _way(start: Body, end: Body) -> str:

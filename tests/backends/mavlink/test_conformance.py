@@ -74,6 +74,9 @@ class MavlinkRig(StopRig):
 
     async def truth(self, name: str) -> Any:
         pilot = self.vehicle.pilot
+        if name.startswith("actuator/"):
+            # No setpoint is acknowledged, but what is answered was sent after it.
+            await self.running.backend.read("param/GUID_TIMEOUT")
         if name == "param/speed_limit":
             return self.vehicle.params["WPNAV_SPEED"] / 100
         if name.startswith("param/"):
