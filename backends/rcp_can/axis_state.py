@@ -121,6 +121,11 @@ class AxisState:
         return self.online and self.slow and self.is_fresh("velocity")
 
     @property
+    def driven(self) -> bool:
+        """Whether a set-point other than rest is in force."""
+        return self.mode is not None and (self.mode == "position" or self.goal != 0.0)
+
+    @property
     def stopped(self) -> bool:
         """Whether a quick stop is in force and no command has followed it."""
         return self.stop_began is not None

@@ -106,6 +106,10 @@ class BaseMove:
         await together(rested(wheel) for wheel in self._axle.wheels)
         self._check()
 
+    def _is_driven(self) -> bool:
+        """Return whether another command drives the wheels, which were to come to rest."""
+        return any(wheel.driven for wheel in self._axle.wheels)
+
     def _end(self, lost: Axis, reason: RcpError) -> None:
         self._ended = reason
 
@@ -114,23 +118,25 @@ class BaseMove:
             raise self._ended
 
     async def _abandon(self, why: BaseException | None) -> None:
-        """Bring the wheels to rest, unless a stop controls them.
+        """Bring the wheels to rest, unless a stop or a new command controls them.
 
         :raises RcpError: the move was cancelled, and a wheel is not confirmed to be at rest.
         """
-        if fenced_off() or self._ended is not None:
+        cancelled = isinstance(why, asyncio.CancelledError)
+        if fenced_off() or (self._ended is not None and not cancelled):
             return
         wheels = self._axle.wheels
         try:
             with anyio.CancelScope(shield=True):
-                self._axle.rest()
+                if self._ended is None:  # otherwise, what ended it is stopping them
+                    self._axle.rest()
                 for wheel in wheels:
                     wheel.leaving = True
-                await together(rested(wheel) for wheel in wheels)
+                await together(rested(wheel, self._is_driven) for wheel in wheels)
         except RcpError:
             for wheel in wheels:
                 wheel.stop()
-            if isinstance(why, asyncio.CancelledError):
+            if cancelled:
                 raise
         finally:
             for wheel in wheels:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from rcp_can.guard import check_feedback, check_link
@@ -61,8 +61,8 @@ def motion_of_all(axes: Iterable[Axis]) -> MotionState | None:
     return MotionState(at_rest, "; ".join(s.detail for s in states if s.detail), energised)
 
 
-async def rested(axis: Axis) -> None:
-    """Wait until several consecutive fresh reports show standstill.
+async def rested(axis: Axis, unless: Callable[[], bool] = lambda: False) -> None:
+    """Wait until several consecutive fresh reports show standstill, unless it is not to rest any longer.
 
     :raises DeviceTimeout: they do not, or feedback is lost.
     :raises AdapterUnavailable: the drive is lost meanwhile.
@@ -70,6 +70,8 @@ async def rested(axis: Axis) -> None:
     begun = axis.status.counts["velocity"]
     end = time.monotonic() + _REST
     while time.monotonic() < end:
+        if unless():
+            return
         reports = axis.status.counts["velocity"] - begun
         if axis.resting and min(axis.still, reports) >= _REPORTS:
             return

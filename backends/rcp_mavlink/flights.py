@@ -48,6 +48,13 @@ class Flights:
             "action/move_to": self._journeys.move_to,
         }
 
+    async def keep_limit(self) -> None:
+        """Keep to a changed speed limit from here on.
+
+        :raises RcpError: the vehicle does not change the speed of its flight.
+        """
+        await self._journeys.keep_limit()
+
     # Take-off
 
     async def take_off(self, given: m.TakeOff | None, progress: Progress) -> m.Height:

@@ -133,7 +133,8 @@ class Hub:
                 due = now + _BEAT
                 self.beat()
             for vehicle in self.vehicles.values():
-                if not vehicle.lost and now - vehicle.last_message_at > self.config.silence:
+                silent = now - vehicle.last_message_at > self.config.silence
+                if silent and not vehicle.lost and now > vehicle.away_until:
                     vehicle.lose(self.silent(vehicle))
                     self.changed(vehicle)
             await asyncio.sleep(min(_BEAT, self.config.silence) / 4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
 from contextlib import asynccontextmanager, contextmanager, suppress
 
 from msgspec.structs import replace
@@ -65,6 +65,8 @@ class Journeys:
         self._motion, self._parameters, self._limit = motion, parameters, limit
         self._paced = False
         """Whether the speed of an earlier flight may still be in effect."""
+        self._under_way: Callable[[], Awaitable[None]] | None = None
+        """Makes the flight under way keep to a changed speed limit."""
 
     async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
         """Go to a target and stay there; a plane circles around it."""
@@ -84,8 +86,12 @@ class Journeys:
         lat, lon = place_of(vehicle, goal, fix)
         altitude = fix.height if goal.altitude is None or family.drives else goal.altitude
         distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
-        if goal.speed is not None:
-            goal = replace(goal, speed=self._limit.kept(goal.speed, strictly=profiled))
+        wanted, limit = goal.speed, self._limit.usual
+
+        def allowed() -> float | None:
+            return None if wanted is None else self._limit.kept(wanted, strictly=profiled)
+
+        goal = replace(goal, speed=allowed())
         pace = Pace(vehicle, goal.speed, goal.yaw)
         near = goal.tolerance or 0.0
 
@@ -99,6 +105,15 @@ class Journeys:
             there = fresh and self._arrived(now, lat, lon, altitude, near)
             return pace.update(there=there)
 
+        async def keep_limit() -> None:
+            nonlocal limit, goal
+            speed, usual = allowed(), self._limit.usual
+            if usual == limit or (wanted is not None and speed == goal.speed):
+                return
+            limit, goal = usual, replace(goal, speed=speed)
+            pace.request(speed)
+            await self._change_speed(usual if speed is None else speed)
+
         async with holding(self._motion):
             with unanswered(progress):
                 await self._prepare(goal, fix)
@@ -107,12 +122,31 @@ class Journeys:
                 with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
             report()  # it moves from here on, so a lost link no longer means a refusal
-            async with self._stopping(RcpError):
+            async with self._stopping(RcpError), self._limited(keep_limit):
                 await self._follow(goal, pace, report)
         now = fix_of(vehicle)
         error = away(vehicle, now, lat, lon, altitude)
         pose = pose_of(vehicle, now, pace.heading)
         return m.Arrived(pose, now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
+
+    async def keep_limit(self) -> None:
+        """Have the flight under way keep to a changed speed limit.
+
+        :raises RcpError: the vehicle does not change its speed.
+        """
+        if self._under_way is not None:
+            await self._under_way()
+
+    @asynccontextmanager
+    async def _limited(self, keep_limit: Callable[[], Awaitable[None]]) -> AsyncGenerator[None]:
+        """Keep to the speed limit while entered; it may have changed just before."""
+        self._under_way = keep_limit
+        try:
+            await keep_limit()
+            yield
+        finally:
+            if self._under_way is keep_limit:
+                self._under_way = None
 
     async def _follow(self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool]) -> None:
         """Wait until it arrives; abort if it deviates from the request."""
@@ -173,12 +207,19 @@ class Journeys:
                 await self._reposition(fix.lat, fix.lon, fix.height)
             await self._motion.seen(lambda: vehicle.mode == family.guided, "move_to")
         if speed is not None:
-            kind = _AIRSPEED if family.circles else _GROUNDSPEED
-            command = Command(_CHANGE_SPEED, (kind, speed, -1.0, 0.0))
-            await self._commands.send(command, f"move_to: speed {speed:g} m/s")
+            await self._change_speed(speed)
             self._paced = goal.speed is not None
         if goal.yaw is not None:
             await self._turn(goal.yaw)
+
+    async def _change_speed(self, speed: float | None) -> None:
+        """Set the speed of the present flight; PX4 reads its parameter all the time."""
+        family = self._vehicle.family
+        if family.px4 or speed is None:
+            return
+        kind = _AIRSPEED if family.circles else _GROUNDSPEED
+        command = Command(_CHANGE_SPEED, (kind, speed, -1.0, 0.0))
+        await self._commands.send(command, f"move_to: speed {speed:g} m/s")
 
     async def _turn(self, yaw: float) -> None:
         """Turn to a heading, rad clockwise from north; the command takes 0 to 360 deg."""

@@ -22,11 +22,8 @@ class Pace:
 
     def __init__(self, vehicle: Vehicle, speed: float | None, yaw: float | None) -> None:
         self._vehicle, self._yaw = vehicle, yaw
-        # Of a plane it is the airspeed, to which the wind is added.
-        self._speed = None if vehicle.family.circles else speed
-        now = time.monotonic()
-        self._settled = now + _FIRST + self._measured()[0] / _SLOWING
         self._fast_since: float | None = None
+        self.request(speed)
         self._there_since: float | None = None
         self.fastest = 0.0
         """Maximum ground speed, m/s."""
@@ -34,6 +31,13 @@ class Pace:
         """The present heading, rad."""
         self.fault: str | None = None
         """What deviates from the request."""
+
+    def request(self, speed: float | None) -> None:
+        """Expect another speed, m/s, after the time to slow down."""
+        # Of a plane it is the airspeed, to which the wind is added.
+        self._speed = None if self._vehicle.family.circles else speed
+        self._settled = time.monotonic() + _FIRST + self._measured()[0] / _SLOWING
+        self._fast_since = None
 
     def update(self, *, there: bool) -> bool:
         """Take the latest measurement; return whether it is there, with the requested heading."""

@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any
 
 from msgspec.structs import replace
@@ -44,6 +45,7 @@ from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.recovery import Recovery
 from rcp_mavlink.resources import parameter, resources
+from rcp_mavlink.restart import watched
 from rcp_mavlink.sensors import BASE, ESTIMATOR, sensors
 from rcp_mavlink.setpoints import Setpoints
 from rcp_mavlink.speeds import SpeedLimit
@@ -68,6 +70,7 @@ _FIRST_POSITION = 3.0  # s
 _ALLOWED_BLIND = ("action/land", "action/rtl", "action/return_home")
 _RESTING = 5.0  # s to come to rest before the motors are stopped
 _COMING_BACK = 30.0  # s for a reboot
+_SYSTEM_TIME, _ASKING = 2.0, 0.5  # a message with its clock, and s between requests for it
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
 
@@ -133,9 +136,11 @@ class Robot:
             242: self._homed,  # HOME_POSITION
         }
         self.speed_limit = SpeedLimit(vehicle, self.parameters)
-        flights = Flights(vehicle, self._commands, self.motion, self.parameters, self.speed_limit)
+        self._flights = Flights(
+            vehicle, self._commands, self.motion, self.parameters, self.speed_limit
+        )
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
-        leading = {**flights.verbs(), "action/mission/run": missions.run}
+        leading = {**self._flights.verbs(), "action/mission/run": missions.run}
         logs, files = Logs(hub, vehicle), Files(hub, vehicle)
         self._described = Described(config.parameters, files)
         self._verbs: dict[str, Verb] = {
@@ -371,24 +376,22 @@ class Robot:
         return m.Items(await self.plans.download(kind))
 
     async def _reboot(self, _: None, __: Progress) -> None:
-        """Reboot the vehicle; completes when its heartbeats return."""
+        """Reboot the vehicle; completes when it has restarted and its heartbeats return.
+
+        :raises DeviceTimeout: it was not seen to restart, or has not come back.
+        """
         vehicle = self.vehicle
-        await self._commands.send(Command(246, (1.0, 0.0, 0.0, 0.0)), "reboot")
-        since = time.monotonic()
-
-        def back() -> bool:
-            return vehicle.received_at["HEARTBEAT"] > since + 0.5
-
-        try:
-            returned = await vehicle.until(back, _COMING_BACK)
-        except AdapterUnavailable:
-            async with asyncio.timeout(_COMING_BACK):
-                while vehicle.lost:  # noqa: ASYNC110 - a lost vehicle wakes no waiter
-                    await asyncio.sleep(0.1)
-            returned = True
-        if not returned:
-            raise DeviceTimeout("reboot: accepted, but the vehicle has not come back")
-        self.intervals.begin()
+        with watched(vehicle) as restart:
+            await self._commands.send(Command(246, (1.0, 0.0, 0.0, 0.0)), "reboot")
+            end = vehicle.away_until = time.monotonic() + _COMING_BACK
+            try:  # it goes on for a while after it has accepted
+                while not await vehicle.until(lambda: restart.done, _ASKING):
+                    if time.monotonic() > end:
+                        raise DeviceTimeout("reboot: accepted, but the vehicle has not restarted")
+                    self._commands.send_once(Command(512, (_SYSTEM_TIME, 0.0, 0.0, 0.0)))
+            finally:
+                vehicle.away_until = 0.0
+        self.back()
 
     async def _reset(self, _: None, progress: Progress) -> None:
         """Stop, disarm and reboot the vehicle.
@@ -478,28 +481,33 @@ class Robot:
     async def write(self, name: str, value: Any) -> Any:
         """Apply a value."""
         if name == "param/speed_limit":
-            return await self.speed_limit.write(value)
+            limit = await self.speed_limit.write(value)
+            await self._flights.keep_limit()
+            return limit
         if name.startswith("param/"):
             own = name.removeprefix("param/")
             await self.parameters.write(own, value)
+            if self.speed_limit.depends_on(own):
+                await self._flights.keep_limit()
             return self._value(own)
         self.vehicle.check()
         if name == "actuator/velocity":
-            await self.setpoints.velocity(self._limited(value, strictly=False))
+            y, z = getattr(value, "y", 0.0), getattr(value, "z", 0.0)
+            own = m.Velocity(value.x, y, z, value.yaw_rate)
+            await self.setpoints.velocity(own, partial(self._limited, strictly=False))
         elif name == "actuator/cmd_vel":
             linear = value.linear
             own = m.Velocity(linear.x, linear.y, linear.z, value.angular.z)
-            await self.setpoints.velocity(self._limited(own, strictly=True))
+            await self.setpoints.velocity(own, partial(self._limited, strictly=True))
         else:
             await self.setpoints.attitude(value)
         return None
 
-    def _limited(self, value: Any, *, strictly: bool) -> m.Velocity:
+    def _limited(self, value: m.Velocity, *, strictly: bool) -> m.Velocity:
         """Return a velocity of the same direction within the speed limit over the ground."""
-        x, y = value.x, getattr(value, "y", 0.0)
-        speed = math.hypot(x, y)
+        speed = math.hypot(value.x, value.y)
         share = self.speed_limit.kept(speed, strictly=strictly) / speed if speed else 1.0
-        return m.Velocity(x * share, y * share, getattr(value, "z", 0.0), value.yaw_rate)
+        return replace(value, x=value.x * share, y=value.y * share)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service."""

@@ -43,25 +43,26 @@ class Setpoints:
         """The heading to keep while none is requested, rad."""
         self._task: asyncio.Task[None] | None = None
         self._entering: asyncio.Task[None] | None = None
-        self._message: Any = None
+        self._make: Callable[[], Any] = lambda: self._moving(m.Velocity())
+        """Makes the message that is repeated."""
         self._left: int | None = None
 
-    async def velocity(self, value: m.Velocity) -> None:
-        """Send a velocity in the body frame; all zeros is rest."""
-        x, y, z = value.x, value.y, value.z
-        resting = not (x or y or z or value.yaw_rate)
+    async def velocity(
+        self, value: m.Velocity, limited: Callable[[m.Velocity], m.Velocity]
+    ) -> None:
+        """Send a velocity in the body frame, always within the present limits; all zeros is rest."""
+        resting = not (value.x or value.y or value.z or value.yaw_rate)
         if resting and (self._task is None or not self._leads()):
             self.end()
             return
         self._check()
         self._kept = None
-        message = self._moving(x, y, z, value.yaw_rate)
-        await self._lead(message, _PARTING if resting else None)
+        await self._lead(lambda: self._moving(limited(value)), _PARTING if resting else None)
 
-    def _moving(self, x: float, y: float, z: float, yaw_rate: float) -> Any:
+    def _moving(self, value: m.Velocity) -> Any:
         return self._hub.dialect.module.MAVLink_set_position_target_local_ned_message(
             0, self._vehicle.system, self._vehicle.component, _BODY_FRAME, _VELOCITY_AND_YAW_RATE,
-            0.0, 0.0, 0.0, x, -y, -z, 0.0, 0.0, 0.0, 0.0, -yaw_rate,
+            0.0, 0.0, 0.0, value.x, -value.y, -value.z, 0.0, 0.0, 0.0, 0.0, -value.yaw_rate,
         )  # fmt: skip
 
     async def attitude(self, value: m.Attitude) -> None:
@@ -80,7 +81,7 @@ class Setpoints:
         message = self._hub.dialect.module.MAVLink_set_attitude_target_message(
             0, vehicle.system, vehicle.component, _ATTITUDE_ALONE, q, 0.0, 0.0, 0.0, value.thrust
         )
-        await self._lead(message, None)
+        await self._lead(lambda: message, None)
 
     async def _heading(self, requested: float | None) -> float:
         """Return the heading to hold: an attitude always has one, and 0 would be north.
@@ -136,10 +137,10 @@ class Setpoints:
             raise PreconditionFailed("the vehicle is on the ground", remedy="Take off first.")
         self._motion.measurement.check(strict=False)
 
-    async def _lead(self, message: Any, left: int | None) -> None:
+    async def _lead(self, make: Callable[[], Any], left: int | None) -> None:
         check_fence()
-        self._message, self._left = message, left
-        self._hub.send(self._vehicle, message)
+        self._make, self._left = make, left
+        self._hub.send(self._vehicle, make())
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._repeat())
         if not self._leads():
@@ -171,7 +172,7 @@ class Setpoints:
         """Enter OFFBOARD with a set-point of rest."""
         if not self._vehicle.armed:
             raise PreconditionFailed("OFFBOARD: the vehicle is not armed", remedy="Arm it first.")
-        await self._lead(self._moving(0.0, 0.0, 0.0, 0.0), None)
+        await self._lead(lambda: self._moving(m.Velocity()), None)
 
     async def _repeat(self) -> None:
         hold = self._vehicle.family.px4  # PX4 would treat their absence as a failure
@@ -183,7 +184,7 @@ class Setpoints:
             if self._motion.measurement.stale(strict=False):  # the motion can no longer be observed
                 hold = True
                 break
-            self._hub.send(self._vehicle, self._message)
+            self._hub.send(self._vehicle, self._make())
             if self._left is not None:
                 self._left -= 1
         self._task = self._kept = None

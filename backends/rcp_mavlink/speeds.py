@@ -94,6 +94,10 @@ class SpeedLimit:
         self._written = value * factor
         return self._written
 
+    def depends_on(self, parameter: str) -> bool:
+        """Return whether a parameter of the vehicle is the limit."""
+        return any(parameter == name for name, _ in self._names())
+
     @property
     def was_set(self) -> bool:
         """Whether the limit was set through the gateway."""

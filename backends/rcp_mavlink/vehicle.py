@@ -63,6 +63,8 @@ class Vehicle:
         self.mode_number = 0
         self.armed = False
         self.lost = False
+        self.away_until = 0.0
+        """Until when its silence is no loss, on the monotonic clock: it restarts."""
         self.on_frame: list[Callable[[Frame], None]] = []
         self.on_text: list[Callable[[Text], None]] = []
         self.components: dict[int, int] = {}

@@ -113,6 +113,10 @@ class Flight(ABC):
         for name, speed in self._speeds.items():
             setattr(self._vehicle.pilot.limits, name, speed)
 
+    def apply_parameters(self) -> None:
+        """Apply changed parameters to the present motion, as far as the autopilot does so."""
+        self.tune()
+
     def change_speed(self, speed: float, which: str = "speed") -> bool:
         """Handle DO_CHANGE_SPEED (`speed`, `up` or `down`, m/s); return whether it is accepted."""
         if self.mode not in self.paced:

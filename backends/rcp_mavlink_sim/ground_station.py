@@ -174,7 +174,7 @@ class GroundStation:
     def _param_set(self, message: Any) -> None:
         vehicle = self.vehicle
         if vehicle.params.write(message, vehicle.broadcast):
-            vehicle.flight.tune()
+            vehicle.flight.apply_parameters()
 
     def _param_list(self, _: Any) -> None:
         self.vehicle.greet(self.send)

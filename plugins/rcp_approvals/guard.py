@@ -9,8 +9,7 @@ from typing import Any
 from rcp_approvals.questions import Questions
 from rcp_kernel.features import Call, Slot
 from rcp_kernel.features.approval import About
-from rcp_kernel.model import Kind
-from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.safety.safety import is_safe
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
@@ -37,7 +36,7 @@ class ApprovalGuard:
         """Return whether a command requires approval; bringing an actuator to rest never does."""
         if not session.rights.asks(entry.path):
             return False
-        return entry.kind is not Kind.ACTUATOR or value is None or value != safe_value(entry)
+        return not is_safe(entry, value)
 
     def dry_run(self, call: Call) -> Mapping[str, Any]:
         """Return whether approval would be required, for a dry run."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import types
 from functools import cache
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
@@ -18,6 +19,7 @@ from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Shape", "shape_of"]
 
+_LEAST = 0.5  # norm of a quaternion, which nodes leave 0 where they do not know it
 _XYZ, _XYZW = ("x", "y", "z"), ("x", "y", "z", "w")
 _Heading = Annotated[
     float,
@@ -109,15 +111,19 @@ class Shape:
         return child.lstrip("/") or "base_link"
 
     def pose_of(self, value: Any) -> Rigid | None:
-        """Return the pose in a value; None: it has none."""
+        """Return the pose in a value; None: it has none, or is not oriented."""
         level = self._level
         while "pose" in level.inner:
             value, level = value.pose, level.inner["pose"]
         part = level.part
         if part.position is None or part.orientation is None:
             return None
-        at = _vec(getattr(value, part.position))
-        return Rigid(at, _quat(getattr(value, part.orientation)))
+        at, rotation = _vec(getattr(value, part.position)), _quat(getattr(value, part.orientation))
+        norm = math.hypot(*rotation)
+        if norm < _LEAST:
+            return None
+        x, y, z, w = rotation
+        return Rigid(at, (x / norm, y / norm, z / norm, w / norm))
 
     def moved(self, value: Any, move: Move) -> Any:
         """Return a value in the frame of a move."""

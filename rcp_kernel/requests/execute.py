@@ -162,6 +162,9 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
+        if (known := self._known(session, request, entry)) is not None:
+            self._journal.follow(known, session, request, answer, started)
+            return None
         if prepared is not None:
             value = prepared.run.input
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
@@ -174,10 +177,6 @@ class ExecuteHandler:
             self._serve(service, session, request, entry, value, answer)
             return None
         keyed = request.idempotency_key is not None
-        known = self._keys.find(session, request, entry.path) if keyed else None
-        if isinstance(known, Command):
-            self._journal.follow(known, session, request, answer, started)
-            return None
         call = Call(session, request, entry, value)
         self._admission.admit(call)
         self._commands.admit(entry)
@@ -338,6 +337,16 @@ class ExecuteHandler:
             self._keys.note(session, request, entry.path, outcome)
             self._keys.settle(session, request, entry.path, reply)
         return reply
+
+    def _known(self, session: Session, request: Request, entry: Entry) -> Command | None:
+        """Return the command that was started with the same key.
+
+        It is looked up before the input is converted to the robot's frame, which may be impossible by now.
+        """
+        if request.idempotency_key is None or entry.path == ESTOP or entry.path in self._services:
+            return None
+        known = self._keys.find(session, request, entry.path)
+        return known if isinstance(known, Command) else None
 
     def _input(self, session: Session, request: Request, entry: Entry) -> Any:
         goal = self._frames.goal(session, request, entry)

@@ -35,6 +35,13 @@ class CopterFlight(Flight):
         self.radius = max(0.5, p["WPNAV_RADIUS"] / 100)
         self.patience = p["GUID_TIMEOUT"]
 
+    def apply_parameters(self) -> None:
+        """Apply changed parameters, except the speeds in GUIDED: its tasks keep those that they began with."""
+        if self.mode is Mode.GUIDED:
+            self.patience = self._vehicle.params["GUID_TIMEOUT"]
+        else:
+            super().apply_parameters()
+
     @property
     def faces_travel(self) -> bool:
         """Whether it faces the direction of travel by default."""

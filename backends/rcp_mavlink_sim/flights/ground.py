@@ -20,6 +20,8 @@ class GroundFlight(Flight):
     def __init__(self, vehicle: VehicleState) -> None:
         super().__init__(vehicle)
         self._home = False
+        self._cruise: float | None = None
+        """The speed that the parameters had when the mode was entered, m/s."""
 
     @property
     def _pilot(self) -> GroundPilot:
@@ -30,10 +32,17 @@ class GroundFlight(Flight):
     def limits(self) -> None:
         """Apply the speeds of the parameters."""
         p, limits = self._vehicle.params, self._pilot.limits
-        limits.speed = p["WP_SPEED"] or p["CRUISE_SPEED"]
+        if self._cruise is None:
+            self._cruise = p["WP_SPEED"] or p["CRUISE_SPEED"]
+        limits.speed = self._cruise
         limits.acceleration = p["ATC_ACCEL_MAX"]
         self.radius = p["WP_RADIUS"]
         self._pilot.near = p["LOIT_RADIUS"] / 2 if self._vehicle.kind.name == "boat" else 0.3
+
+    def enter(self, mode: Mode) -> None:
+        """Enter a mode, which takes its speed from the parameters once."""
+        self._cruise = None
+        super().enter(mode)
 
     def lead(self, dt: float) -> None:
         """Control the pilot for `dt` seconds in any mode except AUTO."""

@@ -5,23 +5,22 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
+from rcp_client.errors import unknown_outcome
 from rcp_client.messages import Reply
+from rcp_client.requests import Repeat, keyed, repeatable
 from rcp_protocol.errors import RcpError
 from rcp_protocol.wire import FINAL
 
-__all__ = ["Call", "Calls", "Repeat"]
-
-Repeat = Literal["always", "keyed", "never"]
-"""What happens to a sent request when the connection is lost: it is sent again; it is sent again if
-the gateway still knows its idempotency key; or it ends, because repeating it would be wrong."""
+__all__ = ["Call", "Calls"]
 
 
 class Call:
     """One request, until its final reply."""
 
     __slots__ = (
+        "_asked",
         "_heard",
         "command",
         "end",
@@ -40,7 +39,9 @@ class Call:
 
     def __init__(self, envelope: dict[str, Any], repeat: Repeat, fixed: str | None = None) -> None:
         self.loop = asyncio.get_running_loop()
-        self.envelope = envelope
+        self._asked = envelope
+        """As the caller gave it: a key that was added here is a new one when the caller repeats it."""
+        self.envelope = keyed(envelope) if repeat == "keyed" else envelope
         self.repeat: Repeat = repeat
         self.fixed = fixed
         """A fixed id, for requests whose id has a meaning."""
@@ -76,6 +77,15 @@ class Call:
             self.end.set_result(reply)
         if not self.first.done():
             self.first.set_result(None)
+
+    def unanswered(self, error: RcpError, *, keys: bool = True) -> RcpError:
+        """Note in an error without a reply whether the caller may repeat the request.
+
+        `keys` tells whether the gateway still knows the idempotency keys.
+        """
+        if self.sent is None or repeatable(self._asked, keys=keys):
+            return error
+        return unknown_outcome(error)
 
     def fail(self, error: RcpError) -> None:
         """End the call without a reply."""

@@ -15,11 +15,12 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from rcp_client.calls import Call, Calls, Repeat
+from rcp_client.calls import Call, Calls
 from rcp_client.errors import ConnectionLost, error_of, safely
 from rcp_client.link import Link
 from rcp_client.messages import Codec, Message, Notice, Reply
 from rcp_client.recovery import Recovery
+from rcp_client.requests import Repeat
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscriber import Subscriber
 from rcp_protocol.clock import now
@@ -265,10 +266,10 @@ class Channel:
         """Return the error for a call without a reply in time."""
         path = call.envelope.get("path")
         if not self.connected:
-            return ConnectionLost(
-                f"no connection to {self.settings.address.url} within {limit:g} s", path=path
-            )
-        return DeadlineExceeded(f"the gateway did not answer within {limit:g} s", path=path)
+            why = f"no connection to {self.settings.address.url} within {limit:g} s"
+            return call.unanswered(ConnectionLost(why, path=path))
+        why = f"the gateway did not answer within {limit:g} s"
+        return call.unanswered(DeadlineExceeded(why, path=path))
 
     def send(self, call: Call, **facts: Any) -> None:
         """Send a call, possibly again, with additional fields."""
@@ -334,7 +335,7 @@ def _for_call(error: RcpError, call: Call) -> RcpError:
     """Copy an error for one call, so that each names its own path."""
     made = type(error)(error.message, path=call.envelope.get("path"), remedy=error.remedy)
     made.__cause__ = error
-    return made
+    return call.unanswered(made)
 
 
 def _outcome(outcome: Reply | RcpError) -> Reply:

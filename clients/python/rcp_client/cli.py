@@ -96,7 +96,7 @@ def rcpctl() -> None:
     path expects a string; - reads it from standard input, @FILE from a file.
 
     Exit status: 0 completed, 1 failed (or a robot is not at rest), 2 usage, 3 rejected or denied,
-    4 gateway unreachable, 130 interrupted.
+    4 gateway unreachable (1 if what was sent may have been executed), 130 interrupted.
     """
 
 

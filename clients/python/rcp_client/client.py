@@ -9,14 +9,13 @@ from typing import Any, Literal, Self
 
 import msgspec
 
-from rcp_client.calls import Repeat
 from rcp_client.channel import Channel
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo
 from rcp_client.pages import joined, pages
 from rcp_client.plans import plan_of
-from rcp_client.requests import hold_path, kept, keyed, new_key, plain, repeat_of
+from rcp_client.requests import hold_path, kept, plain, repeat_of
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
 from rcp_protocol.values import value_type
@@ -148,7 +147,7 @@ class Client:
                 "path": path,
                 "valid_for": valid_for,
                 "dry_run": dry_run or None,
-                "idempotency_key": idempotency_key or new_key(),
+                "idempotency_key": idempotency_key or None,
                 "approval": approval,
                 "deadline": deadline,
             }
@@ -178,7 +177,7 @@ class Client:
                 "type": "write",
                 "valid_for": valid_for,
                 "dry_run": dry_run or None,
-                "idempotency_key": idempotency_key or new_key(),
+                "idempotency_key": idempotency_key or None,
                 "approval": approval,
                 "deadline": deadline,
             }
@@ -255,7 +254,6 @@ class Client:
     ) -> CommandHandle:
         envelope: dict[str, Any] = {"type": "execute", "path": path}
         envelope |= kept(more)
-        envelope.setdefault("idempotency_key", new_key())
         if value is not None:
             envelope["body"] = plain(value)
         if deadline is not None:
@@ -472,9 +470,8 @@ class Client:
 
         A reply with an error does not raise; check its `status`.
         """
-        parts = [keyed(envelope) for envelope in envelopes]
-        repeat: Repeat = "never" if any(repeat_of(p) == "never" for p in parts) else "keyed"
-        reply = await self.channel.ask({"type": "batch", "body": parts}, repeat)
+        envelope: dict[str, Any] = {"type": "batch", "body": list(envelopes)}
+        reply = await self.channel.ask(envelope, repeat_of(envelope))
         return msgspec.convert(reply.body, list[Reply])
 
     async def request(self, envelope: dict[str, Any]) -> Reply:
@@ -482,5 +479,5 @@ class Client:
 
         :raises RcpError: the reply contains an error.
         """
-        whole = keyed({key: item for key, item in envelope.items() if key != "id"})
+        whole = {key: item for key, item in envelope.items() if key != "id"}
         return await self.channel.ask(whole, repeat_of(whole))

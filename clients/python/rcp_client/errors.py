@@ -11,16 +11,19 @@ from rcp_protocol.errors import BY_CODE, AdapterUnavailable, Cancelled, Failed, 
 if TYPE_CHECKING:
     from rcp_client.messages import Reply
 
-__all__ = ["ConnectionLost", "error_of", "safely"]
+__all__ = ["LOOK", "ConnectionLost", "error_of", "safely", "unknown_outcome"]
 
 T = TypeVar("T")
 log = logging.getLogger("rcp.client")
+
+LOOK = "It may have been executed: check the state of the robot before you send it again."
 
 
 class ConnectionLost(AdapterUnavailable, ConnectionError):
     """The gateway cannot be reached, or the connection was lost before its reply.
 
-    A write or execute that ends like this may have been executed: the message states what is known.
+    A write or execute that was sent may have been executed: it is `retryable` only if a repeat does
+    no harm, because of an idempotency key that the caller gave, as a dry run, or as a stop.
     """
 
     default_remedy = "Check the address and that `rcpd` is running there, then try again."
@@ -52,6 +55,14 @@ def error_of(reply: Reply) -> RcpError | None:
     error.status = reply.status  # the same code may come before or after the robot has acted
     error.retryable = bool(body.get("retryable", error.retryable))
     error.trace_id = body.get("trace_id")
+    return error
+
+
+def unknown_outcome(error: RcpError) -> RcpError:
+    """Mark an error of a request that may have been executed and must not simply be repeated."""
+    error.status = "failed"  # not `rejected`, which means that nothing was changed
+    error.retryable = False
+    error.remedy = LOOK
     return error
 
 

@@ -86,7 +86,7 @@ class Recovery:
             else:
                 lost.append(call)
         if lost:
-            await self._look_up(lost)
+            await self._look_up(lost, restarted=restarted)
         if restarted:
             self._met = now() + self._offset
         self._doubt = False
@@ -111,7 +111,7 @@ class Recovery:
             return True
         return self._met is None or started > self._met
 
-    async def _look_up(self, lost: list[Call]) -> None:
+    async def _look_up(self, lost: list[Call], *, restarted: bool) -> None:
         """Look up the outcome of commands that must not be sent again."""
         known: dict[str, dict[str, Any]] = {}
         try:
@@ -125,14 +125,12 @@ class Recovery:
             found = next((known[k] for k in (call.command, *call.ids) if k in known), None)
             if found is not None:
                 call.take(_reply_of(found))
-            call.fail(
-                ConnectionLost(
-                    "the connection was lost before the reply; it is unknown whether the request "
-                    "was executed",
-                    path=call.envelope.get("path"),
-                    remedy="Check the state of the robot before you send it again.",
-                )
+            error = ConnectionLost(
+                "the connection was lost before the reply; it is unknown whether the request was "
+                "executed",
+                path=call.envelope.get("path"),
             )
+            call.fail(call.unanswered(error, keys=not restarted))
             self._requests.calls.leave(call)
 
 

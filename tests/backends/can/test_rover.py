@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from backends.can.rig import Node, channel, opened
 from backends.can.rover import rover, rover_bench, tables
 from rcp_can import CanConfig
+from rcp_can.pace import Pace
 from rcp_can.sim import Bench, make_twin
 from rcp_can.wheel_ramp import WheelRamp
 from rcp_kernel.errors import (
@@ -64,7 +65,7 @@ def test_both_wheels_change_speed_in_the_same_time_within_their_accelerations(
     step: float,
 ) -> None:
     now = 0.0
-    ramp = WheelRamp(start, goal, limits, lambda: now)
+    ramp = WheelRamp(start, goal, limits, Pace(0.1, lambda: now))
     last = start
     for _ in range(2000):
         now += step
@@ -285,10 +286,44 @@ async def test_a_cancelled_move_has_braked_when_it_ends() -> None:
         moving = rig.moving(5.0)
         await rig.until(lambda: rig.truth.moving[0] > 0.4)
         moving.cancel()
-        await asyncio.wait((moving,), timeout=20)
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(moving, 20)
         assert rig.truth.still()
         await rig.velocity(0.2)  # and the wheels are free again
         await rig.until(lambda: rig.truth.moving[0] > 0.15)
+
+
+async def test_a_move_that_is_cancelled_as_something_else_ends_it_has_braked_when_it_ends() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        await rig.velocity(0.0)
+        moving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(moving, 20)
+        assert rig.truth.still()
+
+
+async def test_a_velocity_that_is_renewed_right_before_each_set_point_is_reached() -> None:
+    async with rover() as rig:
+        with anyio.fail_after(20):
+            while rig.truth.moving[0] < 0.45:
+                await rig.velocity(0.5)
+                await asyncio.sleep(0)
+
+
+async def test_a_velocity_while_a_cancelled_move_brakes_is_not_stopped_by_it() -> None:
+    async with rover() as rig:
+        axes = rig.backend.axes
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.8)
+        moving.cancel()
+        await rig.until(lambda: axes["left"].leaving)
+        await rig.velocity(0.4)
+        await asyncio.wait((moving,), timeout=20)
+        assert moving.cancelled()
+        assert not any(axes[name].stopped for name in ("left", "right"))
+        await rig.until(lambda: rig.truth.moving[0] == pytest.approx(0.4, abs=0.05))
 
 
 async def test_a_velocity_of_zero_ends_the_move() -> None:

@@ -333,6 +333,80 @@ async def test_a_velocity_keeps_to_the_speed_limit() -> None:
         assert slow["error"]["code"] == "out_of_range"
 
 
+async def slows(pilot: Pilot, to: float) -> None:
+    async def slow() -> bool:
+        return speed(pilot.vehicle) <= to * 1.1 + 0.1
+
+    await eventually(slow, f"it slows down to {to:g} m/s", 30.0)
+
+
+async def limits(pilot: Pilot, value: float) -> None:
+    path = "/tenant/t/param/speed_limit"
+    reply = await pilot.client.request("write", path, body=value)
+    assert reply["status"] == "completed", reply
+
+
+@pytest.mark.parametrize("name", ["param/speed_limit", "param/WPNAV_SPEED"])
+async def test_a_lower_limit_slows_the_velocity_in_force_and_a_higher_one_lets_it_go(
+    name: str,
+) -> None:
+    async with aloft() as pilot:
+        factor = 100.0 if name == "param/WPNAV_SPEED" else 1.0
+        client, flown = pilot.client, pilot.vehicle.pilot
+        value = {"linear": {"x": 3.0, "y": 4.0}}
+        path = "/tenant/t/actuator/cmd_vel"
+        await client.request("write", path, body=value, valid_for=600.0)
+        for limit, expected in ((8.0, 5.0), (2.0, 2.0), (3.0, 3.0)):
+            await client.request("write", f"/tenant/t/{name}", body=limit * factor)
+
+            async def limited(expected: float = expected) -> bool:
+                return math.isclose(math.hypot(*flown.velocity), expected, rel_tol=0.01)
+
+            await eventually(limited, f"{expected} m/s is sent")
+
+
+@pytest.mark.parametrize("own", [None, 6.0])
+async def test_a_lower_limit_slows_the_flight_under_way(own: float | None) -> None:
+    async with aloft() as pilot:
+        goal = far() if own is None else far(speed=own)
+        await pilot.client.send(type="execute", path="/tenant/t/action/move_to", body=goal)
+
+        async def moves() -> bool:
+            return speed(pilot.vehicle) > 4.0
+
+        await eventually(moves, "it moves")
+        await limits(pilot, 1.5)
+        await slows(pilot, 1.5)
+        await limits(pilot, 5.0)
+        await eventually(moves, "it is allowed to")
+        await pilot.client.request("cancel", "/tenant/t/action/move_to")
+
+
+@pytest.mark.parametrize("kind", ["rover", "boat"])
+async def test_a_lower_limit_slows_the_drive_under_way(kind: str) -> None:
+    async with flying({"vehicle": kind, "noise": 0.0}) as pilot:
+        vehicle = pilot.vehicle
+        assert vehicle.arm()
+        robot = pilot.served.life.backend.robots[""]
+
+        async def ready() -> bool:
+            seen = robot.vehicle
+            return seen.armed and seen.home is not None and seen.fix is not None
+
+        await eventually(ready, "the gateway sees it armed, and where it is")
+        await robot.parameters.complete.wait()
+        path = "/tenant/t/action/move_to"
+        goal = {"position": {"x": 0.0, "y": 900.0}}
+        await pilot.client.send(type="execute", path=path, body=goal)
+
+        async def moves() -> bool:
+            return speed(vehicle) > 1.5
+
+        await eventually(moves, "it moves")
+        await limits(pilot, 0.7)
+        await slows(pilot, 0.7)
+
+
 @pytest.mark.parametrize(
     ("heading", "yaw"), [(0.0, math.pi / 2), (math.pi / 2, 0.0), (math.pi, -math.pi / 2)]
 )

@@ -461,3 +461,22 @@ async def test_a_link_cut_while_it_is_under_way_leaves_no_part_of_it(wheels: Wor
     await client.ask(type="subscribe", id="s", path="/actuator/*")
     stopped = {(await client.update("s"))["path"] for _ in WHEELS}
     assert (stopped, wheels.robot.moving) == ({LEFT, RIGHT}, set())
+
+
+class Brake(TwoWheels):
+    """Has a parameter with a safe value in the group of its wheels."""
+
+    def declare(self) -> None:
+        super().declare()
+        brake = Resource(
+            name="param/boost", description="A boost.", value=SPEED, safe=0.0, atomic="wheels"
+        )
+        self.add(brake)
+
+
+async def test_a_safe_value_ahead_of_it_spares_no_value_its_approval() -> None:
+    text = PEOPLE.replace('"/actuator/**"]', '"/actuator/**", "/param/**"]')
+    async with world_of(text, make=Brake) as world:
+        agent = world.client("agent-agent-agent")
+        assert code(await write(agent, {"/param/boost": 0.0, **BOTH})) == "approval_required"
+        assert world.robot.together == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -92,6 +93,21 @@ def test_a_command_is_followed_or_cancelled(running: Running, robot: Robot) -> N
     handle = robot.start("/action/go", {"x": 3.0})
     assert [item.status for item in handle][-1] == "in_progress"
     assert (handle.result(), handle.status) == ({"x": 3.0, "y": 0.0}, "completed")
+
+
+def test_what_may_have_acted_is_not_to_be_repeated(running: Running) -> None:
+    started = running.gateway.robot.started
+    with ThreadPoolExecutor(2) as pool, Robot(running.gateway.url, token=OPERATOR) as robot:
+        asked = [
+            pool.submit(robot.execute, "/action/go", {"x": 1.0}, idempotency_key=key)
+            for key in (None, "mine")
+        ]
+        for _ in asked:
+            asyncio.run_coroutine_threadsafe(started.get(), running.loop).result(BOUND)
+        robot.__exit__(None, None, None)
+        lost = [one.exception(BOUND) for one in asked]
+    assert all(isinstance(error, ConnectionLost) for error in lost)
+    assert [error.retryable for error in lost if isinstance(error, ConnectionLost)] == [False, True]
 
 
 def test_several_threads_may_ask_at_once(running: Running, robot: Robot) -> None:

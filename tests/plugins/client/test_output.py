@@ -8,7 +8,7 @@ import pytest
 
 from rcp_client.console.outline import outline
 from rcp_client.console.output import Output, clean, compact, exit_code, pretty
-from rcp_client.errors import ConnectionLost
+from rcp_client.errors import ConnectionLost, unknown_outcome
 from rcp_kernel.errors import Cancelled, DeviceTimeout, Forbidden, OutOfRange
 
 
@@ -47,6 +47,7 @@ def test_nothing_shown_commands_the_terminal(capsys: pytest.CaptureFixture[str])
         (DeviceTimeout("m"), 1),
         (Cancelled("m"), 1),
         (ConnectionLost("m"), 4),
+        (unknown_outcome(ConnectionLost("m")), 1),
     ],
 )
 def test_each_error_has_its_exit_status(error: Exception, code: int) -> None:

@@ -241,6 +241,70 @@ async def test_a_request_does_not_wait_beyond_its_deadline(
             await client.read("/param/limit", deadline=0.1)
 
 
+def _asked(client: Client) -> list[asyncio.Task[Any]]:
+    write = {"type": "write", "path": "/param/limit", "body": 1.0}
+    return [
+        asyncio.ensure_future(one)
+        for one in (
+            client.read("/param/limit"),
+            client.write("/param/limit", 1.0),
+            client.write("/param/limit", 1.0, idempotency_key="w"),
+            client.write("/param/limit", 1.0, dry_run=True),
+            client.write_all({"/param/limit": 1.0}),
+            client.request(write),
+            client.batch([write]),
+            client.batch([{**write, "idempotency_key": "b"}, {"type": "ping"}]),
+            client.execute("/action/go", {"x": 1.0}),
+            client.execute("/action/go", {"x": 1.0}, idempotency_key="x"),
+            client.execute("/action/go", {"x": 1.0}, dry_run=True),
+            client.hold(),
+            client.estop(),
+            client.estop(reset=True),
+        )
+    ]
+
+
+_SAFE = [True, False, True, True, *[False] * 3, True, False, *[True] * 4, False]
+
+
+async def _errors(asked: list[asyncio.Task[Any]]) -> list[Any]:
+    return await asyncio.gather(*asked, return_exceptions=True)
+
+
+async def test_what_may_have_acted_may_be_repeated_only_with_a_key_of_the_caller(
+    gateway: Gateway, proxy: Proxy, connect: Connect
+) -> None:
+    async with asyncio.timeout(BOUND):
+        async with connect(proxy) as client:
+            proxy.mute = "up"
+            asked = _asked(client)
+            await proxy.swallowed.wait()
+        lost = await _errors(asked)
+        assert all(isinstance(error, ConnectionLost) for error in lost)
+        assert [error.retryable for error in lost] == _SAFE
+        assert {error.status for error in lost if not error.retryable} == {"failed"}
+        unsent = await _errors(_asked(client))
+    assert all(isinstance(error, ConnectionLost) and error.retryable for error in unsent)
+
+
+async def test_the_same_holds_for_an_answer_that_is_late(
+    gateway: Gateway, proxy: Proxy, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("channel", "client"):
+        monkeypatch.setattr(f"rcp_client.{module}.MARGIN", 0.1)
+    heard = Heard()
+    async with asyncio.timeout(BOUND), connect(proxy, deadline=0.1, on_notice=heard) as client:
+        proxy.mute = "up"
+        late = await _errors(_asked(client))
+        assert all(isinstance(error, DeadlineExceeded) for error in late)
+        assert [error.retryable for error in late] == _SAFE
+        proxy.refuse = True
+        proxy.cut()
+        await heard.until("disconnected")
+        unsent = await _errors(_asked(client))
+        assert all(isinstance(error, ConnectionLost) and error.retryable for error in unsent)
+
+
 async def test_a_silent_connection_is_noticed_and_replaced(
     gateway: Gateway, proxy: Proxy, connect: Connect
 ) -> None:

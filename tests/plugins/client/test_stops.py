@@ -12,6 +12,7 @@ import pytest
 
 import rcp_client
 from plugins.client.gateway import ADMIN, BOUND, OPERATOR, Gateway, Robot
+from plugins.client.proxy import Proxy
 from plugins.client.rcpctl import BIN
 from rcp_client.requests import hold_path
 from rcp_kernel.errors import DeviceTimeout, UnknownPath
@@ -182,6 +183,21 @@ async def test_rcpctl_stops_robots_also_where_no_session_is_left(
         code, _, _ = await rcpctl(gateway, "estop", "--reset", token=ADMIN)
         assert code == 3  # a reset is never tried a second way
         assert (await client.read("/system/estop"))["active"]
+
+
+async def test_rcpctl_does_not_report_what_may_have_been_executed_as_unreachable(
+    gateway: Gateway,
+) -> None:
+    async with asyncio.timeout(BOUND), Proxy(gateway.port) as proxy:
+        go = ("execute", "/action/go", '{"x": 1.0}', "--url", proxy.url)
+        running = asyncio.create_task(rcpctl(gateway, *go))
+        await gateway.robot.started.get()
+        proxy.mute = "down"
+        await gateway.stop()
+        proxy.cut()
+        await gateway.start()
+        code, _, error = await running
+    assert (code, "`rcpctl commands`" in error) == (1, True), error
 
 
 @pytest.fixture

@@ -34,8 +34,8 @@ _SHORT = 200  # characters of a string inside a displayed value
 
 def exit_code(error: BaseException) -> int:
     """Return the exit status of an error."""
-    if isinstance(error, ConnectionLost):
-        return 4
+    if isinstance(error, ConnectionLost) and error.retryable:
+        return 4  # a script may wait for the gateway and repeat the command
     return 3 if isinstance(error, RcpError) and error.status == "rejected" else 1
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_client.errors import LOOK
 from rcp_protocol.errors import BY_CODE, RcpError
 
 __all__ = ["remedy_of"]
@@ -31,6 +32,10 @@ def remedy_of(error: RcpError) -> str:
         return (
             f"Once `rcpctl approvals` shows {approval} as approved, run the same command again with "
             f"--approval {approval}."
+        )
+    if error.remedy == LOOK:
+        return (
+            "It may have been executed: check the robot and `rcpctl commands` before you repeat it."
         )
     kind = BY_CODE.get(error.code)
     general = kind is not None and error.remedy == kind.default_remedy

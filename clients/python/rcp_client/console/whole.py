@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import http.client
 import json
 import urllib.error
 import urllib.request
@@ -11,8 +12,9 @@ from typing import Any
 import msgspec
 
 from rcp_client.client import Client
-from rcp_client.errors import ConnectionLost, error_of
+from rcp_client.errors import ConnectionLost, error_of, unknown_outcome
 from rcp_client.messages import Reply
+from rcp_client.requests import repeatable
 from rcp_client.settings import MARGIN
 
 __all__ = ["request"]
@@ -46,6 +48,9 @@ def _post(client: Client, envelope: dict[str, Any]) -> Reply:
             data = answer.read()
     except urllib.error.HTTPError as refusal:
         data = refusal.read()
-    except OSError as error:
+    except urllib.error.URLError as error:  # it could not be sent
         raise ConnectionLost(f"cannot reach {settings.address.url}: {error}") from error
+    except (OSError, http.client.HTTPException) as error:
+        lost = ConnectionLost(f"{settings.address.url} did not answer: {error!r}")
+        raise lost if repeatable(envelope, keys=True) else unknown_outcome(lost) from error
     return msgspec.json.decode(data, type=Reply)
