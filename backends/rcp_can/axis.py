@@ -177,10 +177,11 @@ class Axis(AxisState):
 
     def _reset(self) -> None:
         used = self.wanted_on or self.mode is not None or self.stopping
+        text = self.status.reset
         if self.wanted_on or self.mode is not None:
-            self.fault("reset", "the drive rebooted while in use", lasting=False)
+            self.fault("reset", f"{text} while in use", lasting=False)
         self.wanted_on = False
-        self.forget(AdapterUnavailable(f"motor '{self.name}': the drive rebooted"))
+        self.forget(AdapterUnavailable(f"motor '{self.name}': {text}"))
         if used:  # a drive that has only left its operational state may still be turning
             self.stop()
         self._configure()

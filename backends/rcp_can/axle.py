@@ -8,6 +8,7 @@ from collections.abc import Callable
 from rcp_can.axis import Axis
 from rcp_can.config_diff_drive import DiffDriveConfig
 from rcp_can.guard import check, check_link
+from rcp_can.pace import Pace
 from rcp_can.wheel_ramp import WheelRamp
 from rcp_kernel.errors import ModeForbids, OutOfRange, RcpError
 from rcp_kernel.spi import check_fence
@@ -15,6 +16,7 @@ from rcp_kernel.spi import check_fence
 __all__ = ["Axle"]
 
 Ended = Callable[[Axis, RcpError], None]
+_LATE = 0.1  # s: a longer gap counts as this, so that no wheel jumps
 
 
 class Axle:
@@ -39,6 +41,7 @@ class Axle:
         self._accelerations = [self._acceleration(wheel) for wheel in self.wheels]
         self._owner = ""
         self._ended: Ended | None = None
+        self._pace = Pace(_LATE)
 
     def _acceleration(self, wheel: Axis) -> float | None:
         limits = wheel.config.acceleration, self._config.acceleration
@@ -119,7 +122,9 @@ class Axle:
             wheel.ramp.velocity if wheel.mode == "velocity" else wheel.velocity or 0.0
             for wheel in self.wheels
         ]
-        ramp = WheelRamp(start, goal, self._accelerations)
+        if any(wheel.mode != "velocity" for wheel in self.wheels):
+            self._pace.restart()
+        ramp = WheelRamp(start, goal, self._accelerations, self._pace)
         for number, wheel in enumerate(self.wheels):
             wheel.owner, wheel.ended = owner, self._watch(wheel)
             wheel.command("velocity", goal[number], ramp.follow(number))

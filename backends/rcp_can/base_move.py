@@ -122,19 +122,21 @@ class BaseMove:
 
         :raises RcpError: the move was cancelled, and a wheel is not confirmed to be at rest.
         """
-        if fenced_off() or self._ended is not None:
+        cancelled = isinstance(why, asyncio.CancelledError)
+        if fenced_off() or (self._ended is not None and not cancelled):
             return
         wheels = self._axle.wheels
         try:
             with anyio.CancelScope(shield=True):
-                self._axle.rest()
+                if self._ended is None:  # otherwise, what ended it is stopping them
+                    self._axle.rest()
                 for wheel in wheels:
                     wheel.leaving = True
                 await together(rested(wheel, self._is_driven) for wheel in wheels)
         except RcpError:
             for wheel in wheels:
                 wheel.stop()
-            if isinstance(why, asyncio.CancelledError):
+            if cancelled:
                 raise
         finally:
             for wheel in wheels:

@@ -181,7 +181,7 @@ class JointGroupPart(Part):
         legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in goals.items()}
         path = Path(legs.values(), late=self._late)
         follows = {axis: path.follow(leg) for axis, leg in legs.items()}
-        watch = MoveWatch(goals, lambda: path.advance()[0], self._positions, progress)
+        watch = MoveWatch(goals, lambda: path.part, self._positions, progress)
         await self._go(JointRun(self._names.move, path, goals, follows), watch)
 
     def _leg(self, axis: Axis, goal: float, speed: float) -> Leg:

@@ -10,7 +10,7 @@ import anyio
 
 from rcp_can.axis import Axis
 from rcp_can.guard import check_bus, check_feedback, check_link
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, RcpError
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, ModeForbids, RcpError
 from rcp_kernel.spi import check_fence, unfenced
 
 __all__ = ["enable"]
@@ -26,6 +26,7 @@ async def enable(axis: Axis) -> None:
     """Enable a motor at rest; return when it has stayed enabled.
 
     :raises DeviceRejected: it switches itself off again, with its reason.
+    :raises AdapterUnavailable: contact is lost meanwhile.
     :raises RcpError: as for `check_bus` and `check_feedback`, or from the drive.
     """
     check_fence()
@@ -56,6 +57,8 @@ async def _stays_on(axis: Axis) -> None:
         await asyncio.sleep(_POLL_PERIOD)
         check_link(axis)
         check_feedback(axis)
+        if axis.gone is not None and not isinstance(axis.gone, ModeForbids):
+            raise axis.gone  # contact was lost, which says nothing about its power stage
         if not status.enabled or not axis.wanted_on:
             why = "; ".join(fault.text for fault in status.faults)
             raise DeviceRejected(

@@ -53,7 +53,9 @@ class Status:
         self.reports = 0
         """Counts all other reports."""
         self.resets = 0
-        """Counts observed boots."""
+        """Counts observed boots, and other losses of the configuration."""
+        self.reset = "the drive rebooted"
+        """What the last of them was seen to be."""
         self.twins = 0
         """Counts signs that two drives have the same id."""
 

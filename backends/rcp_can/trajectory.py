@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from rcp_can.cubic import Cubic
+from rcp_can.pace import Pace
 
 __all__ = ["Trajectory"]
 
@@ -14,9 +15,10 @@ _AT_REST = 1e-3  # fraction of the planned speed below which a braked trajectory
 
 
 class Trajectory:
-    """Curves on one clock; each query advances time, by `late` s at most.
+    """Curves on one clock, which advances as the joints query it.
 
-    A late host therefore delays the joints and never makes them jump.
+    A late host delays the joints and never makes them jump: from one of its queries to the next,
+    no joint goes on by more than `late` s.
     """
 
     def __init__(
@@ -28,28 +30,27 @@ class Trajectory:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._curves, self._accelerations = curves, accelerations
-        self.duration, self._late, self._clock = duration, late, clock
+        self.duration, self._late, self._pace = duration, late, Pace(late, clock)
         self.elapsed = 0.0
         """The current time on the trajectory, s."""
         self._rate, self._braking = 1.0, False
-        self._last = clock()
 
     def follow(self, joint: int) -> Callable[[], tuple[float, float]]:
         """Return a function that gives the current position and velocity of one joint."""
-        curve = self._curves[joint]
+        curve, reached = self._curves[joint], 0.0
 
         def now() -> tuple[float, float]:
-            self.advance()
-            sample = curve.at(self.elapsed)
+            nonlocal reached
+            self._advance(self._pace.advance(joint))
+            # Several cycles of a faster joint may lie between two of this one.
+            reached = min(self.elapsed, reached + self._late)
+            sample = curve.at(reached)
             return sample.position, 0.0 if self.over else sample.velocity * self._rate
 
         return now
 
-    def advance(self) -> None:
-        """Advance time."""
-        now = self._clock()
-        dt, self._last = min(now - self._last, self._late), now
-        if self._braking and self._rate:
+    def _advance(self, dt: float) -> None:
+        if self._braking and self._rate and dt:
             rate = max(0.0, self._rate + self._deceleration() * dt)
             self._rate = 0.0 if rate < _AT_REST else rate
         self.elapsed = min(self.elapsed + self._rate * dt, self.duration)

@@ -10,7 +10,7 @@ from rcp_frames.config import EARTH, FramesConfig
 from rcp_frames.demand import PoseDemand
 from rcp_frames.goals import goal_frame, in_robot_frame, own_frame
 from rcp_frames.moves import Move
-from rcp_frames.robot import Moment, RobotFrames, no_transform, pose_path
+from rcp_frames.robot import Moment, RobotFrames, Sight, no_transform, pose_path, tree_poses
 from rcp_frames.shapes import Shape, shape_of
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.errors import FilterUnsupported, RcpError
@@ -37,7 +37,7 @@ class Frames:
         self._now = host.clock.now
         self._demand = PoseDemand(host.robots, host.loop)
         self.close = self._demand.close
-        self._conversions: WeakValueDictionary[tuple[Entry, str, bool], _Conversion] = (
+        self._conversions: WeakValueDictionary[tuple[Entry, str, Sight], _Conversion] = (
             WeakValueDictionary()
         )
 
@@ -66,10 +66,10 @@ class Frames:
 
     def conversion(self, rights: Rights, entry: Entry, shape: Shape, frame: str) -> _Conversion:
         """Return the conversion that all who may know as much share."""
-        key = (entry, frame, self._may_locate(rights, entry))
+        key = (entry, frame, self._sight(rights, entry))
         found = self._conversions.get(key)
         if found is None:
-            robot = self._robot(entry, moving=key[2])
+            robot = self._robot(entry, key[2])
             found = self._conversions[key] = _Conversion(robot, entry, shape, frame, self._now)
         return found
 
@@ -81,7 +81,7 @@ class Frames:
         own = goal_frame(entry.resource.input) if entry.tenant is not None else None
         if own is None:
             return None
-        robot = self._robot(entry, moving=self._may_locate(session.rights, entry))
+        robot = self._robot(entry, self._sight(session.rights, entry))
         moment = Moment(None, self._now())
         return in_robot_frame(request, entry, own, robot, moment, self.config)
 
@@ -89,7 +89,7 @@ class Frames:
         """Return the frames of a resource, for a principal."""
         if entry.tenant is None:
             return []
-        robot = self._robot(entry, moving=self._may_locate(rights, entry))
+        robot = self._robot(entry, self._sight(rights, entry))
         default = goal_frame(entry.resource.input)
         if default is not None:
             source = own_frame(entry, default, robot)
@@ -103,14 +103,19 @@ class Frames:
                 return []
         return robot.known(source)
 
-    def _robot(self, entry: Entry, *, moving: bool) -> RobotFrames:
-        return RobotFrames(
-            entry, self._entries, self.config, moving=moving, request=self._demand.request
-        )
+    def _robot(self, entry: Entry, sight: Sight) -> RobotFrames:
+        request = self._demand.request
+        return RobotFrames(entry, self._entries, self.config, sight=sight, request=request)
 
-    def _may_locate(self, rights: Rights, entry: Entry) -> bool:
-        """Return whether a principal may learn where the robot is: whoever may read its pose."""
-        path = pose_path(entry)
+    def _sight(self, rights: Rights, entry: Entry) -> Sight:
+        """Return which transforms a principal may know: those of robots whose poses it may read."""
+        if not self._may_locate(rights, pose_path(entry)):
+            return Sight.FIXED
+        others = tree_poses(entry)
+        return Sight.ALL if all(self._may_locate(rights, path) for path in others) else Sight.OWN
+
+    def _may_locate(self, rights: Rights, path: str) -> bool:
+        """Return whether a principal may learn where a robot is: whoever may read its pose."""
         pose = self._entries.get(path)
         if pose is None:
             return bool(rights.compute_mask(path) & _SEES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from enum import Enum
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -16,12 +17,28 @@ from rcp_kernel.spi import Anchor, FrameTree
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 
-__all__ = ["Moment", "RobotFrames", "no_transform", "pose_path", "robot_of"]
+__all__ = [
+    "Moment",
+    "RobotFrames",
+    "Sight",
+    "no_transform",
+    "pose_path",
+    "robot_of",
+    "tree_poses",
+]
 
 _POSES = ("pose", "odometry")
 _SHOWN = 20  # frames that a message lists
 _MOST = 50  # frames of a tree that are listed
 _NEXT = 0.25  # s after which to try again when a pose has just been requested
+
+
+class Sight(Enum):
+    """Which transforms a principal may know."""
+
+    FIXED = "those that do not tell where a robot is"
+    OWN = "those of the robot alone as well"
+    ALL = "those that its backend has for all its robots as well"
 
 
 class Moment(NamedTuple):
@@ -52,6 +69,16 @@ def pose_path(entry: Entry) -> str:
     return _beside(entry, "pose")
 
 
+def tree_poses(entry: Entry) -> list[str]:
+    """Return the paths of the poses of all robots whose frames are in the tree of an entry's robot."""
+    unit = entry.unit
+    if unit.whole.frames is None or (unit.robot is not None and unit.frames is not None):
+        return []
+    names = (one.robot for one in entry.owner.units if one.robot is not None)
+    tenant = entry.tenant or ""
+    return [full_path(tenant, entry.robot, f"sensor/{name}/pose") for name in names]
+
+
 def _beside(entry: Entry, name: str) -> str:
     own = entry.unit.robot
     return full_path(
@@ -78,15 +105,13 @@ class RobotFrames:
         entries: Mapping[str, Entry],
         config: FramesConfig,
         *,
-        moving: bool,
+        sight: Sight,
         request: Callable[[Entry], None],
     ) -> None:
-        """`moving`: with the transforms that tell where the robot is.
-
-        `request` is called with a pose that is published only for subscribers.
-        """
+        """`request` is called with a pose that is published only for subscribers."""
         self._entry, self._entries, self._config = entry, entries, config
-        self._moving, self._request = moving, request
+        self._moving, self._shared = sight is not Sight.FIXED, sight is Sight.ALL
+        self._request = request
         self._place, self._pose_path = robot_of(entry), pose_path(entry)
 
     def transform(self, target: str, source: str, moment: Moment) -> Rigid:
@@ -149,8 +174,11 @@ class RobotFrames:
 
     @property
     def _tree(self) -> FrameTree | None:
+        if not self._moving:
+            return None
         unit = self._entry.unit
-        return (unit.frames or unit.whole.frames) if self._moving else None
+        own = None if unit.robot is None else unit.frames
+        return own or (unit.whole.frames if self._shared else None)
 
     def _links(self) -> list[_Link]:
         links = [self._fixed(EARTH, name, pose) for name, pose in self._origins()]

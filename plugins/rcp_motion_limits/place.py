@@ -59,10 +59,9 @@ class Place:
         if not isinstance(frame, str):
             return None
         unit = self._entry.unit
-        declared = (unit.facts.frames or unit.whole.facts.frames)[:1]
-        return (
-            None if frame in (declared or (_default_frame(type(value)), self._of_pose())) else frame
-        )
+        declared = next(iter(unit.facts.frames or unit.whole.facts.frames), None)
+        own = declared or self._of_pose() or _default_frame(type(value))
+        return None if frame == own else frame
 
     def _of_pose(self) -> str | None:
         """Return the frame in which the robot reports its pose, if it does."""

@@ -158,6 +158,24 @@ class Hasty(Goal):
         return 0.4 if name == "param/speed_limit" else await super().read(name)
 
 
+class Sluggish(Goal):
+    """Ignores its limit, and reaches hardly more than a moderate speed."""
+
+    limit = 0.45
+
+    async def write(self, name: str, value: Any) -> Any:
+        if name == "param/speed_limit":
+            self.limit = value
+            return value
+        return await super().write(name, value)
+
+    async def read(self, name: str) -> Any:
+        return self.limit if name == "param/speed_limit" else await super().read(name)
+
+    def meant(self, goal: Any) -> Any:
+        return replace(goal, speed=0.45)
+
+
 class Rising(Goal):
     def reported(self, progress: Progress) -> Progress:
         def upside_down(feedback: Any = None, *, fraction: float | None = None) -> None:
@@ -221,6 +239,7 @@ FLAWS = [
     (HeadingInDegrees, "test_it_turns_to_the_heading_of_its_goal", "heads 0, not 1"),
     (AnyFrame, "test_a_frame_that_it_does_not_know_is_refused", "a frame that there is not"),
     (Hasty, "test_it_keeps_to_the_speed_limit", "limit 0.4 m/s, driven"),
+    (Sluggish, "test_it_keeps_to_the_speed_limit", r"limit 0\.2\d* m/s, driven 0\.4"),
     (Rising, "test_its_feedback_tells_the_metres_and_seconds_left", "the distance grew|was left"),
     (Millimetres, "test_its_feedback_tells_the_metres_and_seconds_left", "1 m was left"),
 ]

@@ -157,15 +157,19 @@ class Cia402Drive(Drive):
             self.state = "unknown"
             self._emergencies.clear()
             status.enabled, status.holding, status.faults = False, False, ()
-            status.resets += 1
+            status.resets, status.reset = status.resets + 1, "the drive rebooted"
         elif state != self._nmt:
             fell = self._nmt == _OPERATIONAL and self._configured
             self._nmt = state
             if fell:  # no more PDOs arrive, and the motor may still turn
                 self._configured = False
                 status.enabled = status.holding = None
-                status.resets += 1
+                status.resets, status.reset = status.resets + 1, self._left_operational()
         status.reports += 1
+
+    def _left_operational(self) -> str:
+        told = "; ".join(f"{emergency(code)}, 0x{code:04X}" for code in self._emergencies)
+        return "the drive left the NMT state operational" + (f" ({told})" if told else "")
 
     def _on_emergency(self, code: int) -> None:
         if code == 0:

@@ -163,7 +163,12 @@ EMERGENCIES = {
 """The upper byte of an error code as text (CiA 301, table 26; CiA 402-2, table 3)."""
 
 
+_NO_HEARTBEAT = 0x8130  # CiA 301, table 26: life guard error or heartbeat error
+
+
 def emergency(code: int) -> str:
     """Return an error code as text."""
+    if code == _NO_HEARTBEAT:
+        return "missed heartbeat"
     upper = code >> 8
     return EMERGENCIES.get(upper) or EMERGENCIES.get(upper & 0xF0) or "device specific"

@@ -76,7 +76,7 @@ class ProfileRig(BackendTests):
     turn_speed: ClassVar[float] = 0.0
     """The speed that it needs in order to turn, m/s; 0: it turns on the spot."""
     limit: ClassVar[float] = 0.0
-    """A speed limit that it can keep to, m/s; 0: `speed`."""
+    """A speed limit that it can keep to, clearly below what it reaches on its way, m/s; 0: `speed`, or half of what it reaches."""
     hop: ClassVar[float] = 1.0
     """How far to send it, m; more than `near`."""
     near: ClassVar[float] = 0.2

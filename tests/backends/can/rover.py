@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import can
 
-from backends.can.rig import Rig, channel, opened
+from backends.can.rig import PATIENT, Rig, channel, opened
 from rcp_can.odometry import Place
 from rcp_can.sim import Bench, Twin, make_twin
 
@@ -23,12 +23,13 @@ TRACK, RADIUS = 0.4, 0.1  # m
 
 def tables(name: str) -> dict[str, Any]:
     """Return the configuration of the rover on a channel; its right motor is mounted in reverse."""
-    wheel = {"bus": "can0", "profile": "cia402", "rate": 100, "velocity": 10.0}
+    wheel: dict[str, Any] = {"bus": "can0", "profile": "cia402", "rate": 100, "velocity": 10.0}
     wheel |= {"acceleration": 20.0, "timeout": 1.0, "feedback_timeout": 1.0}
-    options = {"control": "cyclic", "feedback": 10}
+    options = {"control": "cyclic", "feedback": 10, **PATIENT["options"]}
+    wheel |= {**PATIENT, "options": options}
     motors = {
-        "left": {**wheel, "node": LEFT, "options": options},
-        "right": {**wheel, "node": RIGHT, "direction": -1, "options": options},
+        "left": {**wheel, "node": LEFT},
+        "right": {**wheel, "node": RIGHT, "direction": -1},
     }
     base = {"left": "left", "right": "right", "track": TRACK, "radius": RADIUS, "as_robot": True}
     bus = {"interface": "virtual", "channel": name, "restart": 0.3, "statistics": 0.1}

@@ -60,6 +60,9 @@ async def test_a_canopen_drive_that_misses_the_gateway_stops_by_itself(
         rig.twin.deaf = False
         await rig.host.until(lambda: "emergency_8130" in rig.faults())
         assert not rig.twin.enabled
+        await rig.host.until(lambda: "reset" in rig.faults())
+        (reset,) = (e for e in rig.host.events("event/m/fault") if e.fault == "reset")
+        assert "left the NMT state operational (missed heartbeat, 0x8130)" in reset.text
         await rig.host.published_as("sensor/m/state", state="fault")
         with pytest.raises(ModeForbids, match="emergency_8130"):
             await rig.write("actuator/m/velocity", 2.0)

@@ -17,6 +17,9 @@ from hypothesis import strategies as st
 from backends.can.rig import Node, channel, opened
 from backends.can.rover import rover, rover_bench, tables
 from rcp_can import CanConfig
+from rcp_can.goal_control import Goal, GoalControl
+from rcp_can.odometry import Place
+from rcp_can.pace import Pace
 from rcp_can.sim import Bench, make_twin
 from rcp_can.wheel_ramp import WheelRamp
 from rcp_kernel.errors import (
@@ -64,7 +67,7 @@ def test_both_wheels_change_speed_in_the_same_time_within_their_accelerations(
     step: float,
 ) -> None:
     now = 0.0
-    ramp = WheelRamp(start, goal, limits, lambda: now)
+    ramp = WheelRamp(start, goal, limits, Pace(0.1, lambda: now))
     last = start
     for _ in range(2000):
         now += step
@@ -268,6 +271,16 @@ async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None)
         )
 
 
+@pytest.mark.parametrize("beside", [0.037, 0.07])
+def test_it_does_not_circle_around_a_goal_beside_it(beside: float) -> None:
+    goal = Goal(1.0, 0.0, None, 0.05, 0.05)
+    control = GoalControl(goal, turn_rate=1.5, acceleration=2.0, turn_acceleration=10.0)
+    control.phase = "driving"
+    forward, _ = control.step(Place(1.0, -beside, 0.1), 1.0)
+    assert forward == 0.0
+    assert control.phase == ("done" if beside < goal.tolerance else "turning")
+
+
 async def test_distance_and_time_left_shrink_on_the_way() -> None:
     async with rover() as rig:
         await rig.moving(1.5, speed=0.6)
@@ -285,10 +298,30 @@ async def test_a_cancelled_move_has_braked_when_it_ends() -> None:
         moving = rig.moving(5.0)
         await rig.until(lambda: rig.truth.moving[0] > 0.4)
         moving.cancel()
-        await asyncio.wait((moving,), timeout=20)
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(moving, 20)
         assert rig.truth.still()
         await rig.velocity(0.2)  # and the wheels are free again
         await rig.until(lambda: rig.truth.moving[0] > 0.15)
+
+
+async def test_a_move_that_is_cancelled_as_something_else_ends_it_has_braked_when_it_ends() -> None:
+    async with rover() as rig:
+        moving = rig.moving(5.0)
+        await rig.until(lambda: rig.truth.moving[0] > 0.4)
+        await rig.velocity(0.0)
+        moving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(moving, 20)
+        assert rig.truth.still()
+
+
+async def test_a_velocity_that_is_renewed_right_before_each_set_point_is_reached() -> None:
+    async with rover() as rig:
+        with anyio.fail_after(20):
+            while rig.truth.moving[0] < 0.45:
+                await rig.velocity(0.5)
+                await asyncio.sleep(0)
 
 
 async def test_a_velocity_while_a_cancelled_move_brakes_is_not_stopped_by_it() -> None:

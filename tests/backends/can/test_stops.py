@@ -18,6 +18,7 @@ import pytest
 from backends.can.peers import drive_eds
 from backends.can.rig import MOTORS, Motor, Node, channel, motor, opened
 from backends.can.test_joints import arm
+from rcp_can.axis_state import Loss
 from rcp_can.config_motor import MotorConfig
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.contract.fence import permitted
@@ -197,8 +198,9 @@ async def test_a_motor_that_was_never_heard_is_named_and_the_others_are_stopped(
     optional: bool,  # noqa: FBT001
 ) -> None:
     absent = {"bus": "can0", "profile": "odrive", "node": 9, "optional": optional}
-    async with motor("odrive") as sole:
-        table = {"bus": "can0", "profile": "odrive", "node": 1, "feedback_timeout": 1.0}
+    patient = {"timeout": 10.0, "feedback_timeout": 10.0}  # two gateways and a busy machine
+    async with motor("odrive", **patient) as sole:
+        table = {"bus": "can0", "profile": "odrive", "node": 1, **patient}
         bus = {"interface": "virtual", "channel": sole.channel}
         motors = {"m": table, "gripper": absent}
         async with opened({"buses": {"can0": bus}, "motors": motors, "grace": 0.2}) as rig:
@@ -293,7 +295,9 @@ async def test_a_node_that_leaves_operational_while_it_turns_is_stopped_by_sdo()
         with Node(rig.channel) as node:
             node.send(0x000, bytes((0x80, 5)))  # pre-operational: PDOs have no effect
             await rig.host.until(lambda: "reset" in rig.faults())
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 2.0)
+            (reset,) = (e for e in rig.host.events("event/m/fault") if e.fault == "reset")
+            assert reset.text == "the drive left the NMT state operational while in use"
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 20.0)
             await stays_at_rest(rig)
             assert rig.twin.state != "enabled"
 
@@ -341,6 +345,17 @@ async def test_an_enable_that_does_not_last_is_no_enable(profile: str) -> None:
         with pytest.raises(DeviceRejected):
             await asyncio.wait_for(enabling, 10)
         assert rig.axis.state == "fault"
+
+
+async def test_an_enable_in_which_contact_is_lost_does_not_blame_the_drive() -> None:
+    async with motor("odrive") as rig:
+        enabling = asyncio.ensure_future(rig.execute("service/m/enable"))
+        await rig.until(lambda: rig.axis.wanted_on)
+        rig.axis._lose(Loss("feedback_lost", "no message received for 0.5 s"))
+        rig.axis.online = True  # and it is back before anybody looks
+        with pytest.raises(AdapterUnavailable, match=r"no message received for 0.5 s"):
+            await asyncio.wait_for(enabling, 20)
+        await stays_at_rest(rig)
 
 
 @pytest.mark.parametrize("profile", ["cia402", "damiao"])

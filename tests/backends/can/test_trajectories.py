@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -18,6 +20,8 @@ from backends.can.test_joints import LOST, Arm, arm, tables
 from rcp_can import CanConfig
 from rcp_can.cubic import Cubic, Knot
 from rcp_can.joint_limits import JointLimits
+from rcp_can.joint_run import Follow
+from rcp_can.path import Leg, Path
 from rcp_can.trajectory import Trajectory
 from rcp_can.trajectory_plan import Joint, Point, plan
 from rcp_kernel.errors import (
@@ -106,6 +110,84 @@ def test_a_late_or_jittery_host_never_jumps(gaps: list[float]) -> None:
         position, _ = follow()
         assert abs(position - last) <= fastest * min(gap, LATE) + 1e-9
         last = position
+
+
+def shared(clock: Clock) -> tuple[Trajectory | Path, list[Follow], float]:
+    curve = Cubic(BEND)
+    line = Trajectory([curve] * 3, [limit] * 3, 3.5, LATE, clock)
+    fastest = max(abs(s.velocity) for n in range(curve.segments) for s in curve.extremes(n))
+    return line, [line.follow(joint) for joint in range(3)], fastest
+
+
+def straight(clock: Clock) -> tuple[Trajectory | Path, list[Follow], float]:
+    legs = [Leg(0.0, 4.0, 2.0, 20.0)] * 3
+    path = Path(legs, clock, LATE)
+    return path, [path.follow(leg) for leg in legs], 2.0
+
+
+lines = pytest.mark.parametrize("make", [shared, straight])
+
+
+@lines
+@given(asked=st.lists(st.tuples(st.integers(0, 2), st.floats(0.0, 0.4)), min_size=50, max_size=200))
+def test_no_joint_leaps_wherever_the_host_stands_still(
+    make: Callable[[Clock], tuple[Trajectory | Path, list[Follow], float]],
+    asked: list[tuple[int, float]],
+) -> None:
+    clock = Clock()
+    _, follows, fastest = make(clock)
+    last = [follow()[0] for follow in follows]
+    for joint, gap in asked:
+        clock.now += gap
+        position, _ = follows[joint]()
+        assert abs(position - last[joint]) <= fastest * LATE + 1e-9
+        last[joint] = position
+
+
+@lines
+@given(cycles=st.lists(st.tuples(*[st.floats(0.0, 0.4)] * 3), min_size=10, max_size=60))
+def test_joints_of_one_cycle_are_at_the_same_moment_wherever_the_host_stands_still(
+    make: Callable[[Clock], tuple[Trajectory | Path, list[Follow], float]],
+    cycles: list[tuple[float, float, float]],
+) -> None:
+    clock = Clock()
+    _, follows, _ = make(clock)
+    for gaps in cycles:
+        found: list[float] = []
+        for gap, follow in zip(gaps, follows, strict=True):
+            clock.now += gap
+            found.append(follow()[0])
+        assert max(found) - min(found) < 1e-9
+
+
+@lines
+@pytest.mark.parametrize("lost", [0, 1, 2])
+@given(moment=st.integers(1, 200))
+def test_a_joint_that_drops_out_leaves_the_others_braking_as_with_it(
+    make: Callable[[Clock], tuple[Trajectory | Path, list[Follow], float]], lost: int, moment: int
+) -> None:
+    def braked(members: Sequence[int]) -> list[tuple[float, float]]:
+        """Return where the joint that is neither lost nor first goes, cycle by cycle."""
+        clock = Clock()
+        line, follows, _ = make(clock)
+        found: list[tuple[float, float]] = []
+        for cycle in range(2000):
+            if cycle == moment:
+                line.brake()
+            for joint in (0, 1, 2) if cycle < moment else members:
+                sample = follows[joint]()
+                if joint == watched:
+                    found.append(sample)
+            if line.over:
+                return found
+            clock.now += 0.01
+        raise AssertionError("it stalls")
+
+    watched = (lost + 1) % 3
+    with_it, without = braked([0, 1, 2]), braked([j for j in (0, 1, 2) if j != lost])
+    assert len(with_it) == len(without)
+    for one, two in zip(with_it, without, strict=True):
+        assert one == pytest.approx(two, abs=1e-9)
 
 
 @given(st.floats(0.0, 3.4), st.floats(0.8, 3.0))
@@ -307,23 +389,33 @@ async def test_a_host_that_stands_still_resumes_without_a_leap(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with arm() as rig:
-        drive = rig.axes["roll"].drive
-        sent: list[float] = []
-        command = drive.command
+        sent: dict[str, list[float]] = {name: [] for name in rig.axes}
+        stalls: list[float] = []
 
-        def note(mode: Any, value: float, velocity: float) -> None:
-            sent.append(value)
-            command(mode, value, velocity)
+        def noting(name: str, command: Callable[[Any, float, float], None]) -> Any:
+            def note(mode: Any, value: float, velocity: float) -> None:
+                sent[name].append(value)
+                command(mode, value, velocity)
+                if name == "tilt" and stalls:  # and again before the next joint's turn
+                    time.sleep(stalls.pop())
 
-        monkeypatch.setattr(drive, "command", note)
+            return note
+
+        for name, axis in rig.axes.items():
+            monkeypatch.setattr(axis.drive, "command", noting(name, axis.drive.command))
         running = await in_motion(rig)
+        stalls.append(0.05)
         loop = asyncio.get_running_loop()
-        end = loop.time() + 0.2
+        end = loop.time() + 0.05
         while loop.time() < end:  # a plugin that blocks
             pass
         await asyncio.wait_for(running, 60)
-        assert max(abs(two - one) for one, two in pairwise(sent)) <= 2.0 * LATE + 1e-6
-        assert rig.twins["roll"].plant.position == pytest.approx(4.0, abs=0.02)
+        assert not stalls
+        fastest = 1.5 * 4.0 / 3.5  # of a cubic from rest to rest
+        for name, values in sent.items():
+            steps = [abs(two - one) for one, two in pairwise(values)]
+            assert max(steps) <= fastest * LATE + 1e-6, name
+            assert rig.twins[name].plant.position == pytest.approx(4.0, abs=0.02)
 
 
 @pytest.mark.parametrize("joint", ["pan", "tilt", "roll"])

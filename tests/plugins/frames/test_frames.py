@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Collection
 from typing import Any
 
 import pytest
@@ -23,7 +23,14 @@ from rcp_kernel.testing import (
     serve,
 )
 from rcp_kernel.testing._serve import Served
-from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, PoseStamped, Quaternion
+from rcp_kernel.types import (
+    AngularVelocity,
+    LinearVelocity,
+    Point,
+    PoseStamped,
+    Quaternion,
+    Transform,
+)
 from rcp_profiles.messages import MoveTo, TwistStamped
 
 pytestmark = pytest.mark.anyio
@@ -459,3 +466,84 @@ async def test_a_pose_without_an_orientation_converts_no_goal(served: Served) ->
     reply = await client.request("execute", MOVE_TO, body=goal)
     assert reply["error"]["code"] == "precondition_failed", reply
     assert not served.life.backend.ran
+
+
+class StaticTree:
+    """Frames that do not move: where each is in `map`."""
+
+    def __init__(self, **places: float) -> None:
+        self._places = {"map": 0.0, **places}
+
+    def frames(self) -> Collection[str]:
+        return self._places
+
+    def lookup(self, target: str, source: str, time: int | None) -> tuple[Transform, float]:
+        try:
+            x = self._places[source] - self._places[target]
+        except KeyError:
+            raise LookupError from None
+        return Transform(Point(x, 0.0), Quaternion(), target, source), 0.0
+
+
+def adrift(host: Host) -> ScriptedRobot:
+    """Return a robot that reports its pose in a frame which is far from the map."""
+    robot = rover(host)
+    host.describe(RobotFacts(kind="rover"))
+    host.anchor(None)
+    host.transforms(StaticTree(odom=100.0, base_link=103.0))
+    host.publish("sensor/pose", PoseStamped(Point(3.0, 4.0, 1.0), LEFT, frame_id="odom"))
+    return robot
+
+
+@pytest.mark.parametrize("sees_pose", [True, False])
+async def test_a_fence_is_compared_only_with_goals_in_the_frame_of_the_pose(
+    *, sees_pose: bool
+) -> None:
+    rights = 'roles = { alpha = ["fenced", "blind"] }'
+    text = CONFIG if sees_pose else CONFIG.replace('roles = { alpha = ["fenced"] }', rights)
+    async with serve(text, scripted(adrift, "rover")) as served:
+        goal = {"position": {"x": 5.0, "y": 0.0}}  # in the map, 95 m outside
+        reply = await served.client(FENCED).request("execute", MOVE_TO, body=goal)
+        assert reply["error"]["code"] == "out_of_range", reply
+        assert not served.life.backend.ran
+
+
+def pair(host: Host) -> ScriptedRobot:
+    """Return two robots whose backend has one tree for both."""
+    names = ("r1", "r2")
+    robot = ScriptedRobot(
+        host,
+        *(
+            Resource(
+                name=f"sensor/{name}/pose",
+                description="Where.",
+                value=PoseStamped,
+                live=True,
+                robot=name,
+            )
+            for name in names
+        ),
+    )
+    host.transforms(StaticTree(**{"r1/base_link": 7.0, "r2/base_link": 9.0}))
+    for name in names:
+        host.publish(f"sensor/{name}/pose", PoseStamped(Point(1.0, 2.0), LEFT))
+    return robot
+
+
+async def test_a_tree_of_several_robots_is_for_those_who_may_read_all_their_poses() -> None:
+    one = """
+[roles.one]
+allow = [{ operations = ["discover", "read", "subscribe"], paths = ["/sensor/r2/**"] }]
+[[keys]]
+name = "one"
+key = "one-one-one-one-one"
+roles = { alpha = ["one"] }
+"""
+    async with serve(CONFIG + one, scripted(pair, "rover")) as served:
+        path, frame = "/sensor/r2/pose", "r1/base_link"
+        assert (await read(served.client(ADMIN), path, frame=frame))["status"] == "completed"
+        hidden = (await read(served.client("one-one-one-one-one"), path, frame=frame))["error"]
+        assert (hidden["code"], hidden["details"]["frames"]) == (
+            "invalid_value",
+            ["base_link", "map"],
+        )
