@@ -85,10 +85,13 @@ class GoalControl:
     def _drive(self, place: Place, speed: float) -> tuple[float, float] | None:
         distance, off = self.distance(place), self._off(place)
         ahead = distance * math.cos(off)
-        if distance <= self._goal.tolerance / 2 or ahead <= 0:
+        astray = abs(off) > _ASTRAY
+        # Beside a near goal it would circle around it, because the heading is late.
+        there = distance <= self._goal.tolerance / (1 if astray else 2)
+        if there or ahead <= 0:
             self.phase = "aligning"
             return None
-        if abs(off) > _ASTRAY and distance > 2 * self._goal.tolerance:
+        if astray:
             self.phase = "turning"
             return 0.0, self._turn(off)
         brake = math.sqrt(2 * _RESERVE * self._acceleration * ahead)

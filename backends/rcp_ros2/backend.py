@@ -10,7 +10,7 @@ from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
-from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.errors import AdapterUnavailable, InvalidValue
 from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog, unfenced
 from rcp_ros2.binding import Binding, Shared
 from rcp_ros2.catalog import Catalog
@@ -49,18 +49,25 @@ class Ros2Backend(BaseBackend):
         return await self._binding(name).write(value)
 
     async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Set several parameters of one node atomically."""
-        settings = {
-            binding: value
-            for name, value in values.items()
-            if isinstance(binding := self._binding(name), Setting)
-        }
-        if len(settings) < len(values) or len({one.node for one in settings}) > 1:
+        """Set several parameters of one node atomically.
+
+        :raises InvalidValue: two of the paths are the same parameter.
+        """
+        bindings = {name: self._binding(name) for name in values}
+        settings = {name: one for name, one in bindings.items() if isinstance(one, Setting)}
+        if len(settings) < len(values) or len({one.node for one in settings.values()}) > 1:
             raise AdapterUnavailable("the parameters are no longer those of one node")
-        [node] = {one.node for one in settings}
-        await node.set_together(
-            {one.described.name: (one.described.kind, value) for one, value in settings.items()}
-        )
+        parameters: dict[str, tuple[int, Any]] = {}
+        for name, one in settings.items():
+            if one.described.name in parameters:
+                raise InvalidValue(
+                    f"'{name}' is the same parameter as another of these paths",
+                    path=name,
+                    remedy="Write it by one of its paths.",
+                )
+            parameters[one.described.name] = one.described.kind, values[name]
+        [node] = {one.node for one in settings.values()}
+        await node.set_together(parameters)
         return {}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:

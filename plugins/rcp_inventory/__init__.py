@@ -83,7 +83,9 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
         finally:
             updates.close()
 
-    shown = SystemResource(resource=_RESOURCE, view=inventory.view, pages=inventory.pages)
+    shown = SystemResource(
+        resource=_RESOURCE, view=inventory.view, by_rights=True, pages=inventory.pages
+    )
     return Feature(
         resources=(shown,),
         observer=controllers,

@@ -502,6 +502,7 @@ def _handlers(
         clients.resume,
         clients.sessions,
         views=system.branch.views,
+        by_rights=system.branch.by_rights,
         filters=system.branch.filters,
         frames=features.frames,
         settings=base.settings,

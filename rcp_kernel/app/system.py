@@ -97,6 +97,8 @@ class System(BaseBackend):
         """Filters of resources of whose samples each reader sees only its own, by path; a filter
         returns
         None for a hidden sample."""
+        self.by_rights: set[str] = set()
+        """Resources whose view is the same for readers with equal rights, by path."""
         self.pages: dict[str, Pages] = {}
         """Resources whose items can be searched and read in pages, by path."""
         self.services: dict[str, Service] = {}
@@ -133,6 +135,8 @@ class System(BaseBackend):
             view = ActionList(own.path, own.action, self._access).view
         if view is not None:
             self.views[own.path] = view
+            if own.by_rights:
+                self.by_rights.add(own.path)
             self.entries[own.path].publish((), None)  # its view has changed
 
     def _publish(self, name: str, value: Any) -> None:

@@ -50,6 +50,9 @@ class SystemResource:
     view: View | None = None
     """Returns the value for each reader; the feature calls `FeatureHost.changed` when it may
     differ."""
+    by_rights: bool = False
+    """Whether the list that `view` returns depends on nothing of the reader but `session.rights`, read
+    before its first item: one update then builds it once for all subscribers with equal rights."""
     pages: Pages | None = None
     """Returns the items of the list that `view` shows, for a `read` with `q` or with a `cursor`; each
     item is a dictionary with its `path`."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import secrets
 import sys
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Container, Generator, Mapping
 from functools import partial
 from itertools import chain
 from typing import Any
+from weakref import WeakValueDictionary
 
 import msgspec
 
@@ -42,6 +43,7 @@ from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
+from rcp_kernel.streams.shared_update import SharedUpdate
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import Encoding, ValueType, value_type
@@ -73,6 +75,7 @@ class SubscribeHandler:
         sessions: Sessions,
         *,
         views: Mapping[str, View],
+        by_rights: Container[str],
         filters: Mapping[str, Filter],
         frames: FrameConverter,
         settings: Settings,
@@ -84,6 +87,9 @@ class SubscribeHandler:
         self._conditional = conditional
         self._resume = resume
         self._views = views
+        self._by_rights = by_rights
+        self._updates: WeakValueDictionary[str, SharedUpdate] = WeakValueDictionary()
+        """The updates that subscribers still build, the newest by path."""
         self._filters = filters
         self._frames = frames
         self._settings = settings
@@ -175,7 +181,11 @@ class SubscribeHandler:
 
         def view(entry: Entry) -> OwnView | None:
             shown = self._views.get(entry.path)
-            return None if shown is None else OwnView(shown, session, self._links)
+            if shown is None:
+                return None
+            shares = entry.path in self._by_rights
+            update = partial(self._update, entry.path) if shares else None
+            return OwnView(shown, session, self._links, update)
 
         def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
             shown = self._filters.get(entry.path)
@@ -198,6 +208,12 @@ class SubscribeHandler:
         session.subscriptions[id_] = subscription
         self._resume.subscribed(session, subscription)
         return subscription
+
+    def _update(self, path: str, seq: int) -> SharedUpdate:
+        update = self._updates.get(path)
+        if update is None or update.seq != seq:
+            update = self._updates[path] = SharedUpdate(seq)
+        return update
 
     def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
         texts = [request.path, *options.paths] if request.path is not None else [*options.paths]
@@ -372,15 +388,26 @@ class SubscribeHandler:
 class OwnView:
     """What a path shows a session."""
 
-    def __init__(self, shown: View, session: Session, links: Links) -> None:
+    def __init__(
+        self,
+        shown: View,
+        session: Session,
+        links: Links,
+        update: Callable[[int], SharedUpdate] | None,
+    ) -> None:
         self._shown = shown
         self._session = session
         self._links = links
+        self._update = update
 
     @property
     def sees(self) -> Rights:
         """Its rights."""
         return self._session.rights
+
+    def shared(self, seq: int) -> SharedUpdate | None:
+        """Return what subscribers share of an update, by the number of its sample."""
+        return None if self._update is None else self._update(seq)
 
     def make(self, encoding: Encoding) -> Generator[None, None, Any]:
         """Make the value; of a list as much as fits in one page, in steps."""

@@ -176,7 +176,8 @@ class Deadman:
         self._start(entry)
 
     def _start(self, entry: Entry) -> None:
-        task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
+        with unfenced():  # a write to another actuator may have started it
+            task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
         self._stops[entry.path] = task
         helping: list[asyncio.Task[None]] = []
         late = self._loop.call_later(_UNTAKEN, lambda: helping.extend(self._untaken(entry)))

@@ -39,10 +39,11 @@ class ConditionalSubscriptions:
 
     def _look(self) -> None:
         for feed, session in list(self._feeds.items()):
-            if feed.subscription.feeds.get(feed.entry.path) is feed:
-                self._settle(session, feed)
-            else:
+            if feed.subscription.feeds.get(feed.entry.path) is not feed:
                 del self._feeds[feed]
+            elif session.rights.depends(feed.entry, Operation.SUBSCRIBE):
+                self._settle(session, feed)
+            # Otherwise its rights have just changed, and what follows from that is under way.
         self._waits = bool(self._feeds)
         if self._waits:
             self._hub.later(_PERIOD, self._look)

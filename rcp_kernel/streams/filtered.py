@@ -11,6 +11,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.filters import Change
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.streams.path_subscription import PathSubscription, Subscriber
+from rcp_kernel.streams.shared_update import SharedUpdate
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample, masked, project
 from rcp_kernel.values import Encoding
@@ -163,6 +164,10 @@ class View(Protocol):
         """The reader's properties that determine the value: it is not sent once they have changed."""
         ...
 
+    def shared(self, seq: int) -> SharedUpdate | None:
+        """Return what readers share of an update with this number; None if they share nothing."""
+        ...
+
     def make(self, encoding: Encoding) -> Generator[None, None, Any]:
         """Compute the value; lists in steps, limited to one page."""
         ...
@@ -187,7 +192,7 @@ class ViewSubscription(PathSubscription):
     the samples that wait for it are queued.
     """
 
-    __slots__ = ("_fresh", "_made", "_making", "_past", "_view", "_works")
+    __slots__ = ("_fresh", "_made", "_making", "_past", "_shared", "_view", "_works")
 
     def __init__(
         self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: View
@@ -204,6 +209,8 @@ class ViewSubscription(PathSubscription):
         self._made: _Made | None = None
         """The newest value; all queued samples are sent with it."""
         self._works = False
+        self._shared: SharedUpdate | None = None
+        """The update that announced the newest sample, until its value is computed."""
 
     @property
     def waiting(self) -> int:
@@ -221,6 +228,7 @@ class ViewSubscription(PathSubscription):
             self.dropped += 1
             self.subscription.skipped += 1
         self._fresh.append(sample)
+        self._shared = self._view.shared(sample.seq)
         self._begin()
 
     def replay(self, samples: Iterable[Sample]) -> None:
@@ -240,17 +248,23 @@ class ViewSubscription(PathSubscription):
                 self._making, self._fresh = self._fresh, deque()
                 past, self._past = self._past, deque()
                 encoding, *_ = self._heads or self._make_heads()
-                made = yield from self._make(encoding)
+                shared, self._shared = self._shared, None
+                made = yield from self._make(encoding, None if past else shared)
                 if made is not None and self.outbox is outbox:
                     self._queue(made, past)
                 self._making.clear()
         finally:
             self._works = False
 
-    def _make(self, encoding: Encoding) -> Generator[None, None, _Made | None]:
+    def _make(
+        self, encoding: Encoding, shared: SharedUpdate | None
+    ) -> Generator[None, None, _Made | None]:
         sees = self._view.sees
+        steps = self._view.make(encoding)
+        if shared is not None:
+            steps = shared.make((sees, encoding), steps)
         try:
-            value = yield from self._view.make(encoding)
+            value = yield from steps
             cut = isinstance(value, Body) and value.cut
             if self.fields is not None:
                 value = project(value.value if isinstance(value, Body) else value, self.fields)
@@ -297,7 +311,7 @@ class ViewSubscription(PathSubscription):
         super().leave()
         for held in (self._fresh, self._making, self._past):
             held.clear()
-        self._made = None
+        self._made = self._shared = None
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, *_ = self._heads or self._make_heads()

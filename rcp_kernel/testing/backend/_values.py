@@ -20,6 +20,11 @@ _LASTING = 60.0  # s
 _MAY_BE_EMPTY = (Kind.EVENT, Kind.ACTUATOR)  # nothing has happened yet, or been commanded
 
 
+def _lasting(resource: Resource) -> dict[str, float]:
+    """Let no dead-man act in between, on however slow a machine."""
+    return {} if resource.valid_for is None else {"valid_for": _LASTING}
+
+
 def _ignore(feedback: Any = None, *, fraction: float | None = None) -> None:
     """Ignore feedback."""
 
@@ -66,7 +71,7 @@ class ValueTests(BackendTests):
         for resource in robot.having(Operation.WRITE):
             name, seen = resource.name, list[Any]()
             for value in self.values(name)[:3]:
-                reply = await robot.ask("write", name, body=value)
+                reply = await robot.ask("write", name, body=value, **_lasting(resource))
                 assert reply["status"] == "completed", reply
                 truth = await self.typed_truth(resource)
                 assert same(truth, reply["body"]), f"{name}: the device has {truth!r}"
@@ -83,9 +88,8 @@ class ValueTests(BackendTests):
 
     async def test_what_is_out_of_range_is_refused_and_changes_nothing(self, robot: Robot) -> None:
         for resource in robot.having(Operation.WRITE):
-            # No dead-man may act in between, on however slow a machine.
-            lasting = {} if resource.valid_for is None else {"valid_for": _LASTING}
-            await robot.ask("write", resource.name, body=self.values(resource.name)[0], **lasting)
+            value = self.values(resource.name)[0]
+            await robot.ask("write", resource.name, body=value, **_lasting(resource))
             before = await self.typed_truth(resource)
             for value in beyond(value_type(resource.value).schema):
                 reply = await robot.ask("write", resource.name, body=value)

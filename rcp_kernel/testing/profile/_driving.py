@@ -263,7 +263,7 @@ class MobileTests(DriveTests):
         input_type = value_type(self.running.resources[name].input)
         with suppress(RcpError):
             result = await asyncio.wait_for(
-                self.backend.execute(name, input_type.convert(goal), lambda *_, **__: None),
+                self.backend.execute(name, input_type.convert(goal), _ignore),
                 self.complete_within,
             )
             raise AssertionError(f"the backend took a goal in a frame that there is not: {result}")
@@ -306,6 +306,10 @@ class MobileTests(DriveTests):
         assert final["status"] == "completed", final
         assert slowed, f"it was never below {once_below:g} m/s"
         return fastest
+
+
+def _ignore(feedback: Any = None, *, fraction: float | None = None) -> None:
+    """Ignore feedback."""
 
 
 def _way(start: Body, end: Body) -> str:

@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from backends.can.rig import Node, channel, opened
 from backends.can.rover import rover, rover_bench, tables
 from rcp_can import CanConfig
+from rcp_can.goal_control import Goal, GoalControl
+from rcp_can.odometry import Place
 from rcp_can.pace import Pace
 from rcp_can.sim import Bench, make_twin
 from rcp_can.wheel_ramp import WheelRamp
@@ -267,6 +269,16 @@ async def test_move_to_ends_there_at_rest(x: float, y: float, yaw: float | None)
         assert math.remainder(rig.truth.heading - rig.place.heading, 2 * math.pi) == pytest.approx(
             0, abs=0.01
         )
+
+
+@pytest.mark.parametrize("beside", [0.037, 0.07])
+def test_it_does_not_circle_around_a_goal_beside_it(beside: float) -> None:
+    goal = Goal(1.0, 0.0, None, 0.05, 0.05)
+    control = GoalControl(goal, turn_rate=1.5, acceleration=2.0, turn_acceleration=10.0)
+    control.phase = "driving"
+    forward, _ = control.step(Place(1.0, -beside, 0.1), 1.0)
+    assert forward == 0.0
+    assert control.phase == ("done" if beside < goal.tolerance else "turning")
 
 
 async def test_distance_and_time_left_shrink_on_the_way() -> None:

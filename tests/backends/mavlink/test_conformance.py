@@ -51,7 +51,7 @@ class MavlinkRig(StopRig):
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
         async with (
-            twin(latency=0.06, heading=HEADING) as running,
+            twin(latency=0.1, heading=HEADING) as running,
             relay(running.ports[0]) as self.relay,
         ):
             airborne(running.vehicle)
@@ -74,6 +74,9 @@ class MavlinkRig(StopRig):
 
     async def truth(self, name: str) -> Any:
         pilot = self.vehicle.pilot
+        if name.startswith("actuator/"):
+            # No setpoint is acknowledged, but what is answered was sent after it.
+            await self.running.backend.read("param/GUID_TIMEOUT")
         if name == "param/speed_limit":
             return self.vehicle.params["WPNAV_SPEED"] / 100
         if name.startswith("param/"):
@@ -87,9 +90,10 @@ class MavlinkRig(StopRig):
             )
             return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
         if name == "actuator/cmd_vel":
-            # The last turn ends while the velocity is repeated, which shows in its third decimal.
+            # The last turn ends while the velocity is repeated, which shows in its second decimal.
             turned = await self.truth("actuator/velocity")
-            own = {axis: round(part, 2) + 0.0 for axis, part in turned.items()}
+            own = {axis: round(part, 1) + 0.0 for axis, part in turned.items() if axis in "xyz"}
+            own["yaw_rate"] = round(turned["yaw_rate"], 2) + 0.0
             return {
                 "linear": {axis: own[axis] for axis in "xyz"},
                 "angular": {"x": 0.0, "y": 0.0, "z": own["yaw_rate"]},

@@ -9,7 +9,7 @@ import pytest
 
 from backends.ros2 import interfaces
 from backends.ros2.robot import Wheels, fresh_domain, robot_of
-from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.errors import AdapterUnavailable, InvalidValue
 from rcp_ros2 import catalog, profiles
 from rcp_ros2.conventions import CONVENTIONS, rank_of
 from rcp_ros2.idl import MissingType
@@ -90,6 +90,18 @@ async def test_what_is_exposed_keeps_its_own_names(wheels: Wheels) -> None:
         assert (scan.frame_id, scan.header.frame_id, len(scan.intensities)) == ("laser", "", 0)
         battery = await robot.backend.read("sensor/battery")
         assert (battery.percentage, battery.voltage, battery.present) == (0.75, None, False)
+
+
+async def test_a_parameter_with_two_paths_is_not_set_twice_by_one_write(wheels: Wheels) -> None:
+    own, standard = "param/rover/speed_limit", "param/speed_limit"
+    async with robot_of(DOMAIN, expose=["**"]) as robot:
+        await robot.until(lambda: own in robot.resources and standard in robot.resources)
+        before = await robot.backend.read(own)
+        assert robot.resources[own].atomic == robot.resources[standard].atomic is not None
+        with pytest.raises(InvalidValue, match="same parameter") as refused:
+            await robot.backend.write_together({own: before / 2, standard: before})
+        assert refused.value.path == standard
+        assert await robot.backend.read(own) == before
 
 
 async def test_a_topic_has_one_actuator_so_that_one_stop_and_one_dead_man_cover_it(

@@ -14,7 +14,13 @@ from rcp_kernel.values import Encoding, value_type
 
 pytestmark = pytest.mark.anyio
 
-UNASKED = {"/faults", "/parameter_events", "/odom", "/fibonacci/_action/status"}
+UNASKED = {
+    "/faults",
+    "/parameter_events",
+    "/odom",
+    "/fibonacci/_action/status",
+    "/robot_description",  # says what the robot is
+}
 """What is subscribed to with nobody watching: an event, what parameters there are, and by what a
 stop is confirmed: the odometry, and the goals of each action."""
 

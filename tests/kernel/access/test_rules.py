@@ -12,6 +12,7 @@ from kernel.world import CONFIG, Client, World, world_of
 from rcp_kernel.app.server import prepare
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import parse
+from rcp_kernel.contract import turns
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
@@ -181,6 +182,23 @@ async def test_a_subscription_pauses_while_its_condition_does_not_hold(
     host.publish("sensor/level", 4.0)
     assert (await client.update(id_))["body"] == 4.0
     assert not [m for m in client.inbox if m["type"] == "update"]
+
+
+async def test_a_condition_that_is_due_while_new_rights_take_effect_pauses_nothing(
+    world: World, stepped: SteppedClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(turns, "_TURN", 0.0)  # one step in each turn of the loop
+    names = [f"sensor/n{number}" for number in range(100)]
+    world.robot.add(*(Resource(name=n, description="Any.", value=float, live=True) for n in names))
+    reload(world, f'[{{ operations = ["subscribe"], paths = ["/sensor/**"], {AUTO} }}]')
+    client = world.client(TOKEN)
+    mode(world, "auto")
+    id_ = (await client.ask(type="subscribe", path="/**"))["body"]["subscription"]
+    reload(world, '[{ operations = ["subscribe"], paths = ["/sensor/lazy"] }]')
+    stepped.advance(5)
+    last = f"/tenant/alpha/{names[-1]}"
+    await client.until(lambda m: m.get("path") == last and m["code"] == "resource_removed")
+    assert not [m for m in client.inbox if m.get("id") == id_ and m.get("code") == "paused"]
 
 
 async def test_a_client_that_was_away_misses_nothing_but_what_it_might_not_have(

@@ -42,11 +42,13 @@ class Board:
         self.items = ITEMS
         self.edition = 0
         self.slow = False
+        self.by_rights = False
 
     def make(self, _table: NoKeys, host: FeatureHost) -> Feature:
         self.host = host
         resource = Resource(name="event/board", description="A board.", value=list[Any])
-        return Feature(resources=(SystemResource(resource=resource, view=self.view),))
+        shown = SystemResource(resource=resource, view=self.view, by_rights=self.by_rights)
+        return Feature(resources=(shown,))
 
     def view(self, session: Session) -> Iterator[dict[str, Any]]:
         edition = self.edition
@@ -118,3 +120,21 @@ async def test_what_was_made_under_other_rights_is_not_sent() -> None:
         board.host.changed(BOARD)
         server.kernel.reconfigure(parse(rules(UNSEEN), "test"))
         assert [item["seen"] for item in (await client.update(id_))["body"]] == [False]
+
+
+async def test_a_list_that_depends_on_rights_only_is_made_once_for_those_with_equal_rights() -> (
+    None
+):
+    board = Board()
+    board.by_rights = True
+    async with boarded(board) as server:
+        clients = [await subscribed(server) for _ in range(3)]
+        for board.edition in (1, 2):
+            board.slow, board.turns = True, [0]
+            asyncio.get_running_loop().call_soon(board.turn)
+            board.host.changed(BOARD)
+            for client, id_ in clients:
+                body = (await client.update(id_))["body"]
+                assert (len(body), body[0]["edition"]) == (ITEMS, board.edition)
+            assert sum(board.turns) == ITEMS
+            assert max(board.turns) <= AT_ONCE

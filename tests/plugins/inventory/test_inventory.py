@@ -219,6 +219,16 @@ async def test_subscribers_learn_of_states_and_of_new_robots(served: Served) -> 
     await pushed(client, lambda listed: "/tenant/alpha/r3" not in listed)
 
 
+async def test_one_update_shows_readers_with_other_rights_only_their_own(served: Served) -> None:
+    fleet = robot_of(served, "fleet")
+    readers = [served.client(key) for key in (ADMIN, R2_ONLY, ALPHA, R2_ONLY)]
+    for client in readers:
+        await client.request("subscribe", PATH)
+    fleet.host.report("no heartbeat", down=True)
+    seen = [await pushed(c, lambda listed: listed[R2]["state"] == "down") for c in readers]
+    assert [set(one) for one in seen] == [{R1, R2, SOLO}, {R2}, {R1, R2}, {R2}]
+
+
 async def test_an_estop_shows_on_the_robots_that_it_holds(served: Served) -> None:
     client = served.client(ADMIN)
     await client.request("subscribe", PATH)
