@@ -26,7 +26,9 @@ def test_a_late_sample_was_measured_when_its_stamp_says_whatever_the_robots_cloc
         assert delays.measured(stamp + second * S, at) == pytest.approx(at, abs=1e-5)
 
 
-@pytest.mark.parametrize("stamp", [5 * S, time.time_ns() + 10**7 * S])
+@pytest.mark.parametrize(
+    "stamp", [5 * S, time.time_ns() + 10**7 * S], ids=["since its start", "in the future"]
+)
 def test_a_clock_that_is_far_off_leaves_the_arrival(stamp: int) -> None:
     delays = Delays()
     assert [delays.measured(stamp, at) for at in (10.0, 20.0)] == [10.0, 20.0]
