@@ -123,7 +123,7 @@ class Bench:
         async def look() -> bool:
             nonlocal found
             found = await self.guard()
-            return found["pid"] != pid
+            return found["pid"] not in (pid, None)
 
         await until(look)
         return found
