@@ -30,7 +30,7 @@ class FleetBackend(BaseBackend):
 
     def token(self, sample: zenoh.Sample) -> None:
         """Note that a gateway has come or gone."""
-        name, here = part(sample.key_expr, 2), sample.kind is zenoh.SampleKind.PUT
+        name, here = part(sample.key_expr, 2), sample.kind == zenoh.SampleKind.PUT
         known = self.gateways.get(name)
         if known is None and here:
             known = self.gateways[name] = RemoteGateway(

@@ -56,7 +56,7 @@ async def _until(holds: Callable[[], bool]) -> None:
 async def _appears(client: MemoryClient, path: str) -> dict[str, object]:
     async with asyncio.timeout(BOUND):
         while True:
-            found = await client.request(type="discover", path=path, body={"limit": 100})
+            found = await client.request("discover", path=path, body={"limit": 100})
             if found["status"] == "completed" and found["body"]["resources"]:
                 return found["body"]["resources"][0]
             await asyncio.sleep(0.01)
@@ -87,22 +87,22 @@ async def test_a_gateway_appears_with_the_schemas_of_its_robot() -> None:
 
 async def test_a_value_is_read_and_written_through_the_hub() -> None:
     async with _fleet() as (_, _robot_gateway, client):
-        read = await client.request(type="read", path="/tenant/alpha/sensor/r7/pose")
+        read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
         assert read["status"] == "completed", read
         wrong = await client.request(
-            type="write", path="/tenant/alpha/param/r7/speed_limit", body="fast"
+            "write", path="/tenant/alpha/param/r7/speed_limit", body="fast"
         )
         assert wrong["error"]["code"] == "invalid_value", wrong
-        done = await client.request(type="write", path="/tenant/alpha/param/r7/speed_limit", body=0.5)
+        done = await client.request("write", path="/tenant/alpha/param/r7/speed_limit", body=0.5)
         assert done["status"] == "completed", done
-        after = await client.request(type="read", path="/tenant/alpha/param/r7/speed_limit")
+        after = await client.request("read", path="/tenant/alpha/param/r7/speed_limit")
         assert after["body"] == 0.5
 
 
 async def test_a_command_reports_feedback_and_one_result() -> None:
     async with _fleet() as (_, _robot_gateway, client):
         id_ = await client.send(
-            type="execute", path="/tenant/alpha/action/r7/navigate", body={"x": 0.6, "y": 0.6}
+            type="execute", path="/tenant/alpha/action/r7/move_to", body={"position": {"x": 0.3, "y": 0.0}}
         )
         replies = await client.replies(id_)
         assert any(reply["status"] == "in_progress" for reply in replies), replies
@@ -126,7 +126,7 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
         await _until(lambda: str(hub.supervisor.state) == "down")
         async with _serving(_robot(port)):
             await _until(lambda: str(hub.supervisor.state) == "ready")
-            read = await client.request(type="read", path="/tenant/alpha/sensor/r7/pose")
+            read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
             assert read["status"] == "completed", read
         await client.close()
 
@@ -136,6 +136,6 @@ async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):
         await _until(lambda: "r7" in str(hub.supervisor.detail))
         client = hub.client(OPERATOR)
-        found = await client.request(type="discover", path="/tenant/alpha/**", body={"limit": 9})
+        found = await client.request("discover", path="/tenant/alpha/**", body={"limit": 9})
         assert not [one for one in found["body"]["resources"] if "/r7/" in one["path"]]
         await client.close()

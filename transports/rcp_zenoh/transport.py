@@ -29,7 +29,7 @@ class _Links:
     def token(self, sample: zenoh.Sample) -> None:
         """Open or close a link with its hub's token."""
         hub, link = part(sample.key_expr, 4), part(sample.key_expr, 5)
-        if sample.kind is zenoh.SampleKind.DELETE:
+        if sample.kind == zenoh.SampleKind.DELETE:
             known = self._links.get((hub, link))
             if known is not None:
                 known.close("the hub is gone")
