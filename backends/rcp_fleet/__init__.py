@@ -14,6 +14,6 @@ __all__ = ["FleetConfig", "rcp_backends"]
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer the fleet."""
-    from rcp_fleet.backend import open_fleet  # noqa: PLC0415 - needs the extra
+    from rcp_fleet.backend import open_fleet  # the engine is an extra
 
     return [BackendKind("fleet", FleetConfig, open_fleet, __doc__ or "", needs=("zenoh",))]

@@ -45,7 +45,9 @@ class FleetBackend(BaseBackend):
             self._host.report(None)
             return
         shown = ", ".join(away[:5]) + (f" and {len(away) - 5} more" if len(away) > 5 else "")
-        self._host.report(f"not reachable: {shown}", down=len(away) == len(self.gateways))
+        # Down ends the commands in the kernel; those of a gateway go on without this link.
+        down = not any(one.ready or one.commands for one in self.gateways.values())
+        self._host.report(f"not reachable: {shown}", down=down)
 
     def _of(self, name: str) -> RemoteGateway:
         return self.gateways[name.split("/", 2)[1]]

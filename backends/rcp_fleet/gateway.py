@@ -45,6 +45,8 @@ class RemoteGateway:
         self.name = name
         self.ready = False
         """Whether its resources are declared and it can be reached."""
+        self.commands = 0
+        """Running commands, which outlive a cut: their gateway reports their end when it is back."""
         self._alive = asyncio.Event()
         self._link: FleetLink | None = None
         self._paths: dict[str, str] = {}
@@ -125,7 +127,14 @@ class RemoteGateway:
             if one.status == "in_progress":
                 progress(one.body, fraction=one.progress)
 
-        return await self._client.execute(self._path(name), value, on_feedback=feedback)
+        path = self._path(name)
+        self.commands += 1
+        try:
+            return await self._client.execute(path, value, on_feedback=feedback)
+        finally:
+            self.commands -= 1
+            if not self.ready:
+                self._changed()
 
     async def stop(self) -> None:
         """Stop the robot by its own e-stop, which returns when it is measured to be at rest."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 import pytest
 
 pytest.importorskip("zenoh")
 
-from rcp_kernel.testing import BOUND, OPERATOR, MemoryClient, Served, serve
+from rcp_kernel.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
 
 _KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
 _OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
@@ -47,10 +47,11 @@ async def _serving(text: str) -> AsyncGenerator[Served]:
         yield served
 
 
-async def _until(holds: Callable[[], bool]) -> None:
-    async with asyncio.timeout(BOUND):
-        while not holds():
-            await asyncio.sleep(0.01)
+async def _comes(holds: Callable[[], bool], what: str) -> None:
+    async def look() -> bool:
+        return holds()
+
+    await eventually(look, what)
 
 
 async def _appears(client: MemoryClient, path: str) -> dict[str, object]:
@@ -102,7 +103,9 @@ async def test_a_value_is_read_and_written_through_the_hub() -> None:
 async def test_a_command_reports_feedback_and_one_result() -> None:
     async with _fleet() as (_, _robot_gateway, client):
         id_ = await client.send(
-            type="execute", path="/tenant/alpha/action/r7/move_to", body={"position": {"x": 0.3, "y": 0.0}}
+            type="execute",
+            path="/tenant/alpha/action/r7/move_to",
+            body={"position": {"x": 0.3, "y": 0.0}},
         )
         replies = await client.replies(id_)
         assert any(reply["status"] == "in_progress" for reply in replies), replies
@@ -122,10 +125,10 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
         client = hub.client(OPERATOR)
         async with _serving(_robot(port)):
             await _appears(client, "/tenant/alpha/sensor/r7/pose")
-            await _until(lambda: str(hub.supervisor.state) == "ready")
-        await _until(lambda: str(hub.supervisor.state) == "down")
+            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
+        await _comes(lambda: hub.supervisor.state == "down", "the backend is down")
         async with _serving(_robot(port)):
-            await _until(lambda: str(hub.supervisor.state) == "ready")
+            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
             read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
             assert read["status"] == "completed", read
         await client.close()
@@ -134,8 +137,84 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
 async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
     port = _free_port()
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):
-        await _until(lambda: "r7" in str(hub.supervisor.detail))
+        await _comes(lambda: "r7" in str(hub.supervisor.detail), "the refusal is in the status")
         client = hub.client(OPERATOR)
         found = await client.request("discover", path="/tenant/alpha/**", body={"limit": 9})
         assert not [one for one in found["body"]["resources"] if "/r7/" in one["path"]]
         await client.close()
+
+
+class _Cable:
+    """A TCP proxy between a robot and the router, which can be cut."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._writers: set[asyncio.StreamWriter] = set()
+        self.port = 0
+
+    @asynccontextmanager
+    async def laid(self) -> AsyncGenerator[_Cable]:
+        server = await asyncio.start_server(self._join, "127.0.0.1", 0)
+        self.port = server.sockets[0].getsockname()[1]
+        try:
+            yield self
+        finally:
+            server.close()
+            self.cut()
+
+    def cut(self) -> None:
+        for writer in self._writers:
+            writer.transport.abort()
+        self._writers.clear()
+
+    async def _join(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._port)
+        except OSError:
+            writer.transport.abort()
+            return
+        self._writers |= {writer, far_writer}
+        await asyncio.gather(self._pass(reader, far_writer), self._pass(far_reader, writer))
+
+    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError):
+            while data := await reader.read(65_536):
+                writer.write(data)
+                await writer.drain()
+        writer.transport.abort()
+
+
+async def test_a_command_outlives_a_cut_link_and_ends_once() -> None:
+    port = _free_port()
+    async with (
+        _serving(_hub(port)) as hub,
+        _Cable(port).laid() as cable,
+        _serving(_robot(cable.port)) as robot,
+    ):
+        client = hub.client(OPERATOR)
+        await _appears(client, "/tenant/alpha/sensor/r7/pose")
+        body = {"position": {"x": 1.5, "y": 0.0}}
+        id_ = await client.send(type="execute", path="/tenant/alpha/action/r7/move_to", body=body)
+        await client.until(lambda m: m.get("id") == id_ and m.get("status") == "in_progress")
+        cable.cut()
+        replies = await client.replies(id_, BOUND)
+        assert replies[-1]["status"] == "completed", replies[-1]
+        local = robot.client(OPERATOR)
+        commands = await local.request("read", "/system/commands")
+        assert len(commands["body"]) == 1, commands
+        await local.close()
+        await client.close()
+
+
+async def test_a_robot_finds_a_hub_that_was_restarted() -> None:
+    port = _free_port()
+    async with AsyncExitStack() as stack:
+        first = AsyncExitStack()
+        hub = await first.enter_async_context(_serving(_hub(port)))
+        await stack.enter_async_context(_serving(_robot(port)))
+        await _comes(lambda: bool(hub.life.backend.gateways), "the robot has dialled in")  # type: ignore[attr-defined]
+        await first.aclose()
+        hub = await stack.enter_async_context(_serving(_hub(port)))
+        client = hub.client(OPERATOR)
+        stack.push_async_callback(client.close)
+        await _appears(client, "/tenant/alpha/sensor/r7/pose")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 import structlog
@@ -29,14 +30,14 @@ class HubLink:
         session: zenoh.Session,
         key: str,
         patience: float,
-        gone: Callable[[], None],
+        gone: Callable[[], object],
     ) -> None:
         self._gone = gone
         self._pipe = Pipe(session, key, self.flush, self._ended)
         self._connection = client_api.connect(_NOBODY, Encoding.MSGPACK, self.flush, peer=Peer())
         self._connection.set_callbacks(
             hello=self._hello,
-            released=lambda held: [self._connection.receive(data) for data in held] and None,
+            released=self._released,
             cut=lambda: self.close("the hub does not read"),
         )
         self._known = False
@@ -63,6 +64,10 @@ class HubLink:
                 self._connection.send(failure(refusal, type_, id_))
                 return
         self._connection.receive(data)
+
+    def _released(self, held: deque[bytes]) -> None:
+        for data in held:
+            self._connection.receive(data)
 
     def _hello(self, hello: Hello) -> dict[str, object]:
         if self._connection.session.principal is not _NOBODY:

@@ -57,9 +57,7 @@ class _Links:
 
 
 @asynccontextmanager
-async def open_zenoh(
-    config: ZenohConfig, client_api: ClientApi
-) -> AsyncGenerator[dict[str, Any]]:
+async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Join the fleet while entered, also if its routers come later."""
     facts: dict[str, Any] = {"gateway": config.gateway, "routers": list(config.connect)}
     serving = client_api.loop.create_task(_serve(config, client_api), name="zenoh")

@@ -101,7 +101,6 @@ class Channel:
 
     async def _dial(self) -> bool:
         """Connect and send `hello`; return whether the session was resumed."""
-        settings = self.settings
         self._lost.clear()
         self._greeted = False
         self._link = link = await self._open_link()
