@@ -208,13 +208,15 @@ async def test_a_command_outlives_a_cut_link_and_ends_once() -> None:
 
 async def test_a_robot_finds_a_hub_that_was_restarted() -> None:
     port = _free_port()
-    async with AsyncExitStack() as stack:
-        first = AsyncExitStack()
+    async with AsyncExitStack() as first, AsyncExitStack() as stack:
         hub = await first.enter_async_context(_serving(_hub(port)))
         await stack.enter_async_context(_serving(_robot(port)))
-        await _comes(lambda: bool(hub.life.backend.gateways), "the robot has dialled in")  # type: ignore[attr-defined]
+        await _appears_at(hub, stack)
         await first.aclose()
-        hub = await stack.enter_async_context(_serving(_hub(port)))
-        client = hub.client(OPERATOR)
-        stack.push_async_callback(client.close)
-        await _appears(client, "/tenant/alpha/sensor/r7/pose")
+        await _appears_at(await stack.enter_async_context(_serving(_hub(port))), stack)
+
+
+async def _appears_at(hub: Served, stack: AsyncExitStack) -> None:
+    client = hub.client(OPERATOR)
+    stack.push_async_callback(client.close)
+    await _appears(client, "/tenant/alpha/sensor/r7/pose")
