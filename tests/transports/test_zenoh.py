@@ -220,3 +220,31 @@ async def _appears_at(hub: Served, stack: AsyncExitStack) -> None:
     client = hub.client(OPERATOR)
     stack.push_async_callback(client.close)
     await _appears(client, "/tenant/alpha/sensor/r7/pose")
+
+
+async def test_a_lost_message_ends_the_link() -> None:
+    import zenoh
+
+    from rcp_zenoh.pipe import Pipe
+    from rcp_zenoh.session import configuration, on_loop, opened
+
+    async with opened(configuration("router"), patient=False) as session:
+        reasons: list[str] = []
+        taken: list[bytes | None] = []
+        near = Pipe(session, "test/up", lambda: None, reasons.append)
+        far = Pipe(session, "test/down", lambda: None, reasons.append)
+
+        def take(sample: zenoh.Sample) -> None:
+            if sample.payload.to_bytes() != b"two":
+                taken.append(far.receive(sample))
+
+        loop = asyncio.get_running_loop()
+        subscriber = session.declare_subscriber("test/up", on_loop(loop, take))
+        near.send(b"one")
+        await _comes(lambda: taken == [b"one"], "the first message has arrived")
+        near.send(b"two")
+        near.send(b"three")
+        await _comes(lambda: bool(reasons), "the loss is noticed")
+        assert taken[1:] == [None]
+        assert reasons == ["messages 2 to 2 were lost on the way"]
+        subscriber.undeclare()
