@@ -16,6 +16,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from rcp_client.calls import Call, Calls
+from rcp_client.carrier import Carrier
 from rcp_client.errors import ConnectionLost, error_of, safely
 from rcp_client.link import Link
 from rcp_client.messages import Codec, Message, Notice, Reply
@@ -54,7 +55,7 @@ class Channel:
         self._prefix = secrets.token_hex(4)
         self._numbers = itertools.count(1)
         self._resume_token: str | None = None
-        self._link: Link | None = None
+        self._link: Carrier | None = None
         self._greeted = False
         self._lost = asyncio.Event()
         self._keeper: asyncio.Task[None] | None = None
@@ -100,19 +101,9 @@ class Channel:
 
     async def _dial(self) -> bool:
         """Connect and send `hello`; return whether the session was resumed."""
-        settings = self.settings
         self._lost.clear()
         self._greeted = False
-        self._link = link = await Link.open(
-            settings.address,
-            self._codec,
-            settings.token,
-            self._received,
-            self._on_lost,
-            timeout=settings.connect_timeout,
-            heartbeat=settings.heartbeat,
-            ssl=settings.ssl,
-        )
+        self._link = link = await self._open_link()
         try:
             if link.closed:  # it was closed before it could be assigned
                 raise ConnectionLost(link.why)
@@ -123,7 +114,22 @@ class Channel:
         self._greeted = True
         return resumed
 
-    async def _greet(self, link: Link) -> bool:
+    async def _open_link(self) -> Carrier:
+        settings = self.settings
+        if settings.dial is not None:
+            return await settings.dial(self._codec, self._received, self._on_lost)
+        return await Link.open(
+            settings.address,
+            self._codec,
+            settings.token,
+            self._received,
+            self._on_lost,
+            timeout=settings.connect_timeout,
+            heartbeat=settings.heartbeat,
+            ssl=settings.ssl,
+        )
+
+    async def _greet(self, link: Carrier) -> bool:
         if self.session is not None:
             try:
                 await self._hello(link, session=self.session)
@@ -136,11 +142,15 @@ class Channel:
         await self._hello(link)
         return False
 
-    async def _hello(self, link: Link, session: str | None = None) -> None:
+    async def _hello(self, link: Carrier, session: str | None = None) -> None:
         settings = self.settings
-        body: dict[str, Any] = {"client": settings.client, "segment_size": _SEGMENT}
+        body: dict[str, Any] = {"client": settings.client}
+        if settings.dial is None:
+            body["segment_size"] = _SEGMENT
         if settings.tenant is not None:
             body["tenant"] = settings.tenant
+        if settings.dial is not None and settings.token is not None:
+            body["token"] = settings.token
         if session is not None:
             body |= {"session": session, "resume_token": self._resume_token}
             body["resume_from"] = self._seen()
@@ -155,7 +165,7 @@ class Channel:
         if reply.timestamp is not None:
             self._recovery.greeted(reply.timestamp, requested, resumed=session is not None)
 
-    async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
+    async def _first(self, link: Carrier, envelope: dict[str, Any]) -> Reply:
         """Send a request on a link that is not in general use yet."""
         call = Call(envelope, "never")
         self.calls.enter(call)
@@ -281,7 +291,7 @@ class Channel:
         # The session reports the outcome of an accepted command by itself.
         return [c for c in before if c.command is None or c.session != self.session]
 
-    def _go(self, call: Call, link: Link | None, **facts: Any) -> None:
+    def _go(self, call: Call, link: Carrier | None, **facts: Any) -> None:
         """Send a call under a new id, or under its fixed id."""
         id_ = call.fixed or self.new_id()
         self.calls.name(call, id_)
@@ -322,7 +332,7 @@ class Channel:
             listener(notice)
         safely(self.settings.on_notice, notice)
 
-    def _on_lost(self, link: Link) -> None:
+    def _on_lost(self, link: Carrier) -> None:
         if link is self._link:
             self._greeted = False
             for call in self.calls.every():

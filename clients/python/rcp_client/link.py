@@ -6,7 +6,6 @@ import asyncio
 import itertools
 import logging
 import os
-from collections.abc import Callable
 from ssl import SSLContext
 from typing import Any
 
@@ -23,6 +22,7 @@ from picows import (
 )
 
 from rcp_client.address import Address
+from rcp_client.carrier import Lost, Received
 from rcp_client.errors import ConnectionLost, error_of
 from rcp_client.messages import Codec, Message, Reply
 from rcp_client.segments import Assembler, split
@@ -37,13 +37,11 @@ _LIMIT = 256 * 1024 * 1024  # bytes of one segmented message
 _SWEEP = 1.0  # s between two checks for missing segments
 _PART_WAIT = 3.0  # s without a segment after which missing ones are requested again
 
-Received = Callable[[Message, bytes], None]
-
 
 class Link(WSListener):
     """The client's end of one connection; only for the event loop's thread."""
 
-    def __init__(self, codec: Codec, received: Received, lost: Callable[[Link], None]) -> None:
+    def __init__(self, codec: Codec, received: Received, lost: Lost) -> None:
         self._codec = codec
         self._received = received
         self._lost = lost
@@ -69,7 +67,7 @@ class Link(WSListener):
         codec: Codec,
         token: str | None,
         received: Received,
-        lost: Callable[[Link], None],
+        lost: Lost,
         *,
         timeout: float,  # noqa: ASYNC109 - picows applies it to both phases
         heartbeat: float,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from ssl import SSLContext
 
 from rcp_client.address import Address
+from rcp_client.carrier import Dial
 from rcp_client.messages import Notice
 from rcp_protocol.values import Encoding
 
@@ -37,3 +38,5 @@ class Settings:
     client: str = "rcp-client/python"
     ssl: SSLContext | None = None
     on_notice: Callable[[Notice], None] | None = None
+    dial: Dial | None = None
+    """Opens connections that are no WebSockets; the token then goes into `hello`."""

@@ -1,0 +1,105 @@
+"""The fleet as a backend: each gateway below its tenant is one of its robots."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any
+
+import zenoh
+
+from rcp_fleet.config import FleetConfig
+from rcp_fleet.gateway import RemoteGateway
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_zenoh.keys import alive, part
+from rcp_zenoh.session import configuration, on_loop, opened
+
+__all__ = ["FleetBackend", "open_fleet"]
+
+
+class FleetBackend(BaseBackend):
+    """Passes every operation to the gateway whose resource it concerns."""
+
+    on_loss = "continue"  # the robot's own gateway decides
+
+    def __init__(self, config: FleetConfig, session: zenoh.Session, host: Host) -> None:
+        self._config, self._session, self._host = config, session, host
+        self.gateways: dict[str, RemoteGateway] = {}
+
+    def token(self, sample: zenoh.Sample) -> None:
+        """Note that a gateway has come or gone."""
+        name, here = part(sample.key_expr, 2), sample.kind == zenoh.SampleKind.PUT
+        known = self.gateways.get(name)
+        if known is None and here:
+            known = self.gateways[name] = RemoteGateway(
+                self._config, self._session, self._host, name, self._review
+            )
+        if known is not None:
+            known.alive(here=here)
+
+    def _review(self) -> None:
+        away = sorted(name for name, gateway in self.gateways.items() if not gateway.ready)
+        if not away:
+            self._host.report(None)
+            return
+        shown = ", ".join(away[:5]) + (f" and {len(away) - 5} more" if len(away) > 5 else "")
+        # Down ends the commands in the kernel; those of a gateway go on without this link.
+        down = not any(one.ready or one.commands for one in self.gateways.values())
+        self._host.report(f"not reachable: {shown}", down=down)
+
+    def _of(self, name: str) -> RemoteGateway:
+        return self.gateways[name.split("/", 2)[1]]
+
+    async def read(self, name: str) -> Any:
+        """Read at the robot's gateway."""
+        return await self._of(name).read(name)
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Write at the robot's gateway."""
+        return await self._of(name).write(name, value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Execute at the robot's gateway."""
+        return await self._of(name).execute(name, value, progress)
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Subscribe at the robot's gateway, once for all subscribers here."""
+        return self._of(name).watch(name, rate)
+
+    async def halt(self) -> None:
+        """Stop every robot; all are asked at once."""
+        async with asyncio.TaskGroup() as group:
+            for gateway in self.gateways.values():
+                group.create_task(gateway.stop())
+
+    async def halt_robot(self, robot: str) -> None:
+        """Stop one robot."""
+        await self.gateways[robot].stop()
+
+    async def close(self) -> None:
+        """End all sessions."""
+        await asyncio.gather(*(one.close() for one in self.gateways.values()))
+
+
+@asynccontextmanager
+async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
+    """Serve the gateways that a router knows, and be that router if `listen` says so."""
+    if not config.listen and not config.connect:
+        raise ConfigError(
+            "the fleet has no router: `listen` makes this hub one, `connect` names others"
+        )
+    mode = "router" if config.listen else "client"
+    loop = asyncio.get_running_loop()
+    zenoh_config = configuration(mode, listen=config.listen, connect=config.connect)
+    async with opened(zenoh_config, patient=False) as session:
+        backend = FleetBackend(config, session, host)
+        tokens = session.liveliness().declare_subscriber(
+            alive(host.tenant), on_loop(loop, backend.token), history=True
+        )
+        try:
+            yield backend
+        finally:
+            tokens.undeclare()
+            await backend.close()

@@ -1,0 +1,168 @@
+"""One robot's gateway, as the hub knows it: its session, its resources, its values."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import structlog
+import zenoh
+
+from rcp_client.address import Address
+from rcp_client.carrier import Carrier, Lost, Received
+from rcp_client.client import Client
+from rcp_client.command import Feedback
+from rcp_client.errors import ConnectionLost
+from rcp_client.messages import Codec
+from rcp_client.settings import Settings
+from rcp_fleet.config import FleetConfig
+from rcp_fleet.link import FleetLink
+from rcp_fleet.resources import name_of, resource_of
+from rcp_kernel.clock import parse_time
+from rcp_kernel.errors import AdapterUnavailable, RcpError
+from rcp_kernel.spi import Host, Progress
+
+__all__ = ["RemoteGateway"]
+
+log = structlog.get_logger("rcp.fleet")
+_LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
+
+
+class RemoteGateway:
+    """A gateway with a session that outlives its links."""
+
+    def __init__(
+        self,
+        config: FleetConfig,
+        session: zenoh.Session,
+        host: Host,
+        name: str,
+        changed: Callable[[], None],
+    ) -> None:
+        self._config, self._session, self._host, self._changed = config, session, host, changed
+        self.name = name
+        self.ready = False
+        """Whether its resources are declared and it can be reached."""
+        self.commands = 0
+        """Running commands, which outlive a cut: their gateway reports their end when it is back."""
+        self._alive = asyncio.Event()
+        self._link: FleetLink | None = None
+        self._paths: dict[str, str] = {}
+        self._client = Client(
+            Settings(
+                address=Address.parse("fleet"),
+                token=config.token,
+                connect_timeout=config.connect_timeout,
+                patience=None,
+                longest_pause=_LONGEST_PAUSE,
+                client=f"hub {config.hub}",
+                dial=self._dial,
+            )
+        )
+        self._client.channel.listeners.append(lambda _notice: self._review())
+        self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
+
+    def alive(self, *, here: bool) -> None:
+        """Note that the gateway's token has appeared or gone."""
+        if here:
+            self._alive.set()
+            return
+        self._alive.clear()
+        if self._link is not None:
+            self._link.close("the gateway is gone")
+
+    async def _dial(self, codec: Codec, received: Received, lost: Lost) -> Carrier:
+        await self._alive.wait()
+        place = (self._host.tenant, self.name, self._config.hub)
+        self._link = FleetLink(self._session, place, codec, received, lost)
+        return self._link
+
+    async def _open(self) -> None:
+        while True:
+            try:
+                await self._client.channel.open()
+                break
+            except ConnectionLost as error:
+                log.info("fleet_gateway_unreachable", gateway=self.name, reason=error.message)
+            except RcpError as error:
+                self._host.report(f"gateway '{self.name}': {error.message}")
+                return
+            await asyncio.sleep(_LONGEST_PAUSE)
+        await self._declare()
+        self._review()
+
+    async def _declare(self) -> None:
+        found = await self._client.discover("/tenant/**")
+        self._paths = {name_of(info.path, self.name): info.path for info in found}
+        self._host.declare(*(resource_of(info, self.name) for info in found))
+
+    def _review(self) -> None:
+        ready = bool(self._paths) and self._client.connected
+        if ready == self.ready:
+            return
+        self.ready = ready
+        if ready:
+            self._host.link_restored(self.name)
+        self._changed()
+
+    def _path(self, name: str) -> str:
+        if not self.ready:
+            raise AdapterUnavailable(f"the gateway of '{self.name}' cannot be reached")
+        return self._paths[name]
+
+    async def read(self, name: str) -> Any:
+        """Read from the gateway."""
+        return await self._client.read(self._path(name))
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Write, and return the value in force."""
+        return await self._client.write(self._path(name), value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run a command of the gateway; its errors are the robot's own."""
+
+        def feedback(one: Feedback) -> None:
+            if one.status == "in_progress":
+                progress(one.body, fraction=one.progress)
+
+        path = self._path(name)
+        self.commands += 1
+        try:
+            return await self._client.execute(path, value, on_feedback=feedback)
+        finally:
+            self.commands -= 1
+            if not self.ready:
+                self._changed()
+
+    async def stop(self) -> None:
+        """Stop the robot by its own e-stop, which returns when it is measured to be at rest."""
+        if not self.ready:
+            raise AdapterUnavailable(f"the gateway of '{self.name}' cannot be reached")
+        await self._client.estop(reason=f"hub {self._config.hub}")
+
+    @asynccontextmanager
+    async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
+        """Publish what one subscription of the gateway brings."""
+        task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+        try:
+            yield
+        finally:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+
+    async def _pass_on(self, name: str, rate: float | None) -> None:
+        try:
+            async for update in self._client.subscribe(self._paths[name], rate=rate):
+                if not update.truncated:
+                    self._host.publish(name, update.body, parse_time(update.timestamp))
+        except RcpError as error:
+            log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+
+    async def close(self) -> None:
+        """End the session; what the robot does goes on as its own gateway decides."""
+        self._opening.cancel()
+        await asyncio.gather(self._opening, return_exceptions=True)
+        await self._client.channel.close()

@@ -1,0 +1,18 @@
+"""The session API over Zenoh: a gateway that dials out to the routers of its fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_kernel.client_kinds import TransportKind
+from rcp_kernel.hookspecs import hookimpl
+from rcp_zenoh.config import ZenohConfig
+from rcp_zenoh.transport import open_zenoh
+
+__all__ = ["ZenohConfig", "open_zenoh", "rcp_transports"]
+
+
+@hookimpl
+def rcp_transports() -> Iterable[TransportKind]:
+    """Provide Zenoh."""
+    return [TransportKind("zenoh", ZenohConfig, open_zenoh, __doc__ or "")]

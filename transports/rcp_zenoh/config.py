@@ -1,0 +1,26 @@
+"""The configuration of `[transports.zenoh]`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+__all__ = ["Chunk", "ZenohConfig"]
+
+Chunk = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+"""One chunk of a key expression that is also a segment of a path."""
+
+
+class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a gateway joins its fleet. Times in seconds."""
+
+    gateway: Chunk
+    """Its id in the fleet: the segment after the branch in the hubs' trees."""
+    tenant: Chunk
+    """The tenant under which hubs show it."""
+    connect: Annotated[tuple[str, ...], Meta(min_length=1)]
+    """Endpoints of the routers: `tcp/hub.example:7447`, `tls/…`, `quic/…`."""
+    patience: Annotated[float, Meta(gt=0)] = 10.0
+    """For a hub's `hello`, which says who it is."""

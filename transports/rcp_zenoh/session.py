@@ -1,0 +1,73 @@
+"""A Zenoh session for an event loop: opened in a thread, its callbacks brought to the loop."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, Literal
+
+import structlog
+import zenoh
+from zenoh.handlers import Callback
+
+from rcp_kernel.errors import NotReady
+
+__all__ = ["configuration", "on_loop", "opened"]
+
+log = structlog.get_logger("rcp.zenoh")
+_PAUSE = 1.0  # s between two attempts to reach a router
+
+
+def configuration(
+    mode: Literal["client", "router"], *, listen: Sequence[str] = (), connect: Sequence[str] = ()
+) -> zenoh.Config:
+    """Make a configuration that finds nobody by itself: the endpoints are all there is."""
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", mode),
+        ("listen/endpoints", list(listen)),
+        ("connect/endpoints", list(connect)),
+        ("scouting/multicast/enabled", False),
+        ("scouting/gossip/enabled", False),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+@asynccontextmanager
+async def opened(config: zenoh.Config, *, patient: bool) -> AsyncGenerator[zenoh.Session]:
+    """Open a session, and close it at the end.
+
+    :raises NotReady: it cannot be opened, and the caller is not `patient`.
+    """
+    while True:
+        try:
+            session = await asyncio.to_thread(zenoh.open, config)
+            break
+        except zenoh.ZError as error:
+            if not patient:
+                raise NotReady(f"Zenoh: {error}") from error
+            log.debug("zenoh_router_unreachable", reason=str(error))
+        await asyncio.sleep(_PAUSE)
+    try:
+        yield session
+    finally:
+        await asyncio.to_thread(session.close)
+
+
+def on_loop(
+    loop: asyncio.AbstractEventLoop, handle: Callable[[zenoh.Sample], object]
+) -> Callback[zenoh.Sample]:
+    """Return a callback that passes samples to the event loop.
+
+    It runs in Zenoh's receiving thread: a plain function would get a thread of its own for each
+    subscriber.
+    """
+
+    def receive(sample: Any) -> None:
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(handle, sample)
+
+    return Callback(receive, indirect=False)

@@ -1,0 +1,87 @@
+"""The gateway's end of Zenoh: its token, and one link for each hub that speaks to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager, suppress
+from functools import partial
+from typing import Any
+
+import zenoh
+
+from rcp_kernel.client_api import ClientApi
+from rcp_zenoh.client import HubLink
+from rcp_zenoh.config import ZenohConfig
+from rcp_zenoh.keys import LinkKeys, alive, links_of, part
+from rcp_zenoh.session import configuration, on_loop, opened
+
+__all__ = ["open_zenoh"]
+
+
+class _Links:
+    """The links of all hubs, by hub and link."""
+
+    def __init__(self, config: ZenohConfig, client_api: ClientApi, session: zenoh.Session) -> None:
+        self._config, self._client_api, self._session = config, client_api, session
+        self._links: dict[tuple[str, str], HubLink] = {}
+
+    def token(self, sample: zenoh.Sample) -> None:
+        """Open or close a link with its hub's token."""
+        hub, link = part(sample.key_expr, 4), part(sample.key_expr, 5)
+        if sample.kind == zenoh.SampleKind.DELETE:
+            known = self._links.get((hub, link))
+            if known is not None:
+                known.close("the hub is gone")
+        elif (hub, link) not in self._links and not self._client_api.closing:
+            config = self._config
+            keys = LinkKeys.of(config.tenant, config.gateway, hub, link)
+            self._links[hub, link] = HubLink(
+                self._client_api,
+                self._session,
+                keys.down,
+                config.patience,
+                partial(self._links.pop, (hub, link), None),
+            )
+
+    def message(self, sample: zenoh.Sample) -> None:
+        """Pass a message to its link; without a token it is nobody's."""
+        link = self._links.get((part(sample.key_expr, 4), part(sample.key_expr, 5)))
+        if link is not None:
+            link.received(sample)
+
+    def close(self) -> None:
+        """End all links."""
+        for link in list(self._links.values()):
+            link.close("the gateway is closing")
+
+
+@asynccontextmanager
+async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
+    """Join the fleet while entered, also if its routers come later."""
+    facts: dict[str, Any] = {"gateway": config.gateway, "routers": list(config.connect)}
+    serving = client_api.loop.create_task(_serve(config, client_api), name="zenoh")
+    try:
+        yield facts
+    finally:
+        serving.cancel()
+        with suppress(asyncio.CancelledError):
+            await serving
+
+
+async def _serve(config: ZenohConfig, client_api: ClientApi) -> None:
+    loop, keys = client_api.loop, links_of(config.tenant, config.gateway)
+    async with opened(configuration("client", connect=config.connect), patient=True) as session:
+        links = _Links(config, client_api, session)
+        # The token of a link comes before its messages; our own comes last, when we can answer.
+        tokens = session.liveliness().declare_subscriber(
+            keys.token, on_loop(loop, links.token), history=True
+        )
+        messages = session.declare_subscriber(keys.up, on_loop(loop, links.message))
+        own = session.liveliness().declare_token(alive(config.tenant, config.gateway))
+        try:
+            await asyncio.Event().wait()
+        finally:
+            links.close()
+            for one in (own, messages, tokens):
+                one.undeclare()
