@@ -16,7 +16,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
 from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Sample, native_form
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
@@ -196,18 +196,20 @@ class Entry:
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
-        self.seq += 1
-        sample = Sample(self, value, timestamp or received, received, self.seq)
+        seq = self.seq = self.seq + 1
+        sample = Sample(self, value, timestamp or received, received, seq)
+        if type(value) is not self.value_type.type:
+            sample.native = native_form(value)
         latest = self.latest
-        if latest is not None and latest.bodies:  # they are made again on use
-            latest.bodies, latest.tails = {}, {}
+        if latest is not None:
+            latest.release()
         self.latest = sample
         self._heard = self._monotonic()
         self.ring.append(sample)
         self.owner.samples += 1
         for listener in self.listeners:
             listener.offer(sample)
-        if self.seq & 63 == 1:
+        if seq & 63 == 1:
             self.size_ring()
         return sample
 
