@@ -212,8 +212,12 @@ class Host(Protocol):
         """Run a function on the event loop, from any thread."""
         ...
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
-        """Report that the link is degraded (or down), with the reason; None: it has recovered."""
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
+        """Report that the link is degraded (or down), with the reason; None: it has recovered.
+
+        With `robot`, of one of the backend's robots (see `Resource.robot`): the others are not
+        touched.
+        """
         ...
 
     def link_restored(self, robot: str | None = None) -> None:
