@@ -98,7 +98,9 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         )
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
-    zenoh_config = configuration(mode, listen=config.listen, connect=config.connect)
+    zenoh_config = configuration(
+        mode, listen=config.listen, connect=config.connect, silence=config.silence
+    )
     async with opened(zenoh_config, patient=False) as session:
         backend = FleetBackend(config, session, host)
         tokens = session.liveliness().declare_subscriber(

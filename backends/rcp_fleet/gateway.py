@@ -25,6 +25,7 @@ from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import Kind, kind_of
 from rcp_kernel.spi import Host, Progress
+from rcp_zenoh.statistics import LinkStatistics
 
 __all__ = ["RemoteGateway"]
 
@@ -53,6 +54,7 @@ class RemoteGateway:
         """Running commands, which outlive a cut: their gateway reports their end when it is back."""
         self._alive = asyncio.Event()
         self._link: FleetLink | None = None
+        self._statistics = LinkStatistics({"gateway": name})
         self._paths: dict[str, str] = {}
         self._client = Client(
             Settings(
@@ -80,7 +82,10 @@ class RemoteGateway:
     async def _dial(self, codec: Codec, received: Received, lost: Lost) -> Carrier:
         await self._alive.wait()
         place = (self._host.tenant, self.name, self._config.hub)
-        self._link = FleetLink(self._session, place, codec, received, lost)
+        silence = self._config.silence
+        self._link = FleetLink(
+            self._session, place, silence, self._statistics, codec, received, lost
+        )
         return self._link
 
     async def _open(self) -> None:

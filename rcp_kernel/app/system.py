@@ -95,6 +95,7 @@ class System(BaseBackend):
         self._loop = loop
         self.samples = 0
         self._unit = StopGroup(self, None)
+        self._unit.link = self
         self._estop_due: asyncio.TimerHandle | None = None
         self._tree_due: asyncio.TimerHandle | None = None
         self.latency: float | None = None

@@ -192,7 +192,7 @@ def _is_part(entry: Entry, profile: str) -> bool:
 
 
 def _state(entry: Entry) -> str:
-    if entry.owner.backend is None:
+    if entry.unit.link is None:
         return "down"
     if entry.kind in (Kind.ACTION, Kind.SERVICE):
         return "ready"

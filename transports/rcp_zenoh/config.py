@@ -24,3 +24,5 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Endpoints of the routers: `tcp/hub.example:7447`, `tls/…`, `quic/…`."""
     patience: Annotated[float, Meta(gt=0)] = 10.0
     """For a hub's `hello`, which says who it is."""
+    silence: Annotated[float, Meta(ge=0.3)] = 3.0
+    """After which a link counts as broken; also Zenoh's own lease."""
