@@ -21,6 +21,7 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Transform
+from rcp_kernel.values import Encoding
 
 __all__ = [
     "Anchor",
@@ -29,6 +30,7 @@ __all__ = [
     "BaseBackend",
     "Caller",
     "Dimensions",
+    "Encoded",
     "FrameTree",
     "Host",
     "MotionState",
@@ -60,6 +62,22 @@ class Native(Protocol):
     def decode(self) -> Any:
         """Return the value; called at most once, on the event loop."""
         ...
+
+
+@runtime_checkable
+class Encoded(Native, Protocol):
+    """A value that another gateway has numbered and encoded: it is passed on as it is.
+
+    From its first one on, a resource has the numbers of its source; one that is not newer is not
+    published again, and what the kernel learns otherwise (a written value) has no number.
+    """
+
+    encoding: Encoding
+    """The encoding of `data`."""
+    seq: int
+    """Number of the sample at its source."""
+    timestamp: int
+    """Source time, ns since the UNIX epoch."""
 
 
 class Publication(msgspec.Struct, frozen=True, gc=False):
