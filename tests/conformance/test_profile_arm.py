@@ -33,7 +33,7 @@ class Arm(BaseBackend):
     """Of a joint's position, from what is commanded to what the device does."""
 
     def __init__(self) -> None:
-        self.joints = dict.fromkeys(JOINTS, 0.3)
+        self.joints: dict[str, float] = dict.fromkeys(JOINTS, 0.3)
         self.width = 0.08
         self.moves = False
 
