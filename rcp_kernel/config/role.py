@@ -59,7 +59,7 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
-_HEALTH = Rule(_LOOK, ("/system/status",))
+_HEALTH = Rule(_LOOK, ("/system/status", "/system/tree"))
 _STOP = Rule(("discover", "read", "subscribe", "execute"), (ESTOP,))
 _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
 ASK = Rule(_LOOK, ("/system/approvals",))
