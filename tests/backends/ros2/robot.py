@@ -83,7 +83,7 @@ class Robot:
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         self.loop.call_soon_threadsafe(function, *args)
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
         self.reports.append(detail)
         self._changed.set()
 

@@ -17,6 +17,7 @@ from rcp_kernel.values import value_type
 
 pytestmark = pytest.mark.skipif(not interfaces.have_tools(), reason="control_msgs cannot be built")
 DOMAIN = fresh_domain()
+LEFT = ("left_shoulder", "left_elbow")
 _SAMPLES = 8
 MOVE, FOLLOW = "action/move_joints", "action/follow_trajectory"
 
@@ -175,9 +176,9 @@ async def test_two_arms_are_parts_of_one_robot_with_their_own_joints() -> None:
             async with robot.backend.watch(state, 5.0):
                 for _ in range(_SAMPLES):  # some of the topic's have the finger alone
                     value = await robot.backend.read(state)
-                    assert value.name == ["left_shoulder", "left_elbow"]
+                    assert tuple(value.name) == LEFT
                 await robot.until(lambda: len(robot.of(state)) > 1)
-            assert {*map(tuple, (one.name for one in robot.of(state)))} == {tuple(value.name)}
+            assert {*map(tuple, (one.name for one in robot.of(state)))} == {LEFT}
             moved = await robot.execute(
                 "action/left_controller/move_joints", {"positions": {"left_elbow": 0.2}}
             )
