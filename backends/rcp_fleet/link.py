@@ -13,6 +13,7 @@ import zenoh
 from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.messages import Codec
 from rcp_fleet.values import decoded
+from rcp_zenoh.budget import Allowance
 from rcp_zenoh.keys import LinkKeys
 from rcp_zenoh.lane import Priority
 from rcp_zenoh.pipe import Pipe
@@ -48,7 +49,7 @@ class FleetLink(Carrier):
         """Messages for which the window has no room yet."""
         loop = asyncio.get_running_loop()
         self._messages = session.declare_subscriber(keys.down, on_loop(loop, self._take))
-        self._pipe = Pipe(session, keys.up, silence, self, self._note)
+        self._pipe = Pipe(session, keys.up, silence, self, Allowance(), self._note)
         self._token = session.liveliness().declare_token(keys.token)
         statistics.opened()
 

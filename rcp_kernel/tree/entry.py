@@ -37,6 +37,8 @@ class Owner(Protocol):
 
     samples: int
     latency: float | None
+    has_gateways: bool
+    """Whether each of its robots has a gateway of its own: see `Backend.has_gateways`."""
     entries: dict[str, Entry]
     """Its resources, by the backend's own names."""
 
@@ -410,6 +412,13 @@ class StopGroup:
         """
         backend = self._open()
         await (backend.halt() if self.robot is None else backend.halt_robot(self.robot))
+
+    async def reset_own(self) -> None:
+        """Ask its own gateway to reset its e-stop: see `Backend.reset_estop`.
+
+        :raises RcpError: it refuses, or cannot be reached.
+        """
+        await self._open().reset_estop(self.robot)
 
     async def hold(self) -> None:
         """Bring it to rest without an e-stop.
