@@ -355,8 +355,8 @@ class Backend(Protocol):
     Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
     their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
     their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
-    backend, is passed to `execute` again with the same `caller().command`, which makes a key under
-    which the robot's gateway answers with what it knows of it."""
+    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
+    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
 
     async def halt(self) -> None:
         """Bring everything that moves to rest at once, by the strongest effective means.
