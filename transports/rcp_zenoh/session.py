@@ -18,6 +18,7 @@ __all__ = ["configuration", "on_loop", "opened"]
 
 log = structlog.get_logger("rcp.zenoh")
 _PAUSE = 1.0  # s between two attempts to reach a router
+_SESSIONS, _PENDING = 20_000, 2_000  # of a router: robots, and those that come at once
 _QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 4}
 """Batches of 64 KiB by priority: twice what the windows of a link let through."""
 
@@ -41,6 +42,8 @@ def configuration(
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/link/tx/lease", round(silence * 1000)),
+        ("transport/unicast/max_sessions", _SESSIONS),
+        ("transport/unicast/accept_pending", _PENDING),
         *((f"transport/link/tx/queue/size/{name}", size) for name, size in _QUEUES.items()),
     ):
         config.insert_json5(key, json.dumps(value))
