@@ -9,28 +9,28 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 import pytest
 
+from configuration import backend, configuration, key, table
+
 pytest.importorskip("zenoh")
 
 from rcp_kernel.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
 
-_KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
-_OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+_OPERATOR = key("operator", OPERATOR)
 
 
 def _robot(port: int) -> str:
-    return (
-        f'{_OFF}[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\n'
-        f'connect = ["tcp/127.0.0.1:{port}"]\n'
-        f'[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "alpha"\n{_KEYS}'
+    hub = [f"tcp/127.0.0.1:{port}"]
+    return configuration(
+        table("transports.zenoh", gateway="r7", tenant="alpha", connect=hub),
+        backend("rover", use="sim"),
+        _OPERATOR,
     )
 
 
 def _hub(port: int, token: str = OPERATOR) -> str:
-    return (
-        f'{_OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "alpha"\n'
-        f'hub = "h1"\nlisten = ["tcp/127.0.0.1:{port}"]\ntoken = "{token}"\n'
-        f"{_KEYS}"
-    )
+    listen = [f"tcp/127.0.0.1:{port}"]
+    fleet = backend("fleet", use="fleet", hub="h1", listen=listen, token=token)
+    return configuration(fleet, _OPERATOR)
 
 
 def _free_port() -> int:

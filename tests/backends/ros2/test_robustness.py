@@ -13,6 +13,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, robot_of
+from configuration import backend, key
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.testing import serve
 from timing import in_one_of_three_attempts, in_time
@@ -189,25 +190,11 @@ async def test_a_burst_arrives_in_order_and_leaves_the_event_loop_alone(
     in_time(max(late), STALL)
 
 
-GATEWAY = """
-[[backends]]
-use = "ros2"
-tenant = "alpha"
-domain_id = {domain}
-namespace = "/fleet/r1"
-expose = ["*"]
-
-[[keys]]
-name = "a"
-role = "operator"
-key = "operator-operator"
-"""
-
-
 async def test_when_the_side_of_ros_ends_the_backend_comes_back_by_itself(
     fleet_domain: int, fleet: Fleet
 ) -> None:
-    text = GATEWAY.format(domain=fleet_domain)
+    ros = backend(use="ros2", domain_id=fleet_domain, namespace="/fleet/r1", expose=["*"])
+    text = ros + key("operator", "operator-operator")
     async with serve(text, *rcp_ros2.rcp_backends()) as served:
         client = served.client("operator-operator")
         assert (await _pose(client))["status"] == "completed"

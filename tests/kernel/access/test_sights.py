@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from configuration import key, role, rule
 from kernel.judging import AT_ONCE, judged
 from kernel.world import BOUND, CONFIG, Client, Robot, World, world_of
 from rcp_kernel.access.acl import Rights
@@ -18,14 +19,9 @@ from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
 PATHS = 10_000
-NARROW = """
-[roles.narrow]
-allow = [{ operations = ["read", "discover"], paths = ["/sensor/**", "/system/status"] }]
-[[keys]]
-name = "narrow"
-role = "narrow"
-key = "narrow-narrow-narrow"
-"""
+NARROW = role("narrow", rule("read discover", "/sensor/**", "/system/status")) + key(
+    "narrow", "narrow-narrow-narrow"
+)
 
 
 class Many(Robot):
