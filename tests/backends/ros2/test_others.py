@@ -99,7 +99,7 @@ async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
         client = served.client("operator-operator")
         await eventually(lambda: _opened(served), "the backend is open", BOUND)
         opened: Any = served.life.backend
-        shared = opened._catalog._shared
+        shared = opened.catalog.shared
         assert await shared.until(lambda: "/fleet/r2/navigate" in shared.graph.actions, BOUND)
         await eventually(lambda: _known(served, "/tenant/alpha/action/go"), "it is told", BOUND)
 
