@@ -134,7 +134,7 @@ async def test_somebody_from_whom_nothing_is_hidden_sees_the_whole() -> None:
     async with many() as world:
         api = world.server.client_api
         rights = api.rights(api.authenticate("admin-admin-admin"))
-        sights = world.server.kernel.status._sights
+        sights = world.server.kernel.status.sights
         assert not sights.look(rights).whole(None)  # it is not known yet, and so denied
         await _looked(world, rights)
         assert sights.look(rights).whole(None)
@@ -145,7 +145,7 @@ async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
     async with many() as world:
         api, robot = world.server.client_api, world.robot
         rights = api.rights(api.authenticate("admin-admin-admin"))
-        sights = world.server.kernel.status._sights
+        sights = world.server.kernel.status.sights
         await _looked(world, rights)
         for number in range(1, 1001):  # more than are looked at in one step
             robot.add(level(number, "A new level."))
@@ -158,5 +158,5 @@ async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
 
 
 async def _looked(world: World, rights: Rights) -> Sight:
-    turns, sights = world.server.client_api.turns, world.server.kernel.status._sights
+    turns, sights = world.server.client_api.turns, world.server.kernel.status.sights
     return await turns.finish("test", sights.catch_up(rights))
