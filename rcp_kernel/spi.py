@@ -15,7 +15,9 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.contract.caller import Caller, caller
 from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Transform
@@ -25,16 +27,19 @@ __all__ = [
     "Backend",
     "BackendKind",
     "BaseBackend",
+    "Caller",
     "Dimensions",
     "FrameTree",
     "Host",
     "MotionState",
     "Native",
+    "Principal",
     "Progress",
     "Publication",
     "RobotFacts",
     "StopPlan",
     "Watchdog",
+    "caller",
     "check_fence",
     "fenced_off",
     "is_commanded",
@@ -207,8 +212,12 @@ class Host(Protocol):
         """Run a function on the event loop, from any thread."""
         ...
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
-        """Report that the link is degraded (or down), with the reason; None: it has recovered."""
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
+        """Report that the link is degraded (or down), with the reason; None: it has recovered.
+
+        With `robot`, of one of the backend's robots (see `Resource.robot`): the others are not
+        touched.
+        """
         ...
 
     def link_restored(self, robot: str | None = None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
@@ -11,6 +11,7 @@ import zenoh
 
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
+from rcp_fleet.types import RobotTypes
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import BaseBackend, Host, Progress
 from rcp_zenoh.keys import alive, part
@@ -26,6 +27,7 @@ class FleetBackend(BaseBackend):
 
     def __init__(self, config: FleetConfig, session: zenoh.Session, host: Host) -> None:
         self._config, self._session, self._host = config, session, host
+        self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
 
     def token(self, sample: zenoh.Sample) -> None:
@@ -34,7 +36,7 @@ class FleetBackend(BaseBackend):
         known = self.gateways.get(name)
         if known is None and here:
             known = self.gateways[name] = RemoteGateway(
-                self._config, self._session, self._host, name, self._review
+                self._config, self._session, self._host, self._types, name, self._review
             )
         if known is not None:
             known.alive(here=here)
@@ -59,6 +61,10 @@ class FleetBackend(BaseBackend):
     async def write(self, name: str, value: Any) -> Any:
         """Write at the robot's gateway."""
         return await self._of(name).write(name, value)
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Write several values of one robot as one."""
+        return await self._of(next(iter(values))).write_together(values)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Execute at the robot's gateway."""
@@ -92,7 +98,9 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         )
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
-    zenoh_config = configuration(mode, listen=config.listen, connect=config.connect)
+    zenoh_config = configuration(
+        mode, listen=config.listen, connect=config.connect, silence=config.silence
+    )
     async with opened(zenoh_config, patient=False) as session:
         backend = FleetBackend(config, session, host)
         tokens = session.liveliness().declare_subscriber(

@@ -23,3 +23,5 @@ class FleetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """What proves this hub to the gateways."""
     connect_timeout: Annotated[float, Meta(gt=0)] = 5.0
     """For a gateway's answer to `hello`."""
+    silence: Annotated[float, Meta(ge=0.3)] = 3.0
+    """After which a link counts as broken; also Zenoh's own lease."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -15,14 +15,17 @@ from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.client import Client
 from rcp_client.command import Feedback
 from rcp_client.errors import ConnectionLost
-from rcp_client.messages import Codec
+from rcp_client.messages import Codec, ResourceInfo
 from rcp_client.settings import Settings
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.link import FleetLink
-from rcp_fleet.resources import name_of, resource_of
+from rcp_fleet.resources import facts_of, name_of, resource_of
+from rcp_fleet.types import RobotTypes
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, RcpError
+from rcp_kernel.model import Kind, kind_of
 from rcp_kernel.spi import Host, Progress
+from rcp_zenoh.statistics import LinkStatistics
 
 __all__ = ["RemoteGateway"]
 
@@ -38,10 +41,12 @@ class RemoteGateway:
         config: FleetConfig,
         session: zenoh.Session,
         host: Host,
+        types: RobotTypes,
         name: str,
         changed: Callable[[], None],
     ) -> None:
         self._config, self._session, self._host, self._changed = config, session, host, changed
+        self._types = types
         self.name = name
         self.ready = False
         """Whether its resources are declared and it can be reached."""
@@ -49,6 +54,7 @@ class RemoteGateway:
         """Running commands, which outlive a cut: their gateway reports their end when it is back."""
         self._alive = asyncio.Event()
         self._link: FleetLink | None = None
+        self._statistics = LinkStatistics({"gateway": name})
         self._paths: dict[str, str] = {}
         self._client = Client(
             Settings(
@@ -76,7 +82,10 @@ class RemoteGateway:
     async def _dial(self, codec: Codec, received: Received, lost: Lost) -> Carrier:
         await self._alive.wait()
         place = (self._host.tenant, self.name, self._config.hub)
-        self._link = FleetLink(self._session, place, codec, received, lost)
+        silence = self._config.silence
+        self._link = FleetLink(
+            self._session, place, silence, self._statistics, codec, received, lost
+        )
         return self._link
 
     async def _open(self) -> None:
@@ -90,13 +99,49 @@ class RemoteGateway:
                 self._host.report(f"gateway '{self.name}': {error.message}")
                 return
             await asyncio.sleep(_LONGEST_PAUSE)
-        await self._declare()
-        self._review()
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._follow_tree())
+            group.create_task(self._follow_facts())
+
+    async def _follow_tree(self) -> None:
+        """Declare what the gateway has, and again whenever its tree changes."""
+        try:
+            async for _ in self._client.subscribe("/system/tree"):
+                await self._declare()
+        except RcpError as error:  # an earlier version: what it has now is what it will have
+            log.info("fleet_tree_not_followed", gateway=self.name, reason=error.message)
+            await self._declare()
 
     async def _declare(self) -> None:
-        found = await self._client.discover("/tenant/**")
+        found = await self._discover()
+        resources = [resource_of(info, self.name, self._types.of) for info in found]
+        gone = self._paths.keys() - {resource.name for resource in resources}
         self._paths = {name_of(info.path, self.name): info.path for info in found}
-        self._host.declare(*(resource_of(info, self.name) for info in found))
+        # Services first: the robot's own `hold` comes before the one that the kernel would add.
+        resources.sort(key=lambda one: kind_of(one.name) is not Kind.SERVICE)
+        for resource in resources:
+            try:
+                self._host.declare(resource)
+            except RcpError as error:  # one that is odd must not hide the others
+                log.warning("fleet_resource_refused", gateway=self.name, reason=error.message)
+        self._host.withdraw(*gone)
+        self._review()
+
+    async def _discover(self) -> list[ResourceInfo]:
+        while True:
+            try:
+                return await self._types.discover(self._client, "/tenant/**")
+            except RcpError as error:
+                log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
+            await asyncio.sleep(_LONGEST_PAUSE)
+
+    async def _follow_facts(self) -> None:
+        """Describe the robot as its gateway's inventory does, if it has one."""
+        try:
+            async for update in self._client.subscribe("/system/robots", rate=1.0):
+                self._host.describe(facts_of(update.body), self.name)
+        except RcpError as error:
+            log.info("fleet_robot_not_described", gateway=self.name, reason=error.message)
 
     def _review(self) -> None:
         ready = bool(self._paths) and self._client.connected
@@ -119,6 +164,12 @@ class RemoteGateway:
     async def write(self, name: str, value: Any) -> Any:
         """Write, and return the value in force."""
         return await self._client.write(self._path(name), value)
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Write several values as one, and return those in force."""
+        names = {self._path(name): name for name in values}
+        written = await self._client.write_all({path: values[name] for path, name in names.items()})
+        return {names[path]: value for path, value in written.items()}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run a command of the gateway; its errors are the robot's own."""

@@ -15,6 +15,7 @@ from typing import Any
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
@@ -169,6 +170,8 @@ class Commands:
                 remedy="Ask the operator to look into the log of the gateway.",
             )
         backend = confirm(call)
+        assert command.deadline is not None
+        asked.set((call.session.principal, call.request, command.deadline, command.id))
         progress = partial(self._progress, command, entry)
         command.sent = True
         if work is not None:

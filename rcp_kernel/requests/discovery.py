@@ -192,7 +192,7 @@ def _is_part(entry: Entry, profile: str) -> bool:
 
 
 def _state(entry: Entry) -> str:
-    if entry.owner.backend is None:
+    if entry.unit.link is None:
         return "down"
     if entry.kind in (Kind.ACTION, Kind.SERVICE):
         return "ready"
@@ -229,6 +229,10 @@ def _describe(entry: Entry) -> dict[str, Any]:
         facts["unit"] = unit
     names = ("deadline", "timeout", "policy", "max_age", "valid_for", "atomic", "native")
     facts |= {n: v for n in names if (v := getattr(resource, n)) is not None}
+    if resource.moves is not None:
+        facts["moves"] = resource.moves
+    if resource.energises:
+        facts["energises"] = True
     if resource.safe is not None:
         facts["safe"] = to_plain(resource.safe)
     if resource.meta:

@@ -11,8 +11,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any, Literal, Protocol
 
-from rcp_kernel.clock import Clock
-from rcp_kernel.errors import RcpError
+from rcp_kernel.clock import Clock, now
+from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
 from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
@@ -22,6 +22,7 @@ from rcp_kernel.values import ValueType, value_type
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
 Availability = Literal["starting", "ready", "degraded", "down"]
+_BAD = ("ready", "degraded", "starting", "down")
 _IDLE_HISTORY = 16  # samples stored of a resource without subscribers
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
@@ -188,8 +189,8 @@ class Entry:
 
     @property
     def stale(self) -> bool:
-        """Whether the latest value is overdue for an update, or its backend is unavailable."""
-        if self.latest is None or self.owner.backend is None:
+        """Whether the latest value is overdue for an update, or its robot is unavailable."""
+        if self.latest is None or self.unit.link is None:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
@@ -244,16 +245,20 @@ class StopGroup:
         "_stopped",
         "_stops",
         "anchor",
+        "detail",
         "facts",
         "frames",
         "identity",
         "keys",
+        "link",
         "lost",
         "name",
         "own",
         "owner",
         "retired",
         "robot",
+        "since",
+        "state",
         "whole",
     )
 
@@ -274,6 +279,15 @@ class StopGroup:
         self.lost: str | None = None
         """The path of a command that ended with the link, or with an earlier gateway, and that the
         robot may still carry out."""
+        self.link: Backend | None = None
+        """The open backend, or None while there is none or this robot is down; set by the owner, as
+        every request looks at it. Stops are sent regardless, by `backend`."""
+        self.state: Availability = "ready"
+        """What its backend reports of it alone."""
+        self.detail: str | None = None
+        """Why it is not ready."""
+        self.since = now()
+        """When that changed, ns."""
         self.facts = RobotFacts()
         """What its backend says of it."""
         self.anchor: Anchor | None = None
@@ -336,6 +350,23 @@ class StopGroup:
     def backend(self) -> Backend | None:
         """The open backend, or None."""
         return self.owner.backend
+
+    @property
+    def availability(self) -> Availability:
+        """Whether it can be used: what is said of its backend, or of it alone if that is worse."""
+        whole, own = self.owner.availability, self.state
+        return own if _BAD.index(own) > _BAD.index(whole) else whole
+
+    def unavailable(self) -> RcpError:
+        """Return the error that says why it cannot be used now."""
+        if self.owner.backend is None or self.state != "down":
+            return self.owner.unavailable()
+        why = f": {self.detail}" if self.detail else ""
+        return AdapterUnavailable(
+            f"robot '{self.robot}' is not connected (down){why}",
+            origin=self.name,
+            retry_after=1.0,
+        )
 
     def count_stop(self) -> None:
         """Let nothing that was admitted until now reach it."""

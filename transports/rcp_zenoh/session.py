@@ -18,12 +18,21 @@ __all__ = ["configuration", "on_loop", "opened"]
 
 log = structlog.get_logger("rcp.zenoh")
 _PAUSE = 1.0  # s between two attempts to reach a router
+_QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 4}
+"""Batches of 64 KiB by priority: twice what the windows of a link let through."""
 
 
 def configuration(
-    mode: Literal["client", "router"], *, listen: Sequence[str] = (), connect: Sequence[str] = ()
+    mode: Literal["client", "router"],
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    silence: float = 3.0,
 ) -> zenoh.Config:
-    """Make a configuration that finds nobody by itself: the endpoints are all there is."""
+    """Make a configuration that finds nobody by itself: the endpoints are all there is.
+
+    A connection ends after a `silence` of so many seconds.
+    """
     config = zenoh.Config()
     for key, value in (
         ("mode", mode),
@@ -31,6 +40,8 @@ def configuration(
         ("connect/endpoints", list(connect)),
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
+        ("transport/link/tx/lease", round(silence * 1000)),
+        *((f"transport/link/tx/queue/size/{name}", size) for name, size in _QUEUES.items()),
     ):
         config.insert_json5(key, json.dumps(value))
     return config

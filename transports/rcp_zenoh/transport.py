@@ -11,10 +11,12 @@ from typing import Any
 import zenoh
 
 from rcp_kernel.client_api import ClientApi
+from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.keys import LinkKeys, alive, links_of, part
 from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.statistics import Statistics
 
 __all__ = ["open_zenoh"]
 
@@ -22,8 +24,17 @@ __all__ = ["open_zenoh"]
 class _Links:
     """The links of all hubs, by hub and link."""
 
-    def __init__(self, config: ZenohConfig, client_api: ClientApi, session: zenoh.Session) -> None:
+    def __init__(
+        self,
+        config: ZenohConfig,
+        client_api: ClientApi,
+        session: zenoh.Session,
+        statistics: Statistics,
+    ) -> None:
         self._config, self._client_api, self._session = config, client_api, session
+        self._statistics = statistics
+        limit = config.budget
+        self._allowance = Allowance() if limit is None else Budget(client_api.loop, limit)
         self._links: dict[tuple[str, str], HubLink] = {}
 
     def token(self, sample: zenoh.Sample) -> None:
@@ -40,7 +51,9 @@ class _Links:
                 self._client_api,
                 self._session,
                 keys.down,
-                config.patience,
+                config,
+                self._allowance,
+                self._statistics.of(hub),
                 partial(self._links.pop, (hub, link), None),
             )
 
@@ -59,8 +72,13 @@ class _Links:
 @asynccontextmanager
 async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Join the fleet while entered, also if its routers come later."""
-    facts: dict[str, Any] = {"gateway": config.gateway, "routers": list(config.connect)}
-    serving = client_api.loop.create_task(_serve(config, client_api), name="zenoh")
+    statistics = Statistics()
+    facts: dict[str, Any] = {
+        "gateway": config.gateway,
+        "routers": list(config.connect),
+        "links": statistics.rows,
+    }
+    serving = client_api.loop.create_task(_serve(config, client_api, statistics), name="zenoh")
     try:
         yield facts
     finally:
@@ -69,10 +87,11 @@ async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerat
             await serving
 
 
-async def _serve(config: ZenohConfig, client_api: ClientApi) -> None:
+async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statistics) -> None:
     loop, keys = client_api.loop, links_of(config.tenant, config.gateway)
-    async with opened(configuration("client", connect=config.connect), patient=True) as session:
-        links = _Links(config, client_api, session)
+    zenoh_config = configuration("client", connect=config.connect, silence=config.silence)
+    async with opened(zenoh_config, patient=True) as session:
+        links = _Links(config, client_api, session, statistics)
         # The token of a link comes before its messages; our own comes last, when we can answer.
         tokens = session.liveliness().declare_subscriber(
             keys.token, on_loop(loop, links.token), history=True

@@ -104,6 +104,10 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     max_age: float | None = None
     valid_for: float | None = None
     safe: Any = None
+    moves: bool | None = None
+    """Whether it may move something, if its kind does not tell: actuators and actions may."""
+    energises: bool = False
+    """Whether it arms the robot or applies torque."""
     atomic: str | None = None
     """The group of resources of its robot that can be written as one (`Client.write_all`)."""
     native: str | None = None
