@@ -21,6 +21,7 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Transform
+from rcp_kernel.values import Encoding
 
 __all__ = [
     "Anchor",
@@ -29,6 +30,7 @@ __all__ = [
     "BaseBackend",
     "Caller",
     "Dimensions",
+    "Encoded",
     "FrameTree",
     "Host",
     "MotionState",
@@ -60,6 +62,22 @@ class Native(Protocol):
     def decode(self) -> Any:
         """Return the value; called at most once, on the event loop."""
         ...
+
+
+@runtime_checkable
+class Encoded(Native, Protocol):
+    """A value that another gateway has numbered and encoded: it is passed on as it is.
+
+    From its first one on, a resource has the numbers of its source; one that is not newer is not
+    published again, and what the kernel learns otherwise (a written value) has no number.
+    """
+
+    encoding: Encoding
+    """The encoding of `data`."""
+    seq: int
+    """Number of the sample at its source."""
+    timestamp: int
+    """Source time, ns since the UNIX epoch."""
 
 
 class Publication(msgspec.Struct, frozen=True, gc=False):
@@ -337,8 +355,8 @@ class Backend(Protocol):
     Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
     their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
     their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
-    backend, is passed to `execute` again with the same `caller().command`, which makes a key under
-    which the robot's gateway answers with what it knows of it."""
+    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
+    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
 
     async def halt(self) -> None:
         """Bring everything that moves to rest at once, by the strongest effective means.

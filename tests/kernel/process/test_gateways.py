@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ class Far:
         self.cancelled: list[str] = []
         self.done = asyncio.Event()
         self.halts = 0
+        self.written: asyncio.Queue[tuple[float, float | None]] = asyncio.Queue()
         self.refuses = False
         self.released: list[tuple[str | None, str]] = []
 
@@ -50,7 +52,19 @@ class Near(Robot):
                 description="Goes.",
                 input=quantity("1"),
                 output=quantity("1"),
-            )
+            ),
+            *(
+                Resource(
+                    name=f"actuator/r1/{name}",
+                    robot="r1",
+                    description="Drives.",
+                    value=quantity("m/s"),
+                    valid_for=0.02,
+                    safe=0.0,
+                    atomic="wheels",
+                )
+                for name in ("left", "right")
+            ),
         )
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
@@ -67,6 +81,15 @@ class Near(Robot):
             self.far.cancelled.append(who.command)
             raise
         return value
+
+    async def write(self, name: str, value: Any) -> Any:
+        who = caller()
+        self.far.written.put_nowait((value, None if who is None else who.valid_for))
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        for name, value in values.items():
+            await self.write(name, value)
+        return {}
 
     async def halt(self) -> None:
         self.far.halts += 1
@@ -211,3 +234,15 @@ async def test_a_reset_asks_the_robot_for_the_person_and_a_refusal_leaves_both_l
         far.refuses = False
         assert (await estop(admin, reset=True))["body"]["robots"] == {}
         assert far.released == [("r1", "admin"), ("r1", "admin")]
+
+
+async def test_the_dead_man_is_the_robots_own(far: Far) -> None:
+    left, right = (f"/tenant/alpha/actuator/r1/{name}" for name in ("left", "right"))
+    async with world_of(CONFIG, Near) as world:
+        client = world.client()
+        alone = await client.ask(type="write", path=left, body=1.0, valid_for=0.03)
+        both = await client.ask(type="write", body={left: 2.0, right: 3.0}, valid_for=0.04)
+        assert (alone["status"], both["status"]) == ("completed", "completed")
+        assert not world.server.kernel.deadman.driving
+    assert [far.written.get_nowait() for _ in range(3)] == [(1.0, 0.03), (2.0, 0.04), (3.0, 0.04)]
+    assert far.written.empty()
