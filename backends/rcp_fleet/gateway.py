@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import Any
 
+import msgspec
 import structlog
 import zenoh
 
@@ -21,6 +22,7 @@ from rcp_fleet.config import FleetConfig
 from rcp_fleet.link import FleetLink
 from rcp_fleet.resources import facts_of, name_of, resource_of
 from rcp_fleet.types import RobotTypes
+from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import Kind, kind_of
@@ -31,6 +33,18 @@ __all__ = ["RemoteGateway"]
 
 log = structlog.get_logger("rcp.fleet")
 _LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
+
+
+class _Stream:
+    """A subscription of the gateway, and who uses it here."""
+
+    __slots__ = ("idle", "task", "users")
+
+    def __init__(self, task: asyncio.Task[None]) -> None:
+        self.task = task
+        self.users = 0
+        self.idle = False
+        """Whether nobody has used it for a while, and the link was up."""
 
 
 class RemoteGateway:
@@ -56,6 +70,8 @@ class RemoteGateway:
         self._link: FleetLink | None = None
         self._statistics = LinkStatistics({"gateway": name})
         self._paths: dict[str, str] = {}
+        self._numbers = RobotNumbers()
+        self._streams: dict[tuple[str, float | None], _Stream] = {}
         self._client = Client(
             Settings(
                 address=Address.parse("fleet"),
@@ -84,9 +100,12 @@ class RemoteGateway:
         place = (self._host.tenant, self.name, self._config.hub)
         silence = self._config.silence
         self._link = FleetLink(
-            self._session, place, silence, self._statistics, codec, received, lost
+            self._session, place, silence, self._statistics, self._is_feed, codec, received, lost
         )
         return self._link
+
+    def _is_feed(self, id_: str | None) -> bool:
+        return isinstance(self._client.channel.subscriptions.get(id_ or ""), RobotFeed)
 
     async def _open(self) -> None:
         while True:
@@ -159,7 +178,11 @@ class RemoteGateway:
 
     async def read(self, name: str) -> Any:
         """Read from the gateway."""
-        return await self._client.read(self._path(name))
+        reply = await self._client.sample(self._path(name))
+        if reply.seq is None or reply.source_timestamp is None:
+            return reply.body
+        data, time = msgspec.msgpack.encode(reply.body), parse_time(reply.source_timestamp)
+        return RobotValue(data, self._numbers.of(name, reply.seq, time), time)
 
     async def write(self, name: str, value: Any) -> Any:
         """Write, and return the value in force."""
@@ -196,24 +219,47 @@ class RemoteGateway:
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
         """Publish what one subscription of the gateway brings."""
-        task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+        stream = self._streams.get((name, rate))
+        if stream is None:
+            task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+            stream = self._streams[name, rate] = _Stream(task)
+        stream.users, stream.idle = stream.users + 1, False
         try:
             yield
         finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+            stream.users -= 1
+            self._leave(name, rate)
+
+    def _leave(self, name: str, rate: float | None) -> None:
+        """End a subscription that nobody uses, but not during a cut: it is to catch up after it."""
+        stream = self._streams.get((name, rate))
+        if stream is None or stream.users:
+            return
+        if self.ready and stream.idle:
+            del self._streams[name, rate]
+            stream.task.cancel()
+        else:
+            stream.idle = self.ready
+            asyncio.get_running_loop().call_later(_LONGEST_PAUSE, self._leave, name, rate)
 
     async def _pass_on(self, name: str, rate: float | None) -> None:
-        try:
-            async for update in self._client.subscribe(self._paths[name], rate=rate):
-                if not update.truncated:
-                    self._host.publish(name, update.body, parse_time(update.timestamp))
-        except RcpError as error:
-            log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+        def publish(data: bytes, seq: int, time: int) -> None:
+            number = self._numbers.of(name, seq, time)
+            self._host.publish(name, RobotValue(data, number, time))
+
+        while True:
+            try:
+                async for _ in RobotFeed(self._client.channel, self._paths[name], rate, publish):
+                    pass  # a notice: its updates are published as they arrive
+            except RcpError as error:
+                log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+            await asyncio.sleep(_LONGEST_PAUSE)
 
     async def close(self) -> None:
         """End the session; what the robot does goes on as its own gateway decides."""
-        self._opening.cancel()
-        await asyncio.gather(self._opening, return_exceptions=True)
+        tasks = [self._opening, *(stream.task for stream in self._streams.values())]
+        self._streams.clear()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         await self._client.channel.close()

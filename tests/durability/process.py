@@ -23,9 +23,9 @@ CONFIG = listener() + backend("rover", use="sim") + key("admin", ADMIN)
 class Served:
     """One life of a gateway."""
 
-    def __init__(self, folder: Path, store: Path) -> None:
+    def __init__(self, folder: Path, store: Path, text: str = CONFIG) -> None:
         self.config = folder / "rcp.toml"
-        self.config.write_text(CONFIG + table("store", path=store))
+        self.config.write_text(text + table("store", path=store))
         self.said = folder / f"stderr-{time.monotonic_ns()}"
         with self.said.open("w") as stderr:
             self._process = subprocess.Popen([RCPD, "serve", self.config], stderr=stderr)
