@@ -99,6 +99,10 @@ class FleetBackend(BaseBackend):
         """Stop one robot."""
         await self.gateways[robot].stop()
 
+    async def recover(self, robot: str | None) -> str:
+        """Do nothing: what runs on a robot was never cut off from its own gateway."""
+        return f"left to the gateway of {robot}"
+
     async def close(self) -> None:
         """End all sessions."""
         await asyncio.gather(*(one.close() for one in self.gateways.values()))

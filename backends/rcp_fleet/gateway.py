@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import Any
 
+import msgspec
 import structlog
 import zenoh
 
@@ -17,6 +18,7 @@ from rcp_fleet.config import FleetConfig
 from rcp_fleet.resources import facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.types import RobotTypes
+from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, RcpError
@@ -28,6 +30,18 @@ __all__ = ["RemoteGateway"]
 log = structlog.get_logger("rcp.fleet")
 _LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
 _SHORTEST = 0.001  # s: a deadline must lie ahead
+
+
+class _Stream:
+    """A subscription of the gateway, and who uses it here."""
+
+    __slots__ = ("idle", "task", "users")
+
+    def __init__(self, task: asyncio.Task[None]) -> None:
+        self.task = task
+        self.users = 0
+        self.idle = False
+        """Whether nobody has used it for a while, and the link was up."""
 
 
 class RemoteGateway:
@@ -51,8 +65,8 @@ class RemoteGateway:
         self.commands = 0
         """Running commands, which outlive a cut: their gateway reports their end when it is back."""
         self._paths: dict[str, str] = {}
-        self._writers: dict[str, Principal] = {}
-        """Who wrote a resource last: when that lapses here, it is ended for the same person."""
+        self._numbers = RobotNumbers()
+        self._streams: dict[tuple[str, float | None], _Stream] = {}
         self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
         self._client = self._sessions.own
         self._client.channel.listeners.append(self._heard)
@@ -142,34 +156,35 @@ class RemoteGateway:
         """Read from the gateway, as the person who asked."""
         path, asked = self._path(name), caller()
         async with self._sessions.acting(_who(asked)) as client:
-            return await client.read(path, deadline=_left(asked))
+            reply = await client.sample(path, deadline=_left(asked))
+        if reply.seq is None or reply.source_timestamp is None:
+            return reply.body
+        data, time = msgspec.msgpack.encode(reply.body), parse_time(reply.source_timestamp)
+        return RobotValue(data, self._numbers.of(name, reply.seq, time), time)
 
     async def write(self, name: str, value: Any) -> Any:
         """Write as the person who asked, and return the value in force."""
         path, asked = self._path(name), caller()
-        who = self._writer(asked, name)
-        async with self._sessions.acting(who) as client:
+        async with self._sessions.acting(_who(asked)) as client:
             return await client.write(
-                path, value, idempotency_key=_key(asked), deadline=_left(asked)
+                path,
+                value,
+                valid_for=None if asked is None else asked.valid_for,
+                idempotency_key=_key(asked),
+                deadline=_left(asked),
             )
 
     async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Write several values as one, and return those in force."""
         names, asked = {self._path(name): name for name in values}, caller()
-        who = self._writer(asked, *values)
-        async with self._sessions.acting(who) as client:
+        async with self._sessions.acting(_who(asked)) as client:
             written = await client.write_all(
                 {path: values[name] for path, name in names.items()},
+                valid_for=None if asked is None else asked.valid_for,
                 idempotency_key=_key(asked),
                 deadline=_left(asked),
             )
         return {names[path]: value for path, value in written.items()}
-
-    def _writer(self, asked: Caller | None, *names: str) -> Principal | None:
-        if asked is None:
-            return self._writers.get(names[0])
-        self._writers.update(dict.fromkeys(names, asked.principal))
-        return asked.principal
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run a command as the person who asked; its errors are the robot's own."""
@@ -203,26 +218,49 @@ class RemoteGateway:
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
         """Publish what one subscription of the gateway brings."""
-        task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+        stream = self._streams.get((name, rate))
+        if stream is None:
+            task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+            stream = self._streams[name, rate] = _Stream(task)
+        stream.users, stream.idle = stream.users + 1, False
         try:
             yield
         finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+            stream.users -= 1
+            self._leave(name, rate)
+
+    def _leave(self, name: str, rate: float | None) -> None:
+        """End a subscription that nobody uses, but not during a cut: it is to catch up after it."""
+        stream = self._streams.get((name, rate))
+        if stream is None or stream.users:
+            return
+        if self.ready and stream.idle:
+            del self._streams[name, rate]
+            stream.task.cancel()
+        else:
+            stream.idle = self.ready
+            asyncio.get_running_loop().call_later(_LONGEST_PAUSE, self._leave, name, rate)
 
     async def _pass_on(self, name: str, rate: float | None) -> None:
-        try:
-            async for update in self._client.subscribe(self._paths[name], rate=rate):
-                if not update.truncated:
-                    self._host.publish(name, update.body, parse_time(update.timestamp))
-        except RcpError as error:
-            log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+        def publish(data: bytes, seq: int, time: int) -> None:
+            number = self._numbers.of(name, seq, time)
+            self._host.publish(name, RobotValue(data, number, time))
+
+        while True:
+            try:
+                async for _ in RobotFeed(self._client.channel, self._paths[name], rate, publish):
+                    pass  # a notice: its updates are published as they arrive
+            except RcpError as error:
+                log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+            await asyncio.sleep(_LONGEST_PAUSE)
 
     async def close(self) -> None:
         """End the session; what the robot does goes on as its own gateway decides."""
-        self._opening.cancel()
-        await asyncio.gather(self._opening, return_exceptions=True)
+        tasks = [self._opening, *(stream.task for stream in self._streams.values())]
+        self._streams.clear()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         await self._sessions.close()
 
 
@@ -231,7 +269,7 @@ def _who(asked: Caller | None) -> Principal | None:
 
 
 def _key(asked: Caller | None) -> str | None:
-    return None if asked is None else asked.idempotency_key
+    return None if asked is None else asked.key
 
 
 def _left(asked: Caller | None) -> float | None:

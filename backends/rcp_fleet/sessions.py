@@ -17,6 +17,7 @@ from rcp_client.messages import Codec, Notice
 from rcp_client.settings import Settings
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.link import FleetLink
+from rcp_fleet.values import RobotFeed
 from rcp_hubs.assertion import OWN_PROOF
 from rcp_hubs.signer import HubSigner
 from rcp_kernel.errors import AdapterUnavailable, Forbidden, Unauthenticated
@@ -59,7 +60,10 @@ class GatewaySessions:
         return f"{self._tenant}/{self._gateway}"
 
     def _client(self, token: str | Callable[[], str] | None) -> Client:
-        return Client(
+        def is_feed(id_: str | None) -> bool:
+            return isinstance(client.channel.subscriptions.get(id_ or ""), RobotFeed)
+
+        client = Client(
             Settings(
                 address=Address.parse("fleet"),
                 token=token,
@@ -68,9 +72,10 @@ class GatewaySessions:
                 longest_pause=_LONGEST_PAUSE,
                 client=f"hub {self._config.hub}",
                 persistent=True,
-                dial=self._dial,
+                dial=partial(self._dial, is_feed),
             )
         )
+        return client
 
     def alive(self, *, here: bool) -> None:
         """Note that the gateway's token has appeared or gone."""
@@ -81,7 +86,13 @@ class GatewaySessions:
         for link in list(self._links):
             link.close("the gateway is gone")
 
-    async def _dial(self, codec: Codec, received: Received, lost: Lost) -> Carrier:
+    async def _dial(
+        self,
+        is_feed: Callable[[str | None], bool],
+        codec: Codec,
+        received: Received,
+        lost: Lost,
+    ) -> Carrier:
         await self._alive.wait()
 
         def ended(link: Carrier) -> None:
@@ -90,7 +101,9 @@ class GatewaySessions:
 
         place = (self._tenant, self._gateway, self._config.hub)
         silence = self._config.silence
-        link = FleetLink(self._session, place, silence, self._statistics, codec, received, ended)
+        link = FleetLink(
+            self._session, place, silence, self._statistics, is_feed, codec, received, ended
+        )
         self._links.add(link)
         return link
 

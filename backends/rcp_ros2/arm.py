@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterable
 from collections.abc import Mapping as Named
 from typing import Any, NamedTuple
 
@@ -38,7 +38,6 @@ _NEAR = 0.03  # rad or m from its goal at which a joint has arrived
 _STILL = 0.03  # rad/s or m/s
 _ARRIVAL = 4.0  # s for the joints to arrive, or to come to rest, after the controller's last word
 _APART = 0.05  # s between two positions of which a speed is made
-_MESSAGES = 50  # that are looked at for the positions of all joints
 _ROUNDING = 1.001
 """Ratio by which a mean speed may exceed the limit."""
 
@@ -115,20 +114,45 @@ class JointMotion(Run):
     # -- measurements ----------------------------------------------------------------------------
 
     async def _measure(self, names: Collection[str]) -> _Measured:
-        """Return where joints are (without names: all that one message has).
+        """Return where joints are: a robot with several drivers tells some of them in each message.
 
         :raises AdapterUnavailable: the joint states lack one.
         """
-        found = _Measured({}, {})
-        for _ in range(_MESSAGES):
+        found, end = _Measured({}, {}), time.monotonic() + self.timeout
+        while not found.positions.keys() >= set(names):
+            if time.monotonic() >= end:
+                raise self._lacking(set(names) - found.positions.keys())
             state = await self._states()
             found.positions.update(zip(state.name, state.position, strict=False))
             found.velocities.update(zip(state.name, state.velocity, strict=False))
-            if found.positions and found.positions.keys() >= set(names):
-                return found
-        missing = ", ".join(sorted(set(names) - found.positions.keys())) or "positions"
-        raise AdapterUnavailable(
-            f"the joint states lack {missing}, of {self.mapping.target}",
+        return found
+
+    async def _here(self, given: Collection[str]) -> dict[str, float]:
+        """Return where the controller's joints are.
+
+        If it does not tell which those are: the joints of a message that has the `given` ones.
+
+        :raises AdapterUnavailable: the joint states lack one, or all.
+        """
+        if self.joints.names:
+            return (await self._measure(self.joints.names)).positions
+        found: dict[str, float] = {}
+        end = time.monotonic() + self.timeout
+        while True:
+            state = await self._states()
+            one = dict(zip(state.name, state.position, strict=False))
+            if one and one.keys() >= set(given):
+                return one
+            found.update(one)
+            if time.monotonic() >= end:
+                break
+        if not found:
+            raise self._lacking(("positions",))
+        return found
+
+    def _lacking(self, missing: Iterable[str]) -> AdapterUnavailable:
+        return AdapterUnavailable(
+            f"the joint states lack {', '.join(sorted(missing))}, of {self.mapping.target}",
             remedy="Check the controller's joints and its joint_state_broadcaster.",
         )
 
@@ -269,7 +293,7 @@ class MoveJoints(JointMotion):
         :raises InvalidValue: there is no such joint.
         """
         given = _given(value.positions)
-        here = (await self._measure(self.joints.names)).positions
+        here = await self._here(given)
         names = self.joints.names or tuple(here)
         self._check(given, names, "/positions")
         goal = {name: given.get(name, here[name]) for name in names}
@@ -314,7 +338,7 @@ class FollowTrajectory(JointMotion):
         :raises InvalidValue: it names a joint that there is not, or its times do not increase.
         :raises OutOfRange: a joint would have to move faster than it can.
         """
-        here = (await self._measure(self.joints.names)).positions
+        here = await self._here({name for one in value.points for name in _given(one.positions)})
         names = self.joints.names or tuple(here)
         points = self._planned(value.points, names, {name: here[name] for name in names})
 

@@ -94,6 +94,7 @@ class TopicSubscriptions:
                 subscription.last is not None
                 and subscription.profile is not None
                 and subscription.profile.latched
+                and tap.codec.concerns(subscription.last)
             ):
                 self._send(tap, subscription.last, 0.0)  # the middleware does not send it again
         self._match(subscription)
@@ -156,6 +157,8 @@ class TopicSubscriptions:
                     _advise(subscription, len(data))
                 now = monotonic()
                 for tap in taps.values():
+                    if not tap.codec.concerns(data):
+                        continue
                     if tap.period and now < tap.due:
                         tap.held = data
                     else:

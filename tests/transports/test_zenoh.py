@@ -6,6 +6,7 @@ import asyncio
 import socket
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import Any
 
 import pytest
@@ -20,10 +21,10 @@ _KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
 _OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
 
 
-def _robot(port: int, use: str = "sim") -> str:
+def _robot(port: int, use: str = "sim", more: str = "") -> str:
     return (
         f'{_OFF}[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\n'
-        f'connect = ["tcp/127.0.0.1:{port}"]\n'
+        f'connect = ["tcp/127.0.0.1:{port}"]\n{more}'
         f'[[backends]]\nuse = "{use}"\nname = "rover"\ntenant = "alpha"\n{_KEYS}'
     )
 
@@ -67,11 +68,13 @@ async def _appears(client: MemoryClient, path: str) -> dict[str, object]:
 
 
 @asynccontextmanager
-async def _fleet(use: str = "sim") -> AsyncGenerator[tuple[Served, Served, MemoryClient]]:
+async def _fleet(
+    use: str = "sim", more: str = ""
+) -> AsyncGenerator[tuple[Served, Served, MemoryClient]]:
     port = _free_port()
     async with AsyncExitStack() as stack:
         hub = await stack.enter_async_context(_serving(_hub(port)))
-        robot = await stack.enter_async_context(_serving(_robot(port, use)))
+        robot = await stack.enter_async_context(_serving(_robot(port, use, more)))
         client = hub.client(OPERATOR)
         stack.push_async_callback(client.close)
         await _appears(client, "/tenant/alpha/*/r7/**")
@@ -207,3 +210,26 @@ async def test_a_long_value_arrives() -> None:
             robot.life.host.publish("event/note", value)
             read = await client.request("read", "/tenant/alpha/event/r7/note")
             assert read["body"] == value
+
+
+async def test_a_budget_skips_updates_and_delays_no_command() -> None:
+    async with _fleet("wire-robot", "budget = 20_000\n") as (_, robot, client):
+        publish = partial(robot.life.host.publish, "event/note")
+        path = "/tenant/alpha/event/r7/note"
+        id_ = await client.subscribe(path, qos={"depth": 100}, initial=False)
+        (transport,) = robot.server.kernel.status.transports
+        row, loop = transport["links"][0], asyncio.get_running_loop()
+        await _comes(lambda: "sent" in row, "the link is measured")
+        before, began = row["sent"], loop.time()
+        update = None
+        for number in range(200):
+            publish(f"{number} {'x' * 1000}")
+            done = await client.request("write", "/tenant/alpha/param/r7/label", body="a")
+            assert done["status"] == "completed", done
+        publish("last")
+        while update is None or update["body"] != "last":
+            update = await client.update(id_)
+        replies = 200 * 400
+        allowed = 20_000 * (loop.time() - began) + 20_000 + replies
+        await _comes(lambda: row["sent"] > before, "the link is measured again")
+        assert row["sent"] - before < allowed

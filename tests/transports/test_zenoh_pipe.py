@@ -13,6 +13,7 @@ pytest.importorskip("zenoh")
 import zenoh
 
 from rcp_kernel.testing import eventually
+from rcp_zenoh.budget import Allowance
 from rcp_zenoh.lane import PART, WINDOWS, Priority
 from rcp_zenoh.pipe import Message, Pipe
 from rcp_zenoh.session import configuration, on_loop, opened
@@ -31,7 +32,7 @@ class _End:
         self.lose: Callable[[bytes], bool] = lambda _: False
         loop = asyncio.get_running_loop()
         self._subscriber = session.declare_subscriber(theirs, on_loop(loop, self._take))
-        self.pipe = Pipe(session, ours, _SILENCE, self)
+        self.pipe = Pipe(session, ours, _SILENCE, self, Allowance())
 
     @property
     def received(self) -> list[bytes | None]:

@@ -13,6 +13,7 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import PayloadTooLarge, Unauthenticated
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, peek_header
+from rcp_zenoh.budget import Allowance
 from rcp_zenoh.classifier import Classifier
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.lane import WHOLE, Priority
@@ -22,6 +23,7 @@ from rcp_zenoh.statistics import LinkStatistics
 __all__ = ["HubLink"]
 
 log = structlog.get_logger("rcp.zenoh")
+_BUDGET = 262_144  # bytes collected at once
 _NOBODY = Principal("nobody", ())
 
 
@@ -34,17 +36,18 @@ class HubLink:
         session: zenoh.Session,
         key: str,
         config: ZenohConfig,
+        allowance: Allowance,
         statistics: LinkStatistics,
         gone: Callable[[], object],
     ) -> None:
-        self._gone, self._statistics = gone, statistics
+        self._gone, self._statistics, self._allowance = gone, statistics, allowance
         self._classifier = Classifier()
         self._held = False
         """Whether updates stay in the outbox, where they are conflated."""
         self._connection = client_api.connect(
             _NOBODY, Encoding.MSGPACK, self.flush, peer=Peer(), wraps=True
         )
-        self._pipe = Pipe(session, key, config.silence, self, self._note)
+        self._pipe = Pipe(session, key, config.silence, self, allowance, self._note)
         self._connection.set_callbacks(
             hello=self._hello,
             released=self._released,
@@ -105,10 +108,15 @@ class HubLink:
         if pipe.closed:
             return
         sent = self._send_stops()
+        poor = self._allowance.left <= 0
         # The hub must know its session before anything else of it arrives.
-        self._hold(held=not (pipe.greeted and pipe.writable(Priority.UPDATES)))
+        self._hold(held=poor or not (pipe.greeted and pipe.writable(Priority.UPDATES)))
         if pipe.writable(Priority.CONTROL):
             sent += self._collect()
+        if not poor:
+            pipe.pump()
+        if self._allowance.left <= 0:
+            self._allowance.call(self.flush)
         outbox.park(pipe.parked)
         outbox.hand(pipe.buffered)
         if self._connection.expelled:
@@ -122,7 +130,8 @@ class HubLink:
     def _collect(self) -> int:
         pipe, outbox, classifier = self._pipe, self._connection.outbox, self._classifier
         big = None if pipe.writable(Priority.BULK) else WHOLE
-        messages = outbox.collect(wrap=classifier.note, big=big)
+        budget = _BUDGET if self._held else min(_BUDGET, max(1, self._allowance.left))
+        messages = outbox.collect(int(budget), wrap=classifier.note, big=big)
         for data, priority in zip(messages, classifier.noted(), strict=True):
             pipe.send(data, priority)
         return len(messages)

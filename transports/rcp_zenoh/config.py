@@ -24,5 +24,8 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Endpoints of the routers: `tcp/hub.example:7447`, `tls/…`, `quic/…`."""
     patience: Annotated[float, Meta(gt=0)] = 10.0
     """For a hub's `hello`, which says who it is."""
+    budget: Annotated[int, Meta(ge=1000)] | None = None
+    """Bytes/s for all hubs together. Updates wait; commands and replies may exceed it, and an e-stop
+    is not counted."""
     silence: Annotated[float, Meta(ge=0.3)] = 3.0
     """After which a link counts as broken; also Zenoh's own lease."""

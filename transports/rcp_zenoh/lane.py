@@ -106,10 +106,10 @@ class Lane:
             )
         self._publisher.put(data, attachment=attachment)
 
-    def cut(self, data: bytes) -> None:
-        """Queue a long message in parts."""
-        last = (len(data) - 1) // PART
-        self.parts.extend((data[at * PART : (at + 1) * PART], at == last) for at in range(last + 1))
+    def cut(self, data: bytes, size: int) -> None:
+        """Queue a long message in parts of a `size`."""
+        last = (len(data) - 1) // size
+        self.parts.extend((data[at * size : (at + 1) * size], at == last) for at in range(last + 1))
 
     def join(self, data: bytes, longest: int, *, last: bool) -> tuple[bytes | None, int] | None:
         """Add a part; return the message after its last one, or None for one that is too long."""

@@ -17,6 +17,7 @@ from typing import NamedTuple, Protocol
 
 import zenoh
 
+from rcp_zenoh.budget import Allowance
 from rcp_zenoh.lane import WHOLE, Lane, Priority
 from rcp_zenoh.path import Beat, PathTimes
 
@@ -24,6 +25,7 @@ __all__ = ["Message", "Pipe", "PipeOwner"]
 
 _HEAD = struct.Struct("<cBQ")
 _MESSAGE, _PART, _LAST, _TAKEN, _BEAT, _END = b"m", b"p", b"n", b"a", b"h", b"e"
+_OVERHEAD = 64  # bytes of a message on the wire besides its data, in round figures
 _DATA = frozenset((_MESSAGE, _PART))
 
 
@@ -57,6 +59,7 @@ class Pipe:
     """One end of a link; for the event loop's thread."""
 
     __slots__ = (
+        "_allowance",
         "_alone_since",
         "_due",
         "_heard",
@@ -80,6 +83,7 @@ class Pipe:
         key: str,
         silence: float,
         owner: PipeOwner,
+        allowance: Allowance,
         on_beat: Callable[[], object] | None = None,
     ) -> None:
         """Open an end that sends on `key`, and ends after a `silence` of so many seconds.
@@ -87,6 +91,7 @@ class Pipe:
         `on_beat` is called after each heartbeat.
         """
         self._owner, self._silence, self.on_beat = owner, silence, on_beat
+        self._allowance = allowance
         self._lanes = tuple(Lane(session, key, one) for one in Priority)
         self.times = PathTimes()
         self.reading = True
@@ -137,14 +142,15 @@ class Pipe:
         if self.closed:
             return
         if len(data) > WHOLE or priority is Priority.BULK:
-            self._lanes[Priority.BULK].cut(data)
-            self._pump()
+            self._lanes[Priority.BULK].cut(data, self._allowance.part)
+            self.pump()
         else:
             self._put(priority, _MESSAGE, data)
 
-    def _pump(self) -> None:
+    def pump(self) -> None:
+        """Send parts of long messages, as far as window and budget allow."""
         lane = self._lanes[Priority.BULK]
-        while lane.parts and lane.room > 0:
+        while lane.parts and lane.room > 0 and self._allowance.left > 0 and not self.closed:
             part, last = lane.parts.popleft()
             self._put(Priority.BULK, _MESSAGE if last else _PART, part)
 
@@ -154,6 +160,8 @@ class Pipe:
             self._alone_since = self._loop.time()
         lane.sent += 1
         lane.written += len(data)
+        if priority is not Priority.STOP:
+            self._allowance.spend(len(data) + _OVERHEAD)
         lane.put(data, _HEAD.pack(kind, priority, lane.sent))
         self._wake()
 
@@ -231,7 +239,7 @@ class Pipe:
                 grown = True
         if grown:
             self._alone_since = self._loop.time()
-            self._pump()
+            self.pump()
             self._owner.drained()
 
     def _beat(self, data: bytes) -> None:

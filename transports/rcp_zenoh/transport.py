@@ -11,6 +11,7 @@ from typing import Any
 import zenoh
 
 from rcp_kernel.client_api import ClientApi
+from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.keys import LinkKeys, alive, links_of, part
@@ -32,6 +33,8 @@ class _Links:
     ) -> None:
         self._config, self._client_api, self._session = config, client_api, session
         self._statistics = statistics
+        limit = config.budget
+        self._allowance = Allowance() if limit is None else Budget(client_api.loop, limit)
         self._links: dict[tuple[str, str], HubLink] = {}
 
     def token(self, sample: zenoh.Sample) -> None:
@@ -49,6 +52,7 @@ class _Links:
                 self._session,
                 keys.down,
                 config,
+                self._allowance,
                 self._statistics.of(hub),
                 partial(self._links.pop, (hub, link), None),
             )

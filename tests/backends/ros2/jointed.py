@@ -47,7 +47,8 @@ class Controller(Node):
     def __init__(self, name: str, joints: tuple[str, ...]) -> None:
         super().__init__(name)
         self.names = joints
-        self.declare_parameter("joints", list(joints))
+        if "untold" not in sys.argv:
+            self.declare_parameter("joints", list(joints))
         self.places = dict.fromkeys(joints, 0.0)
         self.speeds = dict.fromkeys(joints, 0.0)
         self.targets = dict(self.places)
@@ -181,6 +182,7 @@ class Cell(Node):
         self.fingers = self.create_publisher(JointState, "joint_states", 10)
         self.create_publisher(String, "robot_description", LATCHED).publish(String(data=URDF))
         self.create_timer(0.02, self.measure)
+        self.create_timer(0.01, self.feel)
         threading.Thread(target=self.turn, daemon=True).start()
 
     def turn(self) -> None:
@@ -197,8 +199,12 @@ class Cell(Node):
             state.position = [*state.position, *one.places.values()]
             state.velocity = [*state.velocity, *(one.speeds.values() if self.told else ())]
         self.states.publish(state)
-        state.name, state.position, state.velocity = ["finger"], [0.01], [0.0]
-        self.fingers.publish(state)  # another broadcaster, on the same topic
+
+    def feel(self) -> None:
+        """Publish as another driver does on the same topic, and more often: most samples have no arm."""
+        state = JointState(name=["finger"], position=[0.01], velocity=[0.0])
+        state.header.stamp = self.get_clock().now().to_msg()
+        self.fingers.publish(state)
 
 
 class Robot:

@@ -81,7 +81,9 @@ class TestRos2(BackendSuite):
         return {
             "action/fibonacci": Goal(good={"order": 3}, bad={"order": -1}, long={"order": 500}),
             "service/reset": Goal(good=None),
-            "service/assets/fetch": Goal(good={"uri": MESH}, bad={"uri": MESH + ".stl"}),
+            "service/assets/fetch": Goal(
+                good={"uri": MESH}, bad={"uri": MESH + ".stl"}, local=True
+            ),
         }
 
     def values(self, name: str) -> Sequence[Any]:

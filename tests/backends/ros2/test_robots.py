@@ -164,18 +164,21 @@ async def test_robots_of_one_graph_have_tenants_that_share_nothing_and_paths_com
             alpha, beta = served.client("operator-of-alpha"), served.client("operator-of-beta")
             watching = await beta.send(type="subscribe", path="/sensor/**", body={"rate": 5})
             fleet.tell("add", space="/fleet/r2")
-            path = "/tenant/beta/sensor/second/pose"
+            path, profiled = (f"/tenant/beta/sensor/second/{name}" for name in ("odom", "pose"))
             came = lambda m: m.get("code") == "resource_added" and m["path"] == path  # noqa: E731
             assert (await beta.until(came, BOUND))["id"] == watching
-            update = await beta.until(lambda m: m["type"] == "update" and m["path"] == path, BOUND)
+            posed = lambda m: m["type"] == "update" and m["path"] == profiled  # noqa: E731
+            update = await beta.until(posed, BOUND)
             assert update["body"]["position"]["x"] == len("/fleet/r2")
             own = await _there(alpha, "/sensor/pose")
             assert own["body"]["position"]["x"] == len("/fleet/r1")
             found = await alpha.request("discover", "/**")
             assert not [r for r in found["body"]["resources"] if "beta" in r["path"]]
-            hidden = await alpha.request("read", path)
-            assert hidden["error"]["code"] == "unknown_path"
+            for other in (path, profiled):
+                hidden = await alpha.request("read", other)
+                assert hidden["error"]["code"] == "unknown_path"
 
+            # What a configured robot claims stays until it is back; the rest leaves with its nodes.
             fleet.tell("drop", space="/fleet/r2")
             gone = lambda m: m.get("code") == "resource_removed" and m["path"] == path  # noqa: E731
             await beta.until(gone, 2 * BOUND)
