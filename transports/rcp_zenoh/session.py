@@ -42,6 +42,8 @@ def configuration(
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/link/tx/lease", round(silence * 1000)),
+        # It would save copies on one machine, where it allows for no more than 350 sessions.
+        ("transport/shared_memory/enabled", False),
         ("transport/unicast/max_sessions", _SESSIONS),
         ("transport/unicast/accept_pending", _PENDING),
         *((f"transport/link/tx/queue/size/{name}", size) for name, size in _QUEUES.items()),
