@@ -148,6 +148,10 @@ class Discovery:
             facts |= self._describe(rights, entry, schemas=schemas)
         if frames := self._frames.known(rights, entry):
             facts["frames"] = frames
+            if schemas and entry.operations & mask & Operation.EXECUTE:
+                own = facts.get("command_schema", entry.input_type.schema)
+                if (wider := self._frames.command_schema(rights, entry, own)) is not None:
+                    facts["command_schema"] = wider
         return facts
 
     def _description(self, entry: Entry) -> Description:
