@@ -12,6 +12,8 @@ import zenoh
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
 from rcp_fleet.types import RobotTypes
+from rcp_hubs.signer import HubSigner, read_private_key
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import BaseBackend, Host, Progress
 from rcp_zenoh.keys import alive, part
@@ -25,8 +27,15 @@ class FleetBackend(BaseBackend):
 
     on_loss = "continue"  # the robot's own gateway decides
 
-    def __init__(self, config: FleetConfig, session: zenoh.Session, host: Host) -> None:
+    def __init__(
+        self,
+        config: FleetConfig,
+        session: zenoh.Session,
+        host: Host,
+        signer: HubSigner | None,
+    ) -> None:
         self._config, self._session, self._host = config, session, host
+        self._signer = signer
         self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
 
@@ -36,7 +45,13 @@ class FleetBackend(BaseBackend):
         known = self.gateways.get(name)
         if known is None and here:
             known = self.gateways[name] = RemoteGateway(
-                self._config, self._session, self._host, self._types, name, self._review
+                self._config,
+                self._session,
+                self._host,
+                self._types,
+                self._signer,
+                name,
+                self._review,
             )
         if known is not None:
             known.alive(here=here)
@@ -84,6 +99,10 @@ class FleetBackend(BaseBackend):
         """Stop one robot."""
         await self.gateways[robot].stop()
 
+    async def recover(self, robot: str | None) -> str:
+        """Do nothing: what runs on a robot was never cut off from its own gateway."""
+        return f"left to the gateway of {robot}"
+
     async def close(self) -> None:
         """End all sessions."""
         await asyncio.gather(*(one.close() for one in self.gateways.values()))
@@ -96,13 +115,21 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         raise ConfigError(
             "the fleet has no router: `listen` makes this hub one, `connect` names others"
         )
+    if (config.key is None) == (config.token is None):
+        raise ConfigError(
+            "the fleet needs `key`, the file of this hub's private key, or `token` for a trial in "
+            "which everybody acts as the hub"
+        )
+    signer = None
+    if config.key is not None:
+        signer = HubSigner(config.hub, read_private_key(config.key, "`key`"), SYSTEM_CLOCK)
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
     zenoh_config = configuration(
         mode, listen=config.listen, connect=config.connect, silence=config.silence
     )
     async with opened(zenoh_config, patient=False) as session:
-        backend = FleetBackend(config, session, host)
+        backend = FleetBackend(config, session, host, signer)
         tokens = session.liveliness().declare_subscriber(
             alive(host.tenant), on_loop(loop, backend.token), history=True
         )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
 from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.messages import Codec
+from rcp_fleet.values import decoded
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.keys import LinkKeys
 from rcp_zenoh.lane import Priority
@@ -32,13 +34,14 @@ class FleetLink(Carrier):
         place: tuple[str, str, str],
         silence: float,
         statistics: LinkStatistics,
+        is_feed: Callable[[str | None], bool],
         codec: Codec,
         received: Received,
         lost: Lost,
     ) -> None:
         keys = LinkKeys.of(*place, secrets.token_hex(8))
         self._codec, self._received, self._lost = codec, received, lost
-        self._statistics = statistics
+        self._statistics, self._is_feed = statistics, is_feed
         self.segment_size: int | None = None
         self.longest = _LONGEST
         self._why = "the link was closed"
@@ -83,7 +86,8 @@ class FleetLink(Carrier):
         if message.data is None:
             self.close(f"the gateway sent a message of {message.size} bytes")
             return
-        self._received(self._codec.decode(message.data), message.data)
+        data = message.data
+        self._received(decoded(self._codec, data, self._is_feed), data)
 
     def close(self, why: str = "the hub closed the link") -> None:
         """End the link."""

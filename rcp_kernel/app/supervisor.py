@@ -120,6 +120,8 @@ class BackendSupervisor:
         self.backend: Backend | None = None
         """The open backend, or None while there is none that works. Every read looks at it."""
         self._on_loss = BaseBackend.on_loss
+        self.has_gateways = BaseBackend.has_gateways
+        """Whether each of its robots has a gateway of its own, as the last opening said."""
         self._closing = asyncio.Event()
         self._discovering = False
         self._logged_at = 0.0
@@ -184,6 +186,8 @@ class BackendSupervisor:
             if entry.moves:
                 self._offer_hold(entry.unit)
                 self._find_lost(entry)
+            if self.has_gateways and self.backend is not None:
+                self._commands.take_up(entry, self.backend)
 
     def _offer_hold(self, unit: StopGroup) -> None:
         """Add the hold service to a robot that moves, unless it has its own."""
@@ -377,23 +381,35 @@ class BackendSupervisor:
         self._enter("closed", None)
 
     async def _live(self, kind: BackendKind, config: Any) -> None:
-        async with kind.open(config, self) as opened:
-            backend = ContainedBackend(opened)
-            self._set_backend(backend)
-            self._on_loss = backend.on_loss
-            self._enter("ready", None)
-            self._tell_cut_off()
-            for unit in self.units:
-                self._regain(unit)
-            self.settled.set()
-            try:
-                await self._closing.wait()
-            finally:
-                for recovery in self._recoveries.values():
-                    recovery.cancel()
-                if not self._closing.is_set():
-                    self._enter("down", self.detail or "the backend stopped")
+        left: list[asyncio.Task[Any]] = []
+        try:
+            async with kind.open(config, self) as opened:
+                self._began(ContainedBackend(opened))
+                try:
+                    await self._closing.wait()
+                finally:
+                    for recovery in self._recoveries.values():
+                        recovery.cancel()
+                    left = self._commands.leave(self.name)
+                    if not self._closing.is_set():
+                        self._enter("down", self.detail or "the backend stopped")
+        finally:  # when nothing can reach the robots any more
+            for task in left:
+                task.cancel()
         self._set_backend(None)
+
+    def _began(self, backend: ContainedBackend) -> None:
+        """Use an open backend: first the stops, then what its robots still carry out."""
+        self._set_backend(backend)
+        self._on_loss, self.has_gateways = backend.on_loss, backend.has_gateways
+        self._enter("ready", None)
+        self._tell_cut_off()
+        for unit in self.units:
+            self._regain(unit)
+        if backend.has_gateways:
+            for entry in list(self.entries.values()):
+                self._commands.take_up(entry, backend)
+        self.settled.set()
 
     def _regain(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; otherwise settle its lost commands."""
@@ -446,6 +462,8 @@ class BackendSupervisor:
         self._interrupt(self.entries.values(), f"backend '{self.name}'", why)
 
     def _interrupt(self, entries: Iterable[Entry], whose: str, why: str) -> None:
+        if self.has_gateways:  # their commands go on, and wait for their robots
+            return
         for entry in entries:
             error = AdapterUnavailable(f"the link to {whose} was lost: {why}", origin=self.name)
             self._commands.interrupt(entry.path, error)

@@ -27,6 +27,13 @@ class Caller(msgspec.Struct, frozen=True):
     """When the gateway ends the operation, on the event loop's clock (`loop.time()`)."""
     command: str | None = None
     """The gateway's id of the command; None for any other operation."""
+    valid_for: float | None = None
+    """Seconds for which a written value is to be valid, if the client said so."""
+
+    @property
+    def key(self) -> str | None:
+        """The key under which the operation is passed on, so that it is done once."""
+        return self.idempotency_key or self.command
 
 
 asked: ContextVar[tuple[Principal, Request, int, str | None] | None] = ContextVar(
@@ -45,4 +52,5 @@ def caller() -> Caller | None:
     if found is None:
         return None
     principal, request, slot, command = found
-    return Caller(principal, request.idempotency_key, moment_of(slot), command)
+    key, until = request.idempotency_key, moment_of(slot)
+    return Caller(principal, key, until, command, request.valid_for)

@@ -16,7 +16,7 @@ from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
 from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Sample, encoded_of
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
@@ -37,6 +37,8 @@ class Owner(Protocol):
 
     samples: int
     latency: float | None
+    has_gateways: bool
+    """Whether each of its robots has a gateway of its own: see `Backend.has_gateways`."""
     entries: dict[str, Entry]
     """Its resources, by the backend's own names."""
 
@@ -116,6 +118,7 @@ class Entry:
         "live",
         "moves",
         "name",
+        "numbered",
         "operations",
         "output_type",
         "owner",
@@ -171,6 +174,8 @@ class Entry:
         self.label = f"{noun} '{resource.name.rpartition('/')[2]}'"
         self.latest: Sample | None = None
         self.seq = 0
+        self.numbered = False
+        """Whether its samples have the numbers of their source: `Encoded`."""
         self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
         self.listeners: list[Listener] = []
         self.sustained = 0.0
@@ -197,7 +202,16 @@ class Entry:
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
-        self.seq += 1
+        if (encoded := encoded_of(value)) is not None:
+            if self.latest is not None and encoded.seq <= self.seq:
+                return self.latest
+            self.numbered = True
+            self.seq, timestamp = encoded.seq, encoded.timestamp
+        elif self.numbered:  # its source is to publish it, with a number
+            self.latest = Sample(self, value, timestamp or received, received, self.seq)
+            return self.latest
+        else:
+            self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
         latest = self.latest
         if latest is not None and latest.bodies:  # they are made again on use
@@ -227,7 +241,7 @@ class Entry:
 
     def adopt(self, old: Entry) -> None:
         """Go on where an entry of the same path left off: number, samples and listeners."""
-        self.seq = old.seq
+        self.seq, self.numbered = old.seq, old.numbered
         self.listeners = old.listeners
         self.sustained = old.sustained
         self.written = old.written
@@ -398,6 +412,13 @@ class StopGroup:
         """
         backend = self._open()
         await (backend.halt() if self.robot is None else backend.halt_robot(self.robot))
+
+    async def reset_own(self) -> None:
+        """Ask its own gateway to reset its e-stop: see `Backend.reset_estop`.
+
+        :raises RcpError: it refuses, or cannot be reached.
+        """
+        await self._open().reset_estop(self.robot)
 
     async def hold(self) -> None:
         """Bring it to rest without an e-stop.
