@@ -105,10 +105,10 @@ class Frames:
         return robot.known(source)
 
     def command_schema(
-        self, rights: Rights, entry: Entry, schema: dict[str, Any]
+        self, entry: Entry, frames: list[str], schema: dict[str, Any]
     ) -> dict[str, Any] | None:
         """Return the schema of a goal that may be a place on the earth; None: it may not."""
-        if goal_frame(entry.resource.input) is None or EARTH not in self.known(rights, entry):
+        if goal_frame(entry.resource.input) is None or EARTH not in frames:
             return None
         return with_earth(schema)
 

@@ -35,9 +35,9 @@ class FrameConverter(Protocol):
         ...
 
     def command_schema(
-        self, rights: Rights, entry: Entry, schema: dict[str, Any]
+        self, entry: Entry, frames: list[str], schema: dict[str, Any]
     ) -> dict[str, Any] | None:
-        """Return the schema of a command widened by the frames that it may name; None: it is none."""
+        """Return the schema of a command widened by what `frames` allow; None: as it is."""
         ...
 
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
@@ -68,7 +68,7 @@ class NoFrames:
         return []
 
     def command_schema(
-        self, rights: Rights, entry: Entry, schema: dict[str, Any]
+        self, entry: Entry, frames: list[str], schema: dict[str, Any]
     ) -> dict[str, Any] | None:
         """Widen nothing."""
         return None
