@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Mapping
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -21,17 +21,19 @@ from rcp_client.settings import Settings
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.link import FleetLink
 from rcp_fleet.resources import facts_of, name_of, resource_of
+from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
 from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import Kind, kind_of
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import Host, Progress, caller
 from rcp_zenoh.statistics import LinkStatistics
 
 __all__ = ["RemoteGateway"]
 
 log = structlog.get_logger("rcp.fleet")
+_SHORTEST = 0.001  # s: a deadline lies ahead
 _LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
 
 
@@ -57,15 +59,14 @@ class RemoteGateway:
         host: Host,
         types: RobotTypes,
         name: str,
-        changed: Callable[[], None],
     ) -> None:
-        self._config, self._session, self._host, self._changed = config, session, host, changed
+        self._config, self._session, self._host = config, session, host
         self._types = types
         self.name = name
         self.ready = False
         """Whether its resources are declared and it can be reached."""
-        self.commands = 0
-        """Running commands, which outlive a cut: their gateway reports their end when it is back."""
+        self._reached = asyncio.Event()
+        """Set while it is."""
         self._alive = asyncio.Event()
         self._link: FleetLink | None = None
         self._statistics = LinkStatistics({"gateway": name})
@@ -83,6 +84,7 @@ class RemoteGateway:
                 dial=self._dial,
             )
         )
+        self.stops = RobotStop(self._client, config.hub)
         self._client.channel.listeners.append(lambda _notice: self._review())
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
@@ -115,12 +117,13 @@ class RemoteGateway:
             except ConnectionLost as error:
                 log.info("fleet_gateway_unreachable", gateway=self.name, reason=error.message)
             except RcpError as error:
-                self._host.report(f"gateway '{self.name}': {error.message}")
+                self._host.report(error.message, down=True, robot=self.name)
                 return
             await asyncio.sleep(_LONGEST_PAUSE)
         async with asyncio.TaskGroup() as group:
             group.create_task(self._follow_tree())
             group.create_task(self._follow_facts())
+            group.create_task(self.stops.follow())
 
     async def _follow_tree(self) -> None:
         """Declare what the gateway has, and again whenever its tree changes."""
@@ -167,9 +170,13 @@ class RemoteGateway:
         if ready == self.ready:
             return
         self.ready = ready
-        if ready:
-            self._host.link_restored(self.name)
-        self._changed()
+        if not ready:
+            self._reached.clear()
+            self._host.report("its gateway cannot be reached", down=True, robot=self.name)
+            return
+        self._host.link_restored(self.name)  # before its commands: it may be latched
+        self._host.report(None, robot=self.name)
+        self._reached.set()
 
     def _path(self, name: str) -> str:
         if not self.ready:
@@ -201,20 +208,29 @@ class RemoteGateway:
             if one.status == "in_progress":
                 progress(one.body, fraction=one.progress)
 
-        path = self._path(name)
-        self.commands += 1
-        try:
-            return await self._client.execute(path, value, on_feedback=feedback)
-        finally:
-            self.commands -= 1
-            if not self.ready:
-                self._changed()
+        asked, loop = caller(), asyncio.get_running_loop()
+        assert asked is not None
+        while True:  # until the kernel ends it at its deadline; the key keeps it from running twice
+            await self._reached.wait()
+            left = max(asked.deadline - loop.time(), _SHORTEST)
+            try:
+                return await self._client.execute(
+                    self._paths[name],
+                    value,
+                    deadline=left,
+                    idempotency_key=asked.key,
+                    on_feedback=feedback,
+                )
+            except ConnectionLost as error:
+                if not error.retryable:  # the gateway has forgotten it, or its key
+                    raise
+            await asyncio.sleep(_LONGEST_PAUSE)
 
-    async def stop(self) -> None:
-        """Stop the robot by its own e-stop, which returns when it is measured to be at rest."""
+    async def reset_estop(self) -> None:
+        """Ask the gateway to reset its e-stop, which it may refuse."""
         if not self.ready:
             raise AdapterUnavailable(f"the gateway of '{self.name}' cannot be reached")
-        await self._client.estop(reason=f"hub {self._config.hub}")
+        await self._client.estop(reset=True, reason=f"hub {self._config.hub}")
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
