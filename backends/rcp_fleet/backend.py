@@ -13,6 +13,8 @@ from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
+from rcp_hubs.signer import HubSigner, read_private_key
+from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.errors import (
     AdapterUnavailable,
     ConfigError,
@@ -32,8 +34,15 @@ class FleetBackend(BaseBackend):
     on_loss = "continue"  # the robot's own gateway decides
     has_gateways = True
 
-    def __init__(self, config: FleetConfig, session: zenoh.Session, host: Host) -> None:
+    def __init__(
+        self,
+        config: FleetConfig,
+        session: zenoh.Session,
+        host: Host,
+        signer: HubSigner | None,
+    ) -> None:
         self._config, self._session, self._host = config, session, host
+        self._signer = signer
         self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
 
@@ -43,7 +52,12 @@ class FleetBackend(BaseBackend):
         known = self.gateways.get(name)
         if known is None and here:
             known = self.gateways[name] = RemoteGateway(
-                self._config, self._session, self._host, self._types, name
+                self._config,
+                self._session,
+                self._host,
+                self._types,
+                self._signer,
+                name,
             )
         if known is not None:
             known.alive(here=here)
@@ -147,13 +161,21 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         raise ConfigError(
             "the fleet has no router: `listen` makes this hub one, `connect` names others"
         )
+    if (config.key is None) == (config.token is None):
+        raise ConfigError(
+            "the fleet needs `key`, the file of this hub's private key, or `token` for a trial in "
+            "which everybody acts as the hub"
+        )
+    signer = None
+    if config.key is not None:
+        signer = HubSigner(config.hub, read_private_key(config.key, "`key`"), SYSTEM_CLOCK)
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
     zenoh_config = configuration(
         mode, listen=config.listen, connect=config.connect, silence=config.silence
     )
     async with opened(zenoh_config, patient=False) as session:
-        backend = FleetBackend(config, session, host)
+        backend = FleetBackend(config, session, host, signer)
         tokens = session.liveliness().declare_subscriber(
             alive(host.tenant), on_loop(loop, backend.token), history=True
         )

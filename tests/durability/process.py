@@ -37,9 +37,9 @@ path = "{path}"
 class Served:
     """One life of a gateway."""
 
-    def __init__(self, folder: Path, store: Path) -> None:
+    def __init__(self, folder: Path, store: Path, text: str = CONFIG) -> None:
         self.config = folder / "rcp.toml"
-        self.config.write_text(CONFIG.format(admin=ADMIN, path=store))
+        self.config.write_text(text.format(admin=ADMIN, path=store))
         self.said = folder / f"stderr-{time.monotonic_ns()}"
         with self.said.open("w") as stderr:
             self._process = subprocess.Popen([RCPD, "serve", self.config], stderr=stderr)

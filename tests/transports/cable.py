@@ -18,8 +18,11 @@ class _Wire:
         self.writers = writers
         self.flows = asyncio.Event()
         self.flows.set()
+        self.ended, self.done = asyncio.Event(), asyncio.Event()
 
     def cut(self) -> None:
+        self.ended.set()
+        self.flows.set()
         for writer in self.writers:
             writer.transport.abort()
 
@@ -46,6 +49,7 @@ class Cable:
         finally:
             server.close()
             self.cut()
+            await asyncio.gather(*(wire.done.wait() for wire in self._wires))
 
     def cut(self) -> None:
         """Break every connection; new ones are let through."""
@@ -87,6 +91,7 @@ class Cable:
             )
         finally:
             self._wires.discard(wire)
+            wire.done.set()
 
     async def _pass(
         self, wire: _Wire, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
@@ -95,9 +100,10 @@ class Cable:
             while data := await reader.read(_PIECE):
                 await wire.flows.wait()
                 if self._pause:
-                    await asyncio.sleep(self._pause * len(data) / _PIECE)
+                    with suppress(TimeoutError):
+                        async with asyncio.timeout(self._pause * len(data) / _PIECE):
+                            await wire.ended.wait()
                 writer.write(data)
                 self.passed += len(data)
                 await writer.drain()
-        wire.flows.set()
         wire.cut()
