@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("zenoh")
 
 import rcp_fleet
+import rcp_sim
 from backends.fleet.rig import appears, free_port, robot_at, serving
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import ADMIN, Goal, Robot, Served, StopSuite, eventually
@@ -41,6 +42,13 @@ class _Far:
         self.rover: Any = served.life.backend
 
 
+@pytest.fixture(autouse=True)
+def alone(request: pytest.FixtureRequest) -> None:
+    """Leave out the situations with a second backend of the same robot."""
+    if any(part in request.node.name for part in ("two_backends", "other_backend")):
+        pytest.skip(_PLACE)
+
+
 class TestFleetStops(StopSuite):
     """What any stop owes, through a hub."""
 
@@ -52,7 +60,7 @@ class TestFleetStops(StopSuite):
         port = free_port()
         async with Cable(port).laid() as cable:
             text = robot_at(cable.port, _SIM).replace('tenant = "alpha"', 'tenant = "t"')
-            async with serving(text + _ADMIN) as served:
+            async with serving(text + _ADMIN, *rcp_sim.rcp_backends()) as served:
                 yield _Far(port, cable, served)
 
     def table(self) -> Mapping[str, Any]:
