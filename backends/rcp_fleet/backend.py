@@ -9,6 +9,7 @@ from typing import Any
 
 import zenoh
 
+from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
 from rcp_fleet.stops import RobotStop
@@ -24,6 +25,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.tls import check_links
 
 __all__ = ["FleetBackend", "open_fleet"]
 
@@ -171,8 +173,21 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         signer = HubSigner(config.hub, read_private_key(config.key, "`key`"), SYSTEM_CLOCK)
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
+    check_links((*config.listen, *config.connect), config.tls, "the fleet")
+    if (config.robots or config.hubs) and (config.tls is None or not config.listen):
+        raise ConfigError(
+            "the fleet: `robots` and `hubs` are the rules of a router with `listen` and `tls`"
+        )
+    access = None
+    if config.tls is not None and config.listen:
+        access = access_rules(host.tenant, config.robots, config.hubs)
     zenoh_config = configuration(
-        mode, listen=config.listen, connect=config.connect, silence=config.silence
+        mode,
+        listen=config.listen,
+        connect=config.connect,
+        silence=config.silence,
+        tls=config.tls,
+        access=access,
     )
     async with opened(zenoh_config, patient=False) as session:
         backend = FleetBackend(config, session, host, signer)

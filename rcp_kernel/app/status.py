@@ -65,7 +65,7 @@ class StatusReport:
         self._recent = recent
         self._registry = registry
         self._hub = hub
-        self._sights = sights
+        self.sights = sights
         self._visibility = visibility
         self._identities = identities
         self._sessions = sessions
@@ -164,13 +164,13 @@ class StatusReport:
     def _count_resources(self, rights: Rights | None) -> int:
         if rights is None:
             return len(self._registry.entries)
-        return self._sights.look(rights).visible
+        return self.sights.look(rights).visible
 
     def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
-        return self._sights.look(rights).hides(supervisor.tenant, supervisor.name)
+        return self.sights.look(rights).hides(supervisor.tenant, supervisor.name)
 
     def _names_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
-        sight = self._sights.look(rights)
+        sight = self.sights.look(rights)
         return sight.names_hidden(supervisor.tenant, supervisor.name, text)
 
     def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:

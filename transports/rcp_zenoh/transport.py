@@ -89,7 +89,9 @@ async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerat
 
 async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statistics) -> None:
     loop, keys = client_api.loop, links_of(config.tenant, config.gateway)
-    zenoh_config = configuration("client", connect=config.connect, silence=config.silence)
+    zenoh_config = configuration(
+        "client", connect=config.connect, silence=config.silence, tls=config.tls
+    )
     async with opened(zenoh_config, patient=True) as session:
         links = _Links(config, client_api, session, statistics)
         # The token of a link comes before its messages; our own comes last, when we can answer.
