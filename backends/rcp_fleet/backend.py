@@ -13,11 +13,17 @@ from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
 from rcp_fleet.revocations import Revocations
+from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
 from rcp_hubs.signer import HubSigner, read_private_key
 from rcp_kernel.clock import SYSTEM_CLOCK
-from rcp_kernel.errors import ConfigError
-from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    ConfigError,
+    DeviceTimeout,
+    UnsupportedOperation,
+)
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.tls import check_links
@@ -29,6 +35,7 @@ class FleetBackend(BaseBackend):
     """Passes every operation to the gateway whose resource it concerns."""
 
     on_loss = "continue"  # the robot's own gateway decides
+    has_gateways = True
 
     def __init__(
         self,
@@ -57,20 +64,9 @@ class FleetBackend(BaseBackend):
                 self._types,
                 self._signer,
                 name,
-                self._review,
             )
         if known is not None:
             known.alive(here=here)
-
-    def _review(self) -> None:
-        away = sorted(name for name, gateway in self.gateways.items() if not gateway.ready)
-        if not away:
-            self._host.report(None)
-            return
-        shown = ", ".join(away[:5]) + (f" and {len(away) - 5} more" if len(away) > 5 else "")
-        # Down ends the commands in the kernel; those of a gateway go on without this link.
-        down = not any(one.ready or one.commands for one in self.gateways.values())
-        self._host.report(f"not reachable: {shown}", down=down)
 
     def _of(self, name: str) -> RemoteGateway:
         return self.gateways[name.split("/", 2)[1]]
@@ -96,18 +92,68 @@ class FleetBackend(BaseBackend):
         return self._of(name).watch(name, rate)
 
     async def halt(self) -> None:
-        """Stop every robot; all are asked at once."""
-        async with asyncio.TaskGroup() as group:
-            for gateway in self.gateways.values():
-                group.create_task(gateway.stop())
+        """Stop every robot: all are asked at once, and each to the end.
+
+        :raises DeviceTimeout: one is not at rest, or has not answered.
+        """
+        names = list(self.gateways)
+        stops = (self.gateways[name].stops.stop() for name in names)
+        found = await asyncio.gather(*stops, return_exceptions=True)
+        late = [name for name, error in zip(names, found, strict=True) if error is not None]
+        if late:
+            raise DeviceTimeout(f"not stopped: {', '.join(late)}")
 
     async def halt_robot(self, robot: str) -> None:
-        """Stop one robot."""
-        await self.gateways[robot].stop()
+        """Stop one robot by its own gateway's e-stop."""
+        await self._stops(robot).stop()
+
+    def _stops(self, robot: str) -> RobotStop:
+        """Return the stop of a robot.
+
+        :raises AdapterUnavailable: its gateway has not been seen since the hub began.
+        """
+        gateway = self.gateways.get(robot)
+        if gateway is None:
+            raise AdapterUnavailable(f"the gateway of '{robot}' has not been seen")
+        return gateway.stops
+
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Report what the gateways say of their stops."""
+        if robot is not None:
+            return self._stops(robot).motion()
+        states = {name: one.stops.motion() for name, one in self.gateways.items()}
+        late = {name: one for name, one in states.items() if not one.at_rest}
+        if not late:
+            return MotionState(at_rest=True) if states else None
+        moves = any(one.at_rest is False for one in late.values())
+        detail = "; ".join(f"{name}: {one.detail}" for name, one in late.items())
+        return MotionState(False if moves else None, detail)
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Ask again those gateways that are not known to hold their robots."""
+        names = self.gateways if robot is None else [robot]
+        for name in names:
+            if name in self.gateways:
+                self.gateways[name].stops.hold()
+
+    async def hold(self, robot: str | None) -> None:
+        """Refuse: a robot that can hold has a service for it; for nobody in particular, do nothing.
+
+        When this hub was frozen, or somebody lost control here, the robots' own gateways decide.
+        """
+        if caller() is not None:
+            raise UnsupportedOperation(f"the gateway of '{robot}' offers no hold")
 
     async def recover(self, robot: str | None) -> str:
-        """Do nothing: what runs on a robot was never cut off from its own gateway."""
-        return f"left to the gateway of {robot}"
+        """Leave it to the robot's gateway."""
+        return "left to its own gateway"
+
+    async def reset_estop(self, robot: str | None) -> None:
+        """Ask the gateway of a robot, or all of them."""
+        names = list(self.gateways) if robot is None else [robot]
+        for name in names:
+            self._stops(name)
+        await asyncio.gather(*(self.gateways[name].reset_estop() for name in names))
 
     async def close(self) -> None:
         """End all sessions."""
