@@ -24,7 +24,7 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
     The robot's own serialized bytes do not cross the link, so that `native` is left out.
     """
     operations = Operation.NONE
-    for name in info.operations:
+    for name in info.operations if info.offers is None else info.offers:
         operations |= Operation[name.upper()]
     return Resource(
         name=name_of(info.path, gateway),

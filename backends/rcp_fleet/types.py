@@ -25,11 +25,11 @@ class RobotTypes:
 
     async def discover(self, client: Client, pattern: str) -> list[ResourceInfo]:
         """List the resources of a gateway, and learn the types that are new."""
-        found = await client.discover(pattern, schemas=False)
+        found = await client.discover(pattern, schemas=False, offers=True)
         if self._lacks(found):
             async with self._fetching:
                 if self._lacks(found):
-                    found = await client.discover(pattern)
+                    found = await client.discover(pattern, offers=True)
                     self._learn(found)
         return found
 

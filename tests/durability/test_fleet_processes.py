@@ -14,7 +14,8 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from durability.process import CONFIG, Served, until
+from configuration import backend, key, listener, table
+from durability.process import ADMIN, CONFIG, Served, until
 
 _ROUTER = """
 import signal, sys
@@ -23,34 +24,6 @@ import zenoh
 with zenoh.open(configuration("router", listen=[sys.argv[1]], silence=1.0)):
     print("up", flush=True)
     signal.pause()
-"""
-_HUB = """
-[transports.asgi]
-port = 0
-
-[[backends]]
-use = "fleet"
-name = "fleet"
-tenant = "alpha"
-hub = "h1"
-connect = ["{endpoint}"]
-token = "{{admin}}"
-silence = 1.0
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "{{admin}}"
-
-[store]
-path = "{{path}}"
-"""
-_ZENOH = """
-[transports.zenoh]
-gateway = "r7"
-tenant = "alpha"
-connect = ["{endpoint}"]
-silence = 1.0
 """
 POSE = "/tenant/alpha/sensor/r7/pose"
 MOVE = "/tenant/alpha/action/r7/move_to"
@@ -90,11 +63,15 @@ class Fleet:
         return Served(folder, folder / "store.db", text)
 
     def start_robot(self) -> Served:
-        self.robot = self._start("robot", CONFIG + _ZENOH.format(endpoint=self._endpoint))
+        here: dict[str, Any] = {"gateway": "r7", "tenant": "alpha", "silence": 1.0}
+        zenoh = table("transports.zenoh", connect=[self._endpoint], **here)
+        self.robot = self._start("robot", CONFIG + zenoh)
         return self.robot
 
     def start_hub(self) -> Served:
-        self.hub = self._start("hub", _HUB.format(endpoint=self._endpoint))
+        link: dict[str, Any] = {"connect": [self._endpoint], "silence": 1.0}
+        fleet = backend("fleet", use="fleet", hub="h1", token=ADMIN, **link)
+        self.hub = self._start("hub", listener() + fleet + key("admin", ADMIN))
         return self.hub
 
     @property

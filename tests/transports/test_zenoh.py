@@ -11,30 +11,30 @@ from typing import Any
 
 import pytest
 
+from configuration import backend, configuration, key, table
+
 pytest.importorskip("zenoh")
 
 from rcp_kernel.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
 from rcp_kernel.testing.wire import ROBOT
 from transports.cable import Cable
 
-_KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
-_OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+_OPERATOR = key("operator", OPERATOR)
 
 
-def _robot(port: int, use: str = "sim", more: str = "") -> str:
-    return (
-        f'{_OFF}[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\n'
-        f'connect = ["tcp/127.0.0.1:{port}"]\n{more}'
-        f'[[backends]]\nuse = "{use}"\nname = "rover"\ntenant = "alpha"\n{_KEYS}'
+def _robot(port: int, use: str = "sim", **fields: Any) -> str:
+    hub = [f"tcp/127.0.0.1:{port}"]
+    return configuration(
+        table("transports.zenoh", gateway="r7", tenant="alpha", connect=hub, **fields),
+        backend("rover", use=use),
+        _OPERATOR,
     )
 
 
 def _hub(port: int, token: str = OPERATOR) -> str:
-    return (
-        f'{_OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "alpha"\n'
-        f'hub = "h1"\nlisten = ["tcp/127.0.0.1:{port}"]\ntoken = "{token}"\n'
-        f"{_KEYS}"
-    )
+    listen = [f"tcp/127.0.0.1:{port}"]
+    fleet = backend("fleet", use="fleet", hub="h1", listen=listen, token=token)
+    return configuration(fleet, _OPERATOR)
 
 
 def _free_port() -> int:
@@ -69,12 +69,12 @@ async def _appears(client: MemoryClient, path: str) -> dict[str, object]:
 
 @asynccontextmanager
 async def _fleet(
-    use: str = "sim", more: str = ""
+    use: str = "sim", **fields: Any
 ) -> AsyncGenerator[tuple[Served, Served, MemoryClient]]:
     port = _free_port()
     async with AsyncExitStack() as stack:
         hub = await stack.enter_async_context(_serving(_hub(port)))
-        robot = await stack.enter_async_context(_serving(_robot(port, use, more)))
+        robot = await stack.enter_async_context(_serving(_robot(port, use, **fields)))
         client = hub.client(OPERATOR)
         stack.push_async_callback(client.close)
         await _appears(client, "/tenant/alpha/*/r7/**")
@@ -131,10 +131,10 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
         client = hub.client(OPERATOR)
         async with _serving(_robot(port)):
             await _appears(client, "/tenant/alpha/sensor/r7/pose")
-            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
-        await _comes(lambda: hub.supervisor.state == "down", "the backend is down")
+            await _comes(lambda: hub.supervisor.unit("r7").state == "ready", "the robot is ready")
+        await _comes(lambda: hub.supervisor.unit("r7").state == "down", "the robot is down")
         async with _serving(_robot(port)):
-            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
+            await _comes(lambda: hub.supervisor.unit("r7").state == "ready", "the robot is ready")
             read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
             assert read["status"] == "completed", read
         await client.close()
@@ -143,7 +143,7 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
 async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
     port = _free_port()
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):
-        await _comes(lambda: "r7" in str(hub.supervisor.detail), "the refusal is in the status")
+        await _comes(lambda: bool(hub.supervisor.unit("r7").detail), "the refusal is in the status")
         client = hub.client(OPERATOR)
         found = await client.request("discover", path="/tenant/alpha/**", body={"limit": 9})
         assert not [one for one in found["body"]["resources"] if "/r7/" in one["path"]]
@@ -213,7 +213,7 @@ async def test_a_long_value_arrives() -> None:
 
 
 async def test_a_budget_skips_updates_and_delays_no_command() -> None:
-    async with _fleet("wire-robot", "budget = 20_000\n") as (_, robot, client):
+    async with _fleet("wire-robot", budget=20_000) as (_, robot, client):
         publish = partial(robot.life.host.publish, "event/note")
         path = "/tenant/alpha/event/r7/note"
         id_ = await client.subscribe(path, qos={"depth": 100}, initial=False)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from rcp_kernel.values import Encoding
 
-__all__ = ["LinkKeys", "alive", "encoding_of", "links_of", "part"]
+__all__ = ["LinkKeys", "alive", "encoding_of", "links_of", "part", "revoked"]
 
 _ROOT = "rcp"
 
@@ -35,6 +35,11 @@ class LinkKeys(NamedTuple):
 def alive(tenant: str, gateway: str = "*") -> str:
     """Name the token of a gateway, or of all of a tenant."""
     return f"{_ROOT}/{tenant}/{gateway}/alive"
+
+
+def revoked(tenant: str) -> str:
+    """Name where the list of revoked hubs is published."""
+    return f"{_ROOT}/{tenant}/revoked"
 
 
 def links_of(tenant: str, gateway: str) -> LinkKeys:

@@ -89,6 +89,8 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     path: str
     kind: str
     operations: list[str]
+    offers: list[str] | None = None
+    """All its operations, also those that the caller may not use, if `discover` asked for them."""
     description: str = ""
     schemas: dict[str, dict[str, Any]] = {}
     """JSON Schemas: `value`, or `input`, `output` and `feedback` of an action or service."""

@@ -225,7 +225,7 @@ async def test_a_receive_queue_that_overflows_is_an_event_and_the_motor_goes_on(
             for _ in range(18_000):
                 node.send(0x7FF)
             end = time.monotonic() + 10
-            wire = rig.backend.buses["can0"]._wire
+            wire = rig.backend.buses["can0"].wire
             while not wire.dropped and time.monotonic() < end:
                 time.sleep(0.01)  # noqa: ASYNC251  # the loop is busy, as far as the reader can see
         event = await rig.host.published_as("event/can/can0/overflow", queue="receive")

@@ -7,15 +7,15 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
+from configuration import backend, configuration, key, table
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
 from rcp_kernel.testing import OPERATOR, Client, Served, eventually, serve
 
 __all__ = ["SIM", "appears", "catalogue", "free_port", "hub_at", "robot_at", "serving"]
 
-SIM = '[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "alpha"\n'
-_OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
-_KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
+SIM = backend("rover", use="sim")
+_OPERATOR = key("operator", OPERATOR)
 _BOUND = 60.0  # s, on any machine
 
 
@@ -26,21 +26,18 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
-def robot_at(port: int, backend: str = SIM, gateway: str = "r7") -> str:
+def robot_at(port: int, robot: str = SIM, gateway: str = "r7") -> str:
     """Return the configuration of a robot's gateway."""
-    return (
-        f'{_OFF}[transports.zenoh]\ngateway = "{gateway}"\ntenant = "alpha"\n'
-        f'connect = ["tcp/127.0.0.1:{port}"]\n{backend}{_KEYS}'
-    )
+    hub = [f"tcp/127.0.0.1:{port}"]
+    zenoh = table("transports.zenoh", gateway=gateway, tenant="alpha", connect=hub)
+    return configuration(zenoh, robot, _OPERATOR)
 
 
 def hub_at(port: int, hub: str = "h1", *, router: bool = True) -> str:
     """Return the configuration of a hub, which is the router or joins it."""
-    ends = "listen" if router else "connect"
-    return (
-        f'{_OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "alpha"\n'
-        f'hub = "{hub}"\n{ends} = ["tcp/127.0.0.1:{port}"]\ntoken = "{OPERATOR}"\n{_KEYS}'
-    )
+    ends = {"listen" if router else "connect": [f"tcp/127.0.0.1:{port}"]}
+    fleet = backend("fleet", use="fleet", hub=hub, token=OPERATOR, **ends)
+    return configuration(fleet, _OPERATOR)
 
 
 @asynccontextmanager

@@ -12,32 +12,35 @@ from msgspec import Meta
 pytest.importorskip("zenoh")
 
 from backends.fleet.rig import SIM, appears, catalogue, free_port, hub_at, robot_at, serving
+from configuration import backend
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
 from rcp_kernel.testing import OPERATOR, Client, ScriptedRobot, eventually, scripted
 
-MOTORS = (
-    '[[backends]]\nuse = "can"\nname = "head"\ntenant = "alpha"\n'
-    '[backends.buses.can0]\ninterface = "virtual"\nchannel = "fleet-discovery"\n'
-    "bitrate = 1_000_000\nsimulate = true\n"
-    '[backends.motors.pan]\nbus = "can0"\nprofile = "odrive"\nnode = 1\ngear = 8.0\n'
-    "position = [-2.8, 2.8]\nvelocity = 3.0\ntorque = 4.0\nacceleration = 12.0\n"
-)
-COPTER = (
-    '[[backends]]\nuse = "mavlink"\nname = "drone"\ntenant = "alpha"\n'
-    'links = ["sim:copter"]\ntwin = { warmup = 2 }\n'
-)
-ROBOTS = pytest.mark.parametrize("backend", [SIM, MOTORS, COPTER], ids=["sim", "can", "mavlink"])
+BUS = {"interface": "virtual", "channel": "fleet-discovery", "bitrate": 1_000_000, "simulate": True}
+PAN = {
+    "bus": "can0",
+    "profile": "odrive",
+    "node": 1,
+    "gear": 8.0,
+    "position": [-2.8, 2.8],
+    "velocity": 3.0,
+    "torque": 4.0,
+    "acceleration": 12.0,
+}
+MOTORS = backend("head", use="can", buses={"can0": BUS}, motors={"pan": PAN})
+COPTER = backend("drone", use="mavlink", links=["sim:copter"], twin={"warmup": 2})
+ROBOTS = pytest.mark.parametrize("robot", [SIM, MOTORS, COPTER], ids=["sim", "can", "mavlink"])
 LOCAL = ("path", "backend", "state", "meta")
 """What is true at one place only: where it is, who serves it there, and what has been seen of it."""
 NOT_PASSED = ("frames", "native")
 
 
 @asynccontextmanager
-async def both(backend: str) -> AsyncGenerator[tuple[Client, Client]]:
+async def both(text: str) -> AsyncGenerator[tuple[Client, Client]]:
     """Yield clients of a robot's gateway and of the hub, once the hub shows all of it."""
     port = free_port()
-    async with serving(hub_at(port)) as hub, serving(robot_at(port, backend)) as robot:
+    async with serving(hub_at(port)) as hub, serving(robot_at(port, text)) as robot:
         there, here = robot.client(OPERATOR), hub.client(OPERATOR)
 
         async def all_there() -> bool:
@@ -62,8 +65,8 @@ def common(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 @ROBOTS
-async def test_a_hub_shows_what_the_robot_shows(backend: str) -> None:
-    async with both(backend) as (there, here):
+async def test_a_hub_shows_what_the_robot_shows(robot: str) -> None:
+    async with both(robot) as (there, here):
         own, shown = await catalogue(there), await catalogue(here)
         assert shown.keys() == {hub_path(path) for path in own}
         for path, facts in own.items():
@@ -83,8 +86,8 @@ async def the_robot(client: Client) -> dict[str, Any]:
 
 
 @ROBOTS
-async def test_its_inventory_says_what_the_robots_says(backend: str) -> None:
-    async with both(backend) as (there, here):
+async def test_its_inventory_says_what_the_robots_says(robot: str) -> None:
+    async with both(robot) as (there, here):
 
         async def told() -> bool:
             return await the_robot(here) == await the_robot(there)
@@ -114,7 +117,7 @@ class Lifts:
 
 async def test_a_change_of_the_robot_shows_at_the_hub() -> None:
     port, lifts = free_port(), Lifts()
-    own = '[[backends]]\nuse = "robot"\nname = "robot"\ntenant = "alpha"\n'
+    own = backend("robot")
     async with (
         serving(hub_at(port)) as hub,
         serving(robot_at(port, own), scripted(lifts.make)),

@@ -15,7 +15,8 @@ import pytest
 pytest.importorskip("zenoh")
 
 import rcp_sim
-from backends.fleet.rig import SIM, appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from configuration import backend, configuration, listener, table
 from rcp_fleet import rcp_backends
 from rcp_kernel.testing import OPERATOR, Body, ProfileSuite, Robot, Served
 
@@ -33,12 +34,12 @@ class TestRoverThroughAHub(ProfileSuite):
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Served]:
         self.port = free_port()
-        backend = (
-            f"{SIM.replace('alpha', 't')}noise = 0.0\nmap_resolution = 0.5\ntime_scale = 3.0\n"
-            "[backends.world]\nwidth = 12.0\nheight = 12.0\n"
-            "obstacles = [{ x = 0.0, y = 4.5, size_x = 8.0, size_y = 1.0 }]\n"
+        box = {"x": 0.0, "y": 4.5, "size_x": 8.0, "size_y": 1.0}
+        world = {"width": 12.0, "height": 12.0, "obstacles": [box]}
+        rover = backend(
+            "rover", use="sim", noise=0.0, map_resolution=0.5, time_scale=3.0, world=world
         )
-        text = robot_at(self.port, backend).replace('"alpha"', '"t"')
+        text = robot_at(self.port, rover).replace('"alpha"', '"t"')
         async with serving(text, *rcp_sim.rcp_backends()) as robot:
             yield robot
 
@@ -74,7 +75,7 @@ class TestRoverThroughAHub(ProfileSuite):
 
 async def test_patrol_drives_it() -> None:
     port = free_port()
-    hub = hub_at(port).replace("asgi = false\nhttp = false\nws = false", "asgi = { port = 0 }")
+    hub = hub_at(port).replace(configuration(), table("transports", sse=False) + listener())
     async with serving(hub) as served, serving(robot_at(port)):
         client = served.client(OPERATOR)
         await appears(client, "/tenant/alpha/sensor/r7/pose")

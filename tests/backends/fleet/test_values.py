@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from configuration import backend
 from rcp_fleet.values import RobotNumbers, RobotValue
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Encoded, Host
@@ -22,7 +23,7 @@ from rcp_kernel.values import Encoding
 from transports.cable import Cable
 
 HEIGHT, IMAGE = "sensor/height", "param/image"
-OWN = '[[backends]]\nuse = "robot"\nname = "robot"\ntenant = "alpha"\n'
+OWN = backend("robot")
 
 
 class Image(msgspec.Struct, frozen=True):

@@ -273,7 +273,7 @@ async def test_zeros_that_are_sent_without_a_position_prove_nothing() -> None:
     """A real one says that it stands, whatever it does; its estimator says that it does not know."""
     async with flying() as found:
         await found.moving()
-        found.vehicle.failsafes._position = lambda _: None  # no failsafe of its own
+        found.vehicle.params.set("FS_EKF_ACTION", 0.0)  # no failsafe of its own
         found.vehicle.params.set("SIM_GPS1_ENABLE", 0.0)
         gateway = found.robot.vehicle
         await until(lambda: gateway.fix.speed < 0.1, "it says that it stands")
@@ -368,7 +368,7 @@ async def test_without_a_position_it_levels_and_then_lands() -> None:
     async with flying({"speed": 1.0}) as found:
         airborne(found.vehicle, 6.0)
         await agrees(found.served.life.backend, found.vehicle)
-        found.vehicle.failsafes._position = lambda _: None  # no failsafe of its own
+        found.vehicle.params.set("FS_EKF_ACTION", 0.0)  # no failsafe of its own
         found.vehicle.params.set("SIM_GPS1_ENABLE", 0.0)
         stop = asyncio.ensure_future(found.estop(deadline=40.0))
         await until(lambda: found.vehicle.flight.mode is Mode.ALT_HOLD, "it levels")
@@ -631,7 +631,7 @@ async def test_a_return_that_is_refused_is_a_hold() -> None:
         found.relay.cut = True
         await found.client.final(id_)
         await until(lambda: found.robot.vehicle.lost, "it is lost")
-        found.vehicle.failsafes._position = lambda _: None
+        found.vehicle.params.set("FS_EKF_ACTION", 0.0)
         found.vehicle.params.set("SIM_GPS1_ENABLE", 0.0)
         found.relay.cut = False
         await until(lambda: found.vehicle.flight.mode is Mode.ALT_HOLD, "it levels")

@@ -167,7 +167,7 @@ async def robot_of(domain: int, **config: Any) -> AsyncIterator[Robot]:
     async with open_ros2(decoded, robot) as backend:
         robot.backend = backend
         with suppress(TimeoutError):  # discovery takes 3 s now and then
-            await asyncio.wait_for(backend._catalog.complete.wait(), decoded.grace)
+            await asyncio.wait_for(backend.catalog.complete.wait(), decoded.grace)
         yield robot
 
 

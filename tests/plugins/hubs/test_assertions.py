@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from configuration import backend, configuration, key, table
 from hubkeys import HubKey
 from rcp_kernel.app.reload import apply
 from rcp_kernel.app.server import prepare
@@ -22,13 +23,12 @@ from rcp_kernel.testing import ADMIN, BOUND, OPERATOR, MemoryClient, Served, ser
 pytest.importorskip("zenoh")
 pytestmark = pytest.mark.anyio
 _DEAD = "tcp/127.0.0.1:9"  # nobody routes here: assertions are tested without a link
-_GATEWAY = (
-    "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
-    f'[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\nconnect = ["{_DEAD}"]\n'
-    '[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "alpha"\n'
-    '[[backends]]\nuse = "sim"\nname = "other"\ntenant = "beta"\n'
-    f'[[keys]]\nname = "ann"\nrole = "operator"\nkey = "{OPERATOR}"\n'
-    f'[[keys]]\nname = "root"\nrole = "admin"\nkey = "{ADMIN}"\n'
+_GATEWAY = configuration(
+    table("transports.zenoh", gateway="r7", tenant="alpha", connect=[_DEAD]),
+    backend("rover", use="sim"),
+    backend("other", "beta", use="sim"),
+    key("ann", OPERATOR, role="operator"),
+    key("root", ADMIN, role="admin"),
 )
 _S = 1_000_000_000
 
