@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["LinkKeys", "alive", "links_of", "part"]
+__all__ = ["LinkKeys", "alive", "links_of", "part", "revoked"]
 
 _ROOT = "rcp"
 
@@ -33,6 +33,11 @@ class LinkKeys(NamedTuple):
 def alive(tenant: str, gateway: str = "*") -> str:
     """Name the token of a gateway, or of all of a tenant."""
     return f"{_ROOT}/{tenant}/{gateway}/alive"
+
+
+def revoked(tenant: str) -> str:
+    """Name where the list of revoked hubs is published."""
+    return f"{_ROOT}/{tenant}/revoked"
 
 
 def links_of(tenant: str, gateway: str) -> LinkKeys:
