@@ -7,6 +7,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from rcp_zenoh.config import Chunk
+from rcp_zenoh.tls import TlsConfig
+
 __all__ = ["FleetConfig"]
 
 
@@ -19,8 +22,16 @@ class FleetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Endpoints of the router in this process: `tcp/0.0.0.0:7447`; none: `connect` to one."""
     connect: tuple[str, ...] = ()
     """Endpoints of other routers."""
+    tls: TlsConfig | None = None
+    """Certificates of the links; its router then serves nobody but `robots` and `hubs`."""
+    robots: tuple[Chunk, ...] = ()
+    """Ids of the gateways that its router serves, which are the names in their certificates."""
+    hubs: tuple[Chunk, ...] = ()
+    """Ids of other hubs that it serves."""
     key: str | None = None
     """File of its Ed25519 private key in PEM, with which it asserts persons to the gateways."""
+    revoked: str | None = None
+    """File with the signed list of revoked hubs, which it publishes: `rcpd fleet revoke`."""
     roles: tuple[str, ...] = ()
     """Roles that it asserts; others of a person stay here. Empty: all."""
     idle: Annotated[float, Meta(gt=0)] = 60.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Mapping
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -17,6 +17,7 @@ from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.resources import facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
+from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
 from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_hubs.signer import HubSigner
@@ -54,20 +55,20 @@ class RemoteGateway:
         types: RobotTypes,
         signer: HubSigner | None,
         name: str,
-        changed: Callable[[], None],
     ) -> None:
-        self._config, self._session, self._host, self._changed = config, session, host, changed
+        self._host = host
         self._types = types
         self.name = name
         self.ready = False
         """Whether its resources are declared and it can be reached."""
-        self.commands = 0
-        """Running commands, which outlive a cut: their gateway reports their end when it is back."""
+        self._reached = asyncio.Event()
+        """Set while it is."""
         self._paths: dict[str, str] = {}
         self._numbers = RobotNumbers()
         self._streams: dict[tuple[str, float | None], _Stream] = {}
         self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
         self._client = self._sessions.own
+        self.stops = RobotStop(self._client, config.hub)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
@@ -81,7 +82,7 @@ class RemoteGateway:
         self._review()
 
     def _refused(self, reason: str) -> None:
-        self._host.report(f"gateway '{self.name}': {reason}")
+        self._host.report(reason, down=True, robot=self.name)
 
     async def _open(self) -> None:
         while True:
@@ -96,6 +97,7 @@ class RemoteGateway:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._follow_tree())
             group.create_task(self._follow_facts())
+            group.create_task(self.stops.follow())
 
     async def _follow_tree(self) -> None:
         """Declare what the gateway has, and again whenever its tree changes."""
@@ -142,9 +144,13 @@ class RemoteGateway:
         if ready == self.ready:
             return
         self.ready = ready
-        if ready:
-            self._host.link_restored(self.name)
-        self._changed()
+        if not ready:
+            self._reached.clear()
+            self._host.report("its gateway cannot be reached", down=True, robot=self.name)
+            return
+        self._host.link_restored(self.name)  # before its commands: it may be latched
+        self._host.report(None, robot=self.name)
+        self._reached.set()
 
     def _path(self, name: str) -> str:
         if not self.ready:
@@ -192,27 +198,29 @@ class RemoteGateway:
             if one.status == "in_progress":
                 progress(one.body, fraction=one.progress)
 
-        path, asked = self._path(name), caller()
-        self.commands += 1
-        try:
-            async with self._sessions.acting(_who(asked)) as client:
-                return await client.execute(
-                    path,
-                    value,
-                    deadline=_left(asked),
-                    idempotency_key=_key(asked),
-                    on_feedback=feedback,
-                )
-        finally:
-            self.commands -= 1
-            if not self.ready:
-                self._changed()
+        asked = caller()
+        while True:  # until the kernel ends it at its deadline; its key keeps it from running twice
+            await self._reached.wait()
+            try:
+                async with self._sessions.acting(_who(asked)) as client:
+                    return await client.execute(
+                        self._paths[name],
+                        value,
+                        deadline=_left(asked),
+                        idempotency_key=_key(asked),
+                        on_feedback=feedback,
+                    )
+            except ConnectionLost as error:
+                if not error.retryable:  # the gateway has forgotten it, and its key
+                    raise
+            await asyncio.sleep(_LONGEST_PAUSE)
 
-    async def stop(self) -> None:
-        """Stop the robot by its own e-stop, which returns when it is measured to be at rest."""
+    async def reset_estop(self) -> None:
+        """Ask the gateway, as the person who asked, to reset its e-stop; it may refuse."""
         if not self.ready:
-            raise AdapterUnavailable(f"the gateway of '{self.name}' cannot be reached")
-        await self._client.estop(reason=f"hub {self._config.hub}")
+            raise AdapterUnavailable("its gateway cannot be reached")
+        async with self._sessions.acting(_who(caller())) as client:
+            await client.estop(reset=True)
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:

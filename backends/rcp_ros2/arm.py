@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceRejected,
@@ -26,6 +27,7 @@ from rcp_ros2.binding import Shared
 from rcp_ros2.config import Mapping
 from rcp_ros2.description import JointLimits
 from rcp_ros2.shapes import seconds
+from rcp_ros2.stamps import Delays
 from rcp_ros2.standard import defined
 
 __all__ = ["ArmJoints", "FollowTrajectory", "JointMotion", "MoveJoints"]
@@ -59,6 +61,8 @@ class _Point(NamedTuple):
 class _Measured(NamedTuple):
     positions: dict[str, float]
     velocities: dict[str, float]
+    at: float
+    """Monotonic time of the oldest part."""
 
 
 class JointMotion(Run):
@@ -80,6 +84,7 @@ class JointMotion(Run):
         self.joints = joints
         self._limits = dict(joints.limits)
         self._states = states
+        self._delays = Delays()
         own = self.resource
         self.resource = defined(
             name,
@@ -118,11 +123,13 @@ class JointMotion(Run):
 
         :raises AdapterUnavailable: the joint states lack one.
         """
-        found, end = _Measured({}, {}), time.monotonic() + self.timeout
+        found, end = _Measured({}, {}, math.inf), time.monotonic() + self.timeout
         while not found.positions.keys() >= set(names):
             if time.monotonic() >= end:
                 raise self._lacking(set(names) - found.positions.keys())
             state = await self._states()
+            if not set(names).isdisjoint(state.name):
+                found = found._replace(at=min(found.at, await self._measured(state)))
             found.positions.update(zip(state.name, state.position, strict=False))
             found.velocities.update(zip(state.name, state.velocity, strict=False))
         return found
@@ -156,30 +163,37 @@ class JointMotion(Run):
             remedy="Check the controller's joints and its joint_state_broadcaster.",
         )
 
+    async def _measured(self, state: m.JointStates) -> float:
+        """Return the monotonic time when joint states that have just arrived were measured."""
+        now = time.monotonic()
+        if state.timestamp is None:
+            return now
+        stamp = parse_time(state.timestamp)
+        if self.shared.config.use_sim_time:
+            return await self.shared.ros.call(self.shared.ticks.measured, stamp, now)
+        return self._delays.measured(stamp, now)
+
     async def _still(
         self, names: Collection[str], is_there: Callable[[Named[str, float]], bool]
     ) -> _Measured:
-        """Wait until joints are measured at rest, where they should be.
+        """Wait until joints are measured at rest for a while, where they should be.
+
+        What was measured before does not count: it may come late, from before the motion.
 
         :raises TimeoutError: they are not.
         """
-        last, at = await self._measure(names), time.monotonic()
-        end = at + _ARRIVAL
-        while time.monotonic() < end:
+        began = time.monotonic()
+        last: _Measured | None = None
+        while time.monotonic() < began + _ARRIVAL:
             found = await self._measure(names)
-            now = time.monotonic()
-            if now - at < _APART:
+            if found.at <= began:
                 continue
-            told = found.velocities.keys() >= set(names)
-            speeds = (
-                abs(found.velocities[name])
-                if told
-                else abs(found.positions[name] - last.positions[name]) / (now - at)
-                for name in names
-            )
-            if all(speed <= _STILL for speed in speeds) and is_there(found.positions):
-                return found
-            last, at = found, now
+            if last is None:
+                last = found
+            elif found.at - last.at >= _APART:
+                if _rests(names, last, found) and is_there(found.positions):
+                    return found
+                last = found
         raise TimeoutError
 
     def _off(self, name: str, position: float, goal: float) -> float:
@@ -390,6 +404,16 @@ class FollowTrajectory(JointMotion):
                 remedy="Leave more time between the points.",
                 details={"pointer": f"{place}/time"},
             )
+
+
+def _rests(names: Collection[str], first: _Measured, last: _Measured) -> bool:
+    """Return whether joints rest at both of two moments, or between them without velocities."""
+    if all(one.velocities.keys() >= set(names) for one in (first, last)):
+        speeds = [abs(one.velocities[name]) for one in (first, last) for name in names]
+    else:
+        apart = last.at - first.at
+        speeds = [abs(last.positions[name] - first.positions[name]) / apart for name in names]
+    return all(speed <= _STILL for speed in speeds)  # false for NaN
 
 
 def _given(values: Any) -> dict[str, float]:

@@ -183,7 +183,7 @@ class StatusReport:
                 "detail": self._shown(supervisor, rights, unit.detail),
             }
             for unit in supervisor.unready
-            if rights is None or _sees(rights, unit)
+            if rights is None or self._sees(rights, unit)
         }
         if rights is None:
             return facts
@@ -191,6 +191,11 @@ class StatusReport:
         for key in ("detail", "last_error"):
             facts[key] = self._shown(supervisor, rights, facts[key])
         return facts
+
+    def _sees(self, rights: Rights, robot: StopGroup) -> bool:
+        if not robot.own:  # it was never reached
+            return self._visibility.sees_whole(rights, robot.tenant)
+        return any(rights.mask(entry.path) for entry in robot.own.values())
 
     def _shown(
         self, supervisor: BackendSupervisor, rights: Rights | None, text: str | None
@@ -306,7 +311,7 @@ class StatusReport:
                 [
                     ([s.name, s.tenant, str(unit.robot)], float(_is_up(unit)))
                     for s, unit in robots[begin : begin + _PART]
-                    if _sees(rights, unit)
+                    if self._sees(rights, unit)
                 ],
             )
         yield counter(
@@ -394,10 +399,6 @@ class StatusReport:
                 name = session.transport
                 sums[name] = sums.get(name, 0) + session.connection.outbox.updates
         return [([name], count) for name, count in sums.items()]
-
-
-def _sees(rights: Rights, robot: StopGroup) -> bool:
-    return any(rights.mask(entry.path) for entry in robot.own.values())
 
 
 def _is_up(robot: StopGroup) -> bool:

@@ -152,6 +152,10 @@ class Discovery:
             facts["offers"] = operation_names(entry.operations)
         if frames := self._frames.known(rights, entry):
             facts["frames"] = frames
+            if query.schemas and entry.operations & mask & Operation.EXECUTE:
+                own = facts.get("command_schema", entry.input_type.schema)
+                if (wider := self._frames.command_schema(entry, frames, own)) is not None:
+                    facts["command_schema"] = wider
         return facts
 
     def _description(self, entry: Entry) -> Description:

@@ -131,10 +131,10 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
         client = hub.client(OPERATOR)
         async with _serving(_robot(port)):
             await _appears(client, "/tenant/alpha/sensor/r7/pose")
-            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
-        await _comes(lambda: hub.supervisor.state == "down", "the backend is down")
+            await _comes(lambda: hub.supervisor.unit("r7").state == "ready", "the robot is ready")
+        await _comes(lambda: hub.supervisor.unit("r7").state == "down", "the robot is down")
         async with _serving(_robot(port)):
-            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
+            await _comes(lambda: hub.supervisor.unit("r7").state == "ready", "the robot is ready")
             read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
             assert read["status"] == "completed", read
         await client.close()
@@ -143,7 +143,7 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
 async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
     port = _free_port()
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):
-        await _comes(lambda: "r7" in str(hub.supervisor.detail), "the refusal is in the status")
+        await _comes(lambda: bool(hub.supervisor.unit("r7").detail), "the refusal is in the status")
         client = hub.client(OPERATOR)
         found = await client.request("discover", path="/tenant/alpha/**", body={"limit": 9})
         assert not [one for one in found["body"]["resources"] if "/r7/" in one["path"]]

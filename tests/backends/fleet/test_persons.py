@@ -210,7 +210,7 @@ async def test_a_hub_taken_out_of_the_robots_configuration_loses_it_at_once(
         assert refused["status"] != "completed", refused
 
         async def shown() -> bool:
-            return "hub 'h1' is not known" in str(hub.supervisor.detail)
+            return "hub 'h1' is not known" in str(hub.supervisor.unit("r7").detail)
 
         await eventually(shown, "the hub says that it is refused", _BOUND)
         await apply(robot.server, prepare(parse(robot_text + key.table(), "test"), "test"))

@@ -50,6 +50,7 @@ class TestArmProfile(ProfileSuite):
         if arm.runs:
             arm.tell("set", stuck=None, tolerance=0.2, braking=6.0)
             arm.tell("tell_speeds", told=True)
+            arm.tell("tell_late", delay=0.0)
 
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Any]:
@@ -133,8 +134,22 @@ class TestArmProfile(ProfileSuite):
         self, robot: Robot, *, told: bool
     ) -> None:
         self.jointed.tell("tell_speeds", told=told)
-        self.jointed.tell("set", braking=0.4)  # the controller's word comes long before
+        self.jointed.tell("set", braking=1.0)  # the controller's word comes long before
         id_ = await self.begun(robot, await self.far(), 0.8)
+        await robot.ask("cancel", MOVE)
+        final = await robot.client.final(id_, self.complete_within)
+        assert final["status"] == "cancelled", final
+        assert self.jointed.tell("truth")["speed"] < 0.1
+
+    async def test_a_cancel_is_not_ended_by_joint_states_from_before_the_motion(
+        self, robot: Robot
+    ) -> None:
+        await robot.ask("read", "sensor/joint_states")
+        goal = {"shoulder": (await self.far())["shoulder"]}
+        await self.do("execute", MOVE, body={"positions": {"elbow": 0.1}})  # it knows the clock
+        self.jointed.tell("set", braking=0.5)
+        self.jointed.tell("tell_late", delay=1.0)
+        id_ = await self.begun(robot, goal, 0.8, 0.5)
         await robot.ask("cancel", MOVE)
         final = await robot.client.final(id_, self.complete_within)
         assert final["status"] == "cancelled", final

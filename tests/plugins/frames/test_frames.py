@@ -7,6 +7,7 @@ from collections.abc import AsyncGenerator, Collection
 from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 
 import rcp_frames
 from configuration import backend, key, role, rule, table
@@ -388,6 +389,34 @@ async def test_discovery_lists_the_frames_that_a_caller_may_know(served: Served)
     blind = await frames(BLIND)
     assert blind["sensor/velocity"] == ["base_link"]
     assert blind["action/move_to"] == ["earth", "gate", "map"]
+
+
+async def test_discovery_shows_that_a_goal_may_be_a_place_on_the_earth(served: Served) -> None:
+    async def schema(token: str, **query: Any) -> dict[str, Any] | None:
+        reply = await served.client(token).request("discover", MOVE_TO, body=query or None)
+        (found,) = reply["body"]["resources"]
+        return found.get("command_schema")
+
+    found = await schema(ADMIN)
+    assert found is not None
+    taken = Draft202012Validator(found).is_valid
+    latitude, longitude, altitude = HOME
+    for position in (
+        {"x": 1.0, "y": 2.0},
+        {"x": 1.0, "y": 2.0, "z": None},
+        {"latitude": latitude, "longitude": longitude},
+        {"latitude": latitude, "longitude": longitude, "altitude": altitude},
+    ):
+        assert taken({"position": position, "frame": "earth" if "latitude" in position else "map"})
+    for position in (
+        {"x": 1.0},
+        {"latitude": latitude},
+        {"latitude": 91.0, "longitude": longitude},
+        {"x": 1.0, "y": 2.0, "latitude": latitude, "longitude": longitude},
+        {"x": 1.0, "y": 2.0, "altitude": altitude},
+    ):
+        assert not taken({"position": position})
+    assert await schema(ADMIN, schemas=False) is None
 
 
 class TestFramesSuite(FeatureSuite):
