@@ -6,7 +6,9 @@ import asyncio
 
 import pytest
 
-zenoh = pytest.importorskip("zenoh")
+pytest.importorskip("zenoh")
+
+import zenoh
 
 from backends.fleet.rig import free_port
 from rcp_zenoh.session import configuration, opened
