@@ -43,6 +43,7 @@ def configuration(
         ("connect/endpoints", list(connect)),
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
+        ("transport/shared_memory/enabled", False),  # a proxy or another machine has none
         ("transport/link/tx/lease", round(silence * 1000)),
         *((f"transport/link/tx/queue/size/{name}", size) for name, size in _QUEUES.items()),
         *((f"transport/link/tls/{name}", value) for name, value in _settings(tls).items()),
