@@ -204,6 +204,8 @@ class AtomicWriteHandler:
             _raise([error])
         least = min(windows.values(), default=0.0)
         limited = tuple(call.entry for call in calls if call.entry.path in windows)
+        if calls[0].entry.owner.has_gateways and not request.dry_run:  # it has the dead-man too
+            limited = ()
         return _Admitted(calls, limited, least, calls[0].entry.unit.stops)
 
     def _windows(self, request: Request, calls: Sequence[Call]) -> dict[str, float]:

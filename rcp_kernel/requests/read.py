@@ -114,7 +114,7 @@ class ReadHandler:
             and entry.live
             and (sample := entry.latest) is not None
             and not request.body
-            and entry.owner.backend is not None
+            and entry.unit.link is not None
         ):
             if entry.value_type.grows and self._turns.over:
                 self._read_later(session, request, entry, answer, ReadOptions())
@@ -173,7 +173,7 @@ class ReadHandler:
             or (sample := entry.latest) is None
             or request.body
             or request.custom is not None
-            or entry.owner.backend is None
+            or entry.unit.link is None
             or (entry.value_type.grows and self._turns.over)
         ):
             return None
@@ -311,9 +311,9 @@ class ReadHandler:
         return self._fetch(entry, entry.latest)
 
     async def _fetch(self, entry: Entry, seen: Sample | None) -> Sample:
-        backend = entry.owner.backend
+        backend = entry.unit.link
         if backend is None:
-            raise entry.owner.unavailable()
+            raise entry.unit.unavailable()
         started = perf_counter()
         try:
             value = await backend.read(entry.name)
@@ -398,7 +398,7 @@ def _unsearchable(path: str) -> FilterUnsupported:
 
 
 def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
-    if options.fresh or entry.latest is None or entry.owner.backend is None:
+    if options.fresh or entry.latest is None or entry.unit.link is None:
         return None
     if entry.live or entry.listeners:
         return entry.latest

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import msgspec
 
 from rcp_conditions.fields import Field
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
-from rcp_kernel.spi import Native
+from rcp_kernel.spi import Encoded, Native
 from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value_type
 from rcp_kernel.wire import Body, encode_frame
 from rcp_protocol.plain import is_map
 
-__all__ = ["NATIVE", "Sample", "masked", "native_form", "project"]
+__all__ = ["NATIVE", "Sample", "encoded_of", "masked", "project"]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
@@ -25,8 +25,23 @@ _BYTES = value_type(bytes)
 _JSON = Encoding.JSON  # Python 3.11 takes 0.1 µs to look it up in the enum
 _BODIES = {encoding: f"body in {encoding}" for encoding in Encoding}
 """Keys of bodies among a sample's encodings."""
-_natives: dict[type, bool] = {}
-"""Whether values of a type are `Native`: asking the protocol itself takes 8 µs."""
+_Form = Literal["value", "native", "encoded"]
+_forms: dict[type, _Form] = {}
+"""Which protocol values of a type follow: asking the protocol itself takes 8 µs."""
+
+
+def _form(value: Any) -> _Form:
+    kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+    form = _forms.get(kind)
+    if form is None:
+        form = "native" if isinstance(value, Native) else "value"
+        form = _forms[kind] = "encoded" if isinstance(value, Encoded) else form
+    return form
+
+
+def encoded_of(value: Any) -> Encoded | None:
+    """Return a value that has its number and encoding from elsewhere; None for any other."""
+    return value if _form(value) == "encoded" else None
 
 
 class Publisher(Protocol):
@@ -70,6 +85,7 @@ class Sample(Body):
 
     __slots__ = (
         "_checked",
+        "_encoding",
         "_json",
         "_time",
         "_value",
@@ -90,7 +106,11 @@ class Sample(Body):
         self.received = received
         self.seq = seq
         self.native: Native | None = None
-        """The backend's own form of the value; see `native_form`."""
+        """The backend's own form of the value."""
+        self._encoding: Encoding | None = None
+        """Of the bytes of `native`, where they are the value in an encoding."""
+        if type(value) is not entry.value_type.type:  # the usual value is nothing else
+            self._find_form(value)
         self._value = value
         self._checked = False
         self._time: str | None = None
@@ -101,6 +121,12 @@ class Sample(Body):
         """What all JSON replies to a read share, if it was made."""
         self.encodings: dict[Any, bytes] = {}
         """The other encodings made so far: tails by encoding, or encoding and fields."""
+
+    def _find_form(self, value: Any) -> None:
+        form = _form(value)
+        if form != "value":
+            self.native = value
+            self._encoding = value.encoding if form == "encoded" else None
 
     @property
     def time(self) -> str:
@@ -125,6 +151,8 @@ class Sample(Body):
 
     def encoded(self, encoding: Encoding) -> bytes:
         """Return the value as bytes of the encoding."""
+        if self._encoding is encoding and self.native is not None:
+            return self.native.data
         if not self._checked:
             self._check()
         body = self._json if encoding is _JSON else self.encodings.get(_BODIES[encoding])
@@ -167,7 +195,7 @@ class Sample(Body):
         if fields is None and encoding is _JSON:
             tail = self.json_tail
             if tail is None:
-                if not self._checked:
+                if not self._checked and self.native is None:
                     self._check()
                 tail = self.json_tail = self._splice(_JSON, self._json or self.encoded(_JSON))
             return tail
@@ -258,15 +286,6 @@ class Sample(Body):
         )
         self.entry.owner.fault(fault.message)
         return fault
-
-
-def native_form(value: Any) -> Native | None:
-    """Return a value as `Native`, if it is."""
-    kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
-    native = _natives.get(kind)
-    if native is None:
-        native = _natives[kind] = isinstance(value, Native)
-    return value if native else None
 
 
 def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:

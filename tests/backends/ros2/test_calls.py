@@ -82,7 +82,7 @@ async def test_a_cancel_reaches_the_server_before_the_command_ends(robot: Robot)
         robot.backend.execute("action/fibonacci", goal, lambda *_, **__: moving.set())
     )
     await asyncio.wait_for(moving.wait(), BOUND)
-    (run,) = robot.backend._catalog.bindings["action/fibonacci"]._goals
+    (run,) = robot.backend.catalog.bindings["action/fibonacci"]._goals
     command.cancel()
     with pytest.raises(asyncio.CancelledError):
         await asyncio.wait_for(command, BOUND)
@@ -189,7 +189,7 @@ async def test_what_is_not_there_is_an_error_with_a_way_out(domain: int, peer: o
     }
     async with robot_of(domain, map=absent, grace=1.5) as robot:
         await robot.until(lambda: len(robot.resources) == len(absent))
-        unknown = robot.backend._catalog.bindings
+        unknown = robot.backend.catalog.bindings
         await robot.until(lambda: "no_such" in getattr(unknown["param/unknown"], "why", ""))
         for name, text in words.items():
             called = name.startswith(("service", "action"))

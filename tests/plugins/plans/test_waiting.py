@@ -13,6 +13,7 @@ import msgspec
 import pytest
 from msgspec import Raw
 
+from configuration import key
 from kernel.world import Client, World, world_of
 from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
 from rcp_kernel.contract.held import HeldRequest
@@ -63,10 +64,7 @@ async def test_who_may_start_no_plans_cancels_none_that_waits() -> None:
 
 
 async def test_few_others_are_remembered_that_cancel_a_plan_while_it_waits() -> None:
-    keys = "".join(
-        f'[[keys]]\nname = "also-{n}"\nrole = "admin"\nkey = "also-also-also-{n}"\n'
-        for n in range(17)
-    )
+    keys = "".join(key(f"also-{n}", f"also-also-also-{n}", role="admin") for n in range(17))
     async with busy_world(PEOPLE + keys) as (world, client):
         plan = send(client, go(2.0))
         others = [world.client(f"also-also-also-{n}") for n in range(17)]
