@@ -12,6 +12,7 @@ import zenoh
 from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
+from rcp_fleet.revocations import Revocations
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
 from rcp_hubs.signer import HubSigner, read_private_key
@@ -42,15 +43,18 @@ class FleetBackend(BaseBackend):
         session: zenoh.Session,
         host: Host,
         signer: HubSigner | None,
+        revocations: Revocations | None,
     ) -> None:
         self._config, self._session, self._host = config, session, host
-        self._signer = signer
+        self._signer, self._revocations = signer, revocations
         self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
 
     def token(self, sample: zenoh.Sample) -> None:
         """Note that a gateway has come or gone."""
         name, here = part(sample.key_expr, 2), sample.kind == zenoh.SampleKind.PUT
+        if here and self._revocations is not None:
+            self._revocations.hasten()
         known = self.gateways.get(name)
         if known is None and here:
             known = self.gateways[name] = RemoteGateway(
@@ -190,12 +194,22 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         access=access,
     )
     async with opened(zenoh_config, patient=False) as session:
-        backend = FleetBackend(config, session, host, signer)
+        revocations = None
+        if config.revoked is not None:
+            revocations = Revocations(session, host.tenant, config.revoked)
+        backend = FleetBackend(config, session, host, signer, revocations)
+        repeating = loop.create_task(_repeat(revocations), name="fleet revocations")
         tokens = session.liveliness().declare_subscriber(
             alive(host.tenant), on_loop(loop, backend.token), history=True
         )
         try:
             yield backend
         finally:
+            repeating.cancel()
             tokens.undeclare()
             await backend.close()
+
+
+async def _repeat(revocations: Revocations | None) -> None:
+    if revocations is not None:
+        await revocations.run()

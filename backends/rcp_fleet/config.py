@@ -30,6 +30,8 @@ class FleetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Ids of other hubs that it serves."""
     key: str | None = None
     """File of its Ed25519 private key in PEM, with which it asserts persons to the gateways."""
+    revoked: str | None = None
+    """File with the signed list of revoked hubs, which it publishes: `rcpd fleet revoke`."""
     roles: tuple[str, ...] = ()
     """Roles that it asserts; others of a person stay here. Empty: all."""
     idle: Annotated[float, Meta(gt=0)] = 60.0

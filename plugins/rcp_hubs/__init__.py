@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from rcp_hubs.authenticator import HubAuthenticator
 from rcp_hubs.config import HubConfig, HubTables, check_tables, table_of
+from rcp_hubs.revocation import REVOCATIONS
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
 from rcp_kernel.hookspecs import hookimpl
 
@@ -14,7 +15,12 @@ __all__ = ["HubConfig", "rcp_features"]
 
 def _make(tables: HubTables, host: FeatureHost) -> Feature:
     made = HubAuthenticator(tables, host)
-    return Feature(authenticator=made, reconfigure=made.reconfigure, running=made.running)
+    return Feature(
+        authenticator=made,
+        services={REVOCATIONS: made.take_revocations},
+        reconfigure=made.reconfigure,
+        running=made.running,
+    )
 
 
 @hookimpl

@@ -7,9 +7,11 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import msgspec
+import structlog
 
 from rcp_hubs.assertion import LONGEST, OWN_PROOF, Assertion, is_assertion, verified
 from rcp_hubs.config import HubConfig, HubTables, public_keys
+from rcp_hubs.revocation import NONE, RevocationList, fleet_key, read_list
 from rcp_jwt.webtokens import read_token
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.role import HUB
@@ -19,6 +21,7 @@ from rcp_kernel.features import FeatureHost
 
 __all__ = ["HubAuthenticator"]
 
+log = structlog.get_logger("rcp.identity")
 _S = 1_000_000_000  # ns
 _CLOCKS = "Compare the clocks of the hub and of this gateway, which should be set by NTP."
 
@@ -46,7 +49,9 @@ class HubAuthenticator(Authenticator):
         :raises ConfigError: a key is invalid, or two tables have the same id.
         """
         super().__init__()
-        self._clock = host.clock
+        self._clock, self._note = host.clock, host.note
+        self._lists = host.store("revoked")
+        self._revocations = NONE
         self._used = host.store("used")
         """Ids of accepted assertions with their expiry, so that none is accepted twice."""
         self._ids: dict[str, int] = {}
@@ -57,6 +62,9 @@ class HubAuthenticator(Authenticator):
     async def running(self) -> AsyncGenerator[None]:
         """Load the ids of an earlier run."""
         self._ids.update(self._used.load())
+        kept = self._lists.load().get("list")
+        if kept is not None:
+            self._revocations = msgspec.convert(kept, RevocationList)
         yield
 
     def reconfigure(self, tables: HubTables) -> None:
@@ -69,7 +77,31 @@ class HubAuthenticator(Authenticator):
     def _apply(self, tables: HubTables) -> None:
         self._keys = public_keys(tables.hubs)
         self._tables = tables
+        given = tables.fleet_key
+        self._fleet_key = None if given is None else fleet_key(given)
+        self._last = b""  # another key may make a refused list good
         self._hubs = {hub.id: hub for hub in tables.hubs}
+
+    def take_revocations(self, data: bytes) -> None:
+        """Adopt a list of revoked keys if it is newer, and end the sessions of their hubs."""
+        if self._fleet_key is None or data == self._last:
+            return
+        self._last = data
+        try:
+            found = read_list(data, self._fleet_key)
+        except Unauthenticated as error:
+            log.warning("hub_revocations_refused", reason=error.message)
+            return
+        if found.number <= self._revocations.number:
+            return
+        self._revocations = found
+        self._lists.put("list", msgspec.to_builtins(found))
+        held = {key.thumbprint: hub for hub, keys in self._keys.items() for key in keys}
+        hubs = sorted({held[key] for key in found.keys if key in held})
+        log.warning("hubs_revoked", number=found.number, hubs=hubs)
+        self._note("revocation", principal=None, number=found.number, hubs=hubs)
+        for changed in self.on_change:
+            changed()
 
     def recognises(self, token: str) -> bool:
         """Return whether a token has the form of an assertion and any hub is configured."""
@@ -85,6 +117,11 @@ class HubAuthenticator(Authenticator):
                 remedy="Add it to [[hubs]] of this gateway, or enrol the gateway with that hub.",
             )
         assertion, key = verified(token, self._keys[hub.id])
+        if key.thumbprint in self._revocations.keys:
+            raise Unauthenticated(
+                f"the key of hub '{hub.id}' was revoked",
+                remedy="Give the hub a new key, and its public key to the robots.",
+            )
         self._check_place(assertion)
         self._check_time(assertion, hub)
         self._use(assertion, hub)
@@ -165,7 +202,11 @@ class HubAuthenticator(Authenticator):
         if held is None:
             return None
         hub = self._hubs.get(held.assertion.iss)
-        if hub is None or all(key.thumbprint != held.key for key in self._keys[hub.id]):
+        if (
+            held.key in self._revocations.keys
+            or hub is None
+            or all(key.thumbprint != held.key for key in self._keys[hub.id])
+        ):
             return None
         if set(held.assertion.rcp_roles) - _assertable(hub, held.assertion):
             return None

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from rcp_hubs.revocation import fleet_key
 from rcp_jwt.jwks import PublicKey, read_static
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import check_grants
@@ -45,6 +46,8 @@ class HubTables(msgspec.Struct, frozen=True, kw_only=True):
     """This gateway's id in the fleet, from `[transports.zenoh]`."""
     tenant: str | None = None
     """The tenant under which hubs show it."""
+    fleet_key: str | None = None
+    """Public key of the fleet, which signs the list of revoked hubs."""
     effective_roles: frozenset[str] = frozenset()
     """The roles that grant anything."""
 
@@ -65,6 +68,7 @@ def table_of(gateway: GatewayConfig) -> dict[str, object]:
         "hubs": list(gateway.hubs),
         "gateway": link.get("gateway"),
         "tenant": link.get("tenant"),
+        "fleet_key": link.get("fleet_key"),
         "effective_roles": gateway.effective_roles,
     }
 
@@ -85,6 +89,8 @@ def check_tables(tables: HubTables, gateway: GatewayConfig) -> None:
         grants = granted(tables.tenants_of(hub), hub.roles)
         check_grants(grants, where, gateway.tenant_names, roles)
     public_keys(tables.hubs)
+    if tables.fleet_key is not None:
+        fleet_key(tables.fleet_key)
 
 
 def public_keys(hubs: Iterable[HubConfig]) -> dict[str, tuple[PublicKey, ...]]:

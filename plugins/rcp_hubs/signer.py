@@ -13,7 +13,7 @@ from rcp_store.modes import READ, WRITE, others_may
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-__all__ = ["HubSigner", "read_private_key"]
+__all__ = ["HubSigner", "public_pem", "read_private_key"]
 
 
 class HubSigner:
@@ -53,3 +53,11 @@ def read_private_key(file: str, where: str) -> Ed25519PrivateKey:
     if not isinstance(key, Ed25519PrivateKey):
         raise ConfigError(f"{where} '{file}' is not an Ed25519 private key in PEM, unencrypted")
     return key
+
+
+def public_pem(key: Ed25519PrivateKey) -> str:
+    """Return the public part of a key."""
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+    public = key.public_key()
+    return public.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo).decode()

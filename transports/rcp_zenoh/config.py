@@ -24,6 +24,8 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """The tenant under which hubs show it."""
     connect: Annotated[tuple[str, ...], Meta(min_length=1)]
     """Endpoints of the routers: `tcp/hub.example:7447`, `tls/…`, `quic/…`."""
+    fleet_key: str | None = None
+    """Ed25519 public key, as PEM or file path, that signs the list of revoked hubs."""
     tls: TlsConfig | None = None
     """Certificates, without which an endpoint must be `tcp/…`."""
     patience: Annotated[float, Meta(gt=0)] = 10.0

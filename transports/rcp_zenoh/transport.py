@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import partial
 from typing import Any
@@ -11,14 +11,18 @@ from typing import Any
 import zenoh
 
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.features import ServiceKey
 from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
-from rcp_zenoh.keys import LinkKeys, alive, links_of, part
+from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
 
 __all__ = ["open_zenoh"]
+
+_REVOCATIONS: ServiceKey[Callable[[bytes], None]] = ServiceKey("hubs.revocations")
+"""As of the feature `hubs`: takes the list of revoked hubs."""
 
 
 class _Links:
@@ -51,6 +55,7 @@ class _Links:
                 self._client_api,
                 self._session,
                 keys.down,
+                encoding_of(link),
                 config,
                 self._allowance,
                 self._statistics.of(hub),
@@ -99,10 +104,15 @@ async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statist
             keys.token, on_loop(loop, links.token), history=True
         )
         messages = session.declare_subscriber(keys.up, on_loop(loop, links.message))
+        take = client_api.service(_REVOCATIONS)
+        revocations = session.declare_subscriber(
+            revoked(config.tenant),
+            on_loop(loop, lambda sample: take and take(sample.payload.to_bytes())),
+        )
         own = session.liveliness().declare_token(alive(config.tenant, config.gateway))
         try:
             await asyncio.Event().wait()
         finally:
             links.close()
-            for one in (own, messages, tokens):
+            for one in (own, revocations, messages, tokens):
                 one.undeclare()
