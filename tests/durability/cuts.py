@@ -237,6 +237,10 @@ def _free_port() -> int:
         return one.getsockname()[1]
 
 
+def _no_feed(_id: str | None) -> bool:
+    return False
+
+
 @asynccontextmanager
 async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
     """Connect to the robot's gateway as another hub does."""
@@ -245,7 +249,8 @@ async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
 
         async def dial(codec: Codec, received: Any, lost: Any) -> FleetLink:
             place = ("alpha", "r7", "h2")
-            return FleetLink(session, place, SILENCE, LinkStatistics({}), codec, received, lost)
+            counts = LinkStatistics({})
+            return FleetLink(session, place, SILENCE, counts, _no_feed, codec, received, lost)
 
         settings = Settings(
             address=Address.parse("fleet"),

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from rcp_kernel.api import Sample
-from rcp_kernel.values import Encoding
-from rcp_kernel.wire import peek_header
+from rcp_kernel.values import Encoding, parse
+from rcp_kernel.wire import FINAL, peek_header
 from rcp_zenoh.lane import WHOLE, Priority
 
 __all__ = ["Classifier"]
-
-_FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
-
-
-class _Header(msgspec.Struct):
-    id: str | None = None
-    status: str = ""
-
-
-_HEADER = msgspec.msgpack.Decoder(_Header)
 
 
 class Classifier:
     """Knows which replies are those to e-stops, and which paths have long values."""
 
-    __slots__ = ("_long", "_noted", "_stops")
+    __slots__ = ("_encoding", "_long", "_noted", "_stops")
 
-    def __init__(self) -> None:
+    def __init__(self, encoding: Encoding) -> None:
+        self._encoding = encoding
         self._stops: set[str] = set()
         """Requests whose replies go first."""
         self._long: set[str] = set()
@@ -41,7 +30,7 @@ class Classifier:
 
     def expect(self, request: bytes) -> None:
         """Note an e-stop."""
-        _, id_ = peek_header(request, Encoding.MSGPACK)
+        _, id_ = peek_header(request, self._encoding)
         if id_ is not None:
             self._stops.add(id_)
 
@@ -49,11 +38,11 @@ class Classifier:
         """Tell whether a message answers an e-stop."""
         if len(reply) > WHOLE:
             return False
-        header = _HEADER.decode(reply)
-        if header.id not in self._stops:
+        _, id_ = peek_header(reply, self._encoding)
+        if id_ not in self._stops:
             return False
-        if header.status in _FINAL:
-            self._stops.discard(header.id)
+        if parse(reply, self._encoding).get("status") in FINAL:
+            self._stops.discard(id_)
         return True
 
     def note(self, data: bytes, sample: Sample | None) -> bytes:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import structlog
 import zenoh
 
-from rcp_kernel.api import Hello, Peer, Principal
+from rcp_kernel.api import Hello, Principal
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import PayloadTooLarge, Unauthenticated
 from rcp_kernel.values import Encoding
@@ -35,34 +35,36 @@ class HubLink:
         client_api: ClientApi,
         session: zenoh.Session,
         key: str,
+        encoding: Encoding,
         config: ZenohConfig,
         allowance: Allowance,
         statistics: LinkStatistics,
         gone: Callable[[], object],
     ) -> None:
         self._gone, self._statistics, self._allowance = gone, statistics, allowance
-        self._classifier = Classifier()
+        self._encoding, self._classifier = encoding, Classifier(encoding)
         self._held = False
         """Whether updates stay in the outbox, where they are conflated."""
-        self._connection = client_api.connect(
-            _NOBODY, Encoding.MSGPACK, self.flush, peer=Peer(), wraps=True
-        )
+        principal = _NOBODY if client_api.secure else client_api.authenticate(None)
+        self._known = principal is not _NOBODY
+        self._connection = client_api.connect(principal, encoding, self.flush, wraps=True)
         self._pipe = Pipe(session, key, config.silence, self, allowance, self._note)
         self._connection.set_callbacks(
             hello=self._hello,
             released=self._released,
             cut=lambda: self.close("the hub does not read"),
         )
-        self._known = False
-        self._patience = client_api.loop.call_later(
-            config.patience, self.close, "the hub did not say who it is"
-        )
+        self._patience = client_api.loop.call_later(config.patience, self._turn_away)
         statistics.opened()
 
     @property
     def longest(self) -> int:
         """Longest message that the hub may send now."""
         return self._connection.limit
+
+    def _turn_away(self) -> None:
+        if not self._known:
+            self.close("the hub did not say who it is")
 
     def received(self, sample: zenoh.Sample) -> None:
         """Handle a message of the hub."""
@@ -79,7 +81,7 @@ class HubLink:
             self._connection.send(failure(error, "error"))
             return
         if not self._known and not self._connection.holds:
-            type_, id_ = peek_header(data, Encoding.MSGPACK)
+            type_, id_ = peek_header(data, self._encoding)
             if type_ != "hello":
                 refusal = Unauthenticated("authentication required")
                 self._connection.send(failure(refusal, type_, id_))
@@ -95,7 +97,6 @@ class HubLink:
     def _hello(self, hello: Hello) -> dict[str, object]:
         if self._connection.session.principal is not _NOBODY:
             self._known = True
-            self._patience.cancel()
         return {}
 
     def drained(self) -> None:

@@ -10,9 +10,11 @@ from enum import IntEnum
 
 import zenoh
 
+from rcp_zenoh.delay_window import DelayWindow
+
 __all__ = ["PART", "WHOLE", "WINDOWS", "Lane", "Priority"]
 
-PART = 32_768  # bytes of one part of a long message
+PART = 16_384  # bytes of one part of a long message
 WHOLE = 61_440  # bytes of a message that is sent in one piece: Zenoh's own batches hold 64 KiB
 
 
@@ -32,7 +34,7 @@ WINDOWS = {
     Priority.STOP: 1 << 62,
     Priority.CONTROL: 524_288,
     Priority.UPDATES: 262_144,
-    Priority.BULK: 131_072,  # so much may be ahead of an e-stop in the buffers of the system
+    Priority.BULK: 65_536,  # at first
 }
 """Bytes of each class that may be on the way."""
 
@@ -48,6 +50,7 @@ class Lane:
     """Both directions of one class."""
 
     __slots__ = (
+        "_delay",
         "_joined",
         "_key",
         "_priority",
@@ -66,6 +69,7 @@ class Lane:
     def __init__(self, session: zenoh.Session, key: str, priority: Priority) -> None:
         self._session, self._key, self._priority = session, key, priority
         self._publisher: zenoh.Publisher | None = None
+        self._delay = DelayWindow(PART) if priority is Priority.BULK else None
         self.sent = self.written = 0
         """Messages and bytes sent."""
         self.taken = 0
@@ -87,13 +91,34 @@ class Lane:
     @property
     def room(self) -> int:
         """Bytes that the window still has room for."""
-        return WINDOWS[self._priority] - self.buffered
+        return self._window - self.buffered
+
+    @property
+    def _window(self) -> int:
+        return WINDOWS[self._priority] if self._delay is None else self._delay.size
 
     @property
     def due(self) -> bool:
         """Whether the other end should be told what was received: it may wait for room."""
         unsaid = self.received - self.acknowledged
-        return unsaid > 0 and (not self.acknowledged or unsaid >= WINDOWS[self._priority] // 4)
+        step = 1 if self._priority is Priority.BULK else WINDOWS[self._priority] // 4
+        return unsaid > 0 and (not self.acknowledged or unsaid >= step)
+
+    def count(self, size: int) -> None:
+        """Number a message to send."""
+        self.sent += 1
+        self.written += size
+        if self._delay is not None:
+            self._delay.sent(self.written)
+
+    def take(self, number: int) -> bool:
+        """Note how many bytes the other end has; return whether these are more than before."""
+        if not self.taken < number <= self.written:
+            return False
+        self.taken = number
+        if self._delay is not None:
+            self._delay.taken(number)
+        return True
 
     def put(self, data: bytes, attachment: bytes) -> None:
         """Put a message on the wire."""

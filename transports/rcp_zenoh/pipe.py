@@ -158,8 +158,7 @@ class Pipe:
         lane = self._lanes[priority]
         if not self._unacknowledged:
             self._alone_since = self._loop.time()
-        lane.sent += 1
-        lane.written += len(data)
+        lane.count(len(data))
         if priority is not Priority.STOP:
             self._allowance.spend(len(data) + _OVERHEAD)
         lane.put(data, _HEAD.pack(kind, priority, lane.sent))
@@ -231,13 +230,8 @@ class Pipe:
         return last == seen
 
     def _take(self, taken: dict[Priority, int]) -> None:
-        grown = False
-        for priority, number in taken.items():
-            lane = self._lanes[priority]
-            if lane.taken < number <= lane.written:
-                lane.taken = number
-                grown = True
-        if grown:
+        grown = [self._lanes[priority].take(number) for priority, number in taken.items()]
+        if any(grown):
             self._alone_since = self._loop.time()
             self.pump()
             self._owner.drained()

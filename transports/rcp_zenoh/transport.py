@@ -15,7 +15,7 @@ from rcp_kernel.features import ServiceKey
 from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
-from rcp_zenoh.keys import LinkKeys, alive, links_of, part, revoked
+from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
 
@@ -55,6 +55,7 @@ class _Links:
                 self._client_api,
                 self._session,
                 keys.down,
+                encoding_of(link),
                 config,
                 self._allowance,
                 self._statistics.of(hub),

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import AsyncGenerator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.rig import SIM, appears, free_port, hub_at, robot_at, serving
-from configuration import backend, key, table
+from configuration import backend, configuration, key, listener, table
+from rcp_client import ConnectionLost, connect
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
 from rcp_kernel.testing import ADMIN, OPERATOR, Client, ScriptedRobot, Served, eventually, scripted
@@ -283,9 +284,45 @@ async def _process(file: Path, text: str) -> AsyncGenerator[asyncio.subprocess.P
     try:
         yield process
     finally:
-        os.kill(process.pid, signal.SIGCONT)
-        process.kill()
+        with suppress(ProcessLookupError):  # the test has killed it
+            os.kill(process.pid, signal.SIGCONT)
+            process.kill()
         await process.wait()
+
+
+async def test_a_hub_that_was_killed_takes_up_its_command_too(tmp_path: Path) -> None:
+    port, web = free_port(), free_port()
+    kept = table("store", path=str(tmp_path / "hub.db"))
+    text = _hub(port)
+    serving_web = text.replace(configuration(), listener(web), 1)
+    async with AsyncExitStack() as stack:
+        cart = (await _carts(stack, port, "r7"))["r7"]
+        async with _process(tmp_path / "hub.toml", serving_web + kept) as process:
+            path = "/tenant/alpha/action/r7/go"
+            person = connect(f"http://127.0.0.1:{web}", token=ADMIN, patience=0)
+            while not person.connected:
+                with suppress(ConnectionLost):
+                    await person.channel.open()
+                await asyncio.sleep(0.05)
+            while not await person.discover(path):  # noqa: ASYNC110 - of another process
+                await asyncio.sleep(0.05)
+            sent = asyncio.create_task(person.execute(path, 1.0))
+            await asyncio.wait_for(cart.started.get(), _BOUND)
+            process.kill()
+            with pytest.raises(ConnectionLost):
+                await sent
+            await person.channel.close()
+        hub = await stack.enter_async_context(serving(text + kept))
+        client = await _client(stack, hub, "r7")
+        assert (cart.halts, cart.stopped.empty(), cart.moving) == (0, True, {"action/go"})
+        cart.release.set()
+
+        async def completed() -> bool:
+            (found,) = (await client.request("read", "/system/commands"))["body"]
+            return found["status"] == "completed" and found["body"] == 1.0
+
+        await eventually(completed, "the hub has the robot's final reply", _BOUND)
+        assert cart.ran == [("action/go", 1.0)]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGSTOP")
