@@ -23,7 +23,6 @@ from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, DeadlineExceeded, RcpError
-from rcp_kernel.model import Kind, kind_of
 from rcp_kernel.spi import Caller, Host, Principal, Progress, caller
 
 __all__ = ["RemoteGateway"]
@@ -115,7 +114,7 @@ class RemoteGateway:
         gone = self._paths.keys() - {resource.name for resource in resources}
         self._paths = {name_of(info.path, self.name): info.path for info in found}
         # Services first: the robot's own `hold` comes before the one that the kernel would add.
-        resources.sort(key=lambda one: kind_of(one.name) is not Kind.SERVICE)
+        resources.sort(key=lambda one: not one.name.startswith("service/"))
         for resource in resources:
             try:
                 self._host.declare(resource)

@@ -18,7 +18,7 @@ from rcp_ros2.config import Ros2Config
 from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import Graph, GraphWatch
 from rcp_ros2.parameters import Setting
-from rcp_ros2.ros import guarded, open_ros
+from rcp_ros2.ros import contained, open_ros
 from rcp_ros2.stops import Stops
 
 __all__ = ["Ros2Backend", "open_ros2"]
@@ -183,4 +183,4 @@ async def _settle(catalog: Catalog, limit: float) -> None:
 
 def _poll(shared: Shared) -> None:
     for poll in list(shared.on_poll):
-        guarded(poll)()
+        contained(poll)()

@@ -19,7 +19,7 @@ from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
-from rcp_ros2.ros import Ros, guarded
+from rcp_ros2.ros import Ros, contained
 
 __all__ = ["PROFILE", "Tap", "TopicSubscription", "TopicSubscriptions"]
 
@@ -189,7 +189,7 @@ class TopicSubscriptions:
             for tap in subscription.taps.values()
         )
         if needed and self._sweeper is None:
-            self._sweeper = self._ros.node.create_timer(_SWEEP, guarded(self._sweep))
+            self._sweeper = self._ros.node.create_timer(_SWEEP, contained(self._sweep))
         elif not needed and self._sweeper is not None:
             self._ros.node.destroy_timer(self._sweeper)
             self._sweeper = None

@@ -260,13 +260,13 @@ async def _rest(kernel: Kernel) -> None:
     """Bring everything that moves to rest before anything closes, but robots with gateways."""
     kernel.shutdown.begin()
     ours = [one for one in kernel.supervisors if not one.has_gateways]
-    _cancel_writes(kernel, ours)
+    _cancel_motion_writes(kernel, ours)
     halts = _halts(ours)
     await kernel.commands.close()
     await _halted(halts)
 
 
-def _cancel_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None:
+def _cancel_motion_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None:
     for supervisor in supervisors:
         for entry in supervisor.entries.values():
             if entry.moves:
@@ -278,7 +278,7 @@ async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
     for supervisor in supervisors:
         supervisor.retire()
     ours = [one for one in supervisors if not one.has_gateways]
-    _cancel_writes(server.kernel, ours)
+    _cancel_motion_writes(server.kernel, ours)
     await _halted(_halts(ours))
     await asyncio.gather(*(stop_backend(server, supervisor) for supervisor in supervisors))
 

@@ -169,9 +169,9 @@ class StatusReport:
     def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
         return self.sights.look(rights).hides(supervisor.tenant, supervisor.name)
 
-    def _names_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
+    def _mentions_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
         sight = self.sights.look(rights)
-        return sight.names_hidden(supervisor.tenant, supervisor.name, text)
+        return sight.mentions_hidden(supervisor.tenant, supervisor.name, text)
 
     def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
         """Describe a backend without anything hidden from the principal."""
@@ -203,7 +203,7 @@ class StatusReport:
         """Return a text of a backend, unless it names something hidden from the principal."""
         if text is None or rights is None:
             return text
-        hidden = rights.hides(text) or self._names_hidden(supervisor, rights, text)
+        hidden = rights.hides(text) or self._mentions_hidden(supervisor, rights, text)
         return "see the log of the gateway" if hidden else text
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
@@ -214,11 +214,11 @@ class StatusReport:
             return False
         facts = record["facts"]
         texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
-        if self._visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
+        if self._visibility.mentions_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
         supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
         return supervisor is None or not any(
-            self._names_hidden(supervisor, rights, text) for text in texts
+            self._mentions_hidden(supervisor, rights, text) for text in texts
         )
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:

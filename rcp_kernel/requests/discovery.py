@@ -14,7 +14,7 @@ from rcp_kernel.errors import BadRequest
 from rcp_kernel.features.description import Describe
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
-from rcp_kernel.requests.catalogue import CataloguePage, Description
+from rcp_kernel.requests.discovery_page import Description, DiscoveryPage
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
@@ -77,7 +77,7 @@ class Discovery:
         rights: Rights,
         tenant: str | None,
         request: Request,
-        page: CataloguePage,
+        page: DiscoveryPage,
         longest: int,
     ) -> Generator[None]:
         """Carry out a `discover` request in steps: fill a page with at most `longest` bytes.

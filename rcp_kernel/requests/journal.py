@@ -159,7 +159,7 @@ class CommandJournal:
         key = self._inflight.place(session, request)
         session.inflight.add(key)
         if self._replies.demands:
-            answer = self._replies.held(answer, request)
+            answer = self._replies.when_stored(answer, request)
         if session.connection is not None or not session.stateless:
             session.commands[command.id] = command
             if len(session.commands) > _FOLLOWED:

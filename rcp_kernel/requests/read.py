@@ -27,8 +27,8 @@ from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.object_list import ObjectList, expected, is_listing, listed
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
-from rcp_kernel.requests.parts import Parts, expected, is_listing, listed
 from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.counts import RequestCounts
@@ -345,11 +345,11 @@ class ReadHandler:
             at_hand=partial(_at_hand, options=options),
             fetch=self.fetch,
             shown=partial(self._in_frame, session, options),
-            page=Parts(expected(session, request)),
+            page=ObjectList(expected(session, request)),
             longest=room(self._settings.limits.message),
         )
 
-        def done(items: Parts) -> Reply:
+        def done(items: ObjectList) -> Reply:
             cut = more or len(items) < len(entries)
             return Reply(
                 type="read",

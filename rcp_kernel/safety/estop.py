@@ -72,7 +72,7 @@ class EstopRecord(Protocol):
         self,
         session: Session,
         request: Request,
-        asked: EstopRequest,
+        body: EstopRequest,
         keys: dict[str, str | None],
         robots: list[StopGroup],
         /,

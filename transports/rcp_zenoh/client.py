@@ -43,7 +43,7 @@ class HubLink:
     ) -> None:
         self._gone, self._statistics, self._allowance = gone, statistics, allowance
         self._encoding, self._classifier = encoding, Classifier(encoding)
-        self._held = False
+        self._paused = False
         """Whether updates stay in the outbox, where they are conflated."""
         principal = _NOBODY if client_api.secure else client_api.authenticate(None)
         self._known = principal is not _NOBODY
@@ -80,7 +80,7 @@ class HubLink:
             )
             self._connection.send(failure(error, "error"))
             return
-        if not self._known and not self._connection.holds:
+        if not self._known and not self._connection.buffering:
             type_, id_ = peek_header(data, self._encoding)
             if type_ != "hello":
                 refusal = Unauthenticated("authentication required")
@@ -111,7 +111,7 @@ class HubLink:
         sent = self._send_stops()
         poor = self._allowance.left <= 0
         # The hub must know its session before anything else of it arrives.
-        self._hold(held=poor or not (pipe.greeted and pipe.writable(Priority.UPDATES)))
+        self._pause(paused=poor or not (pipe.greeted and pipe.writable(Priority.UPDATES)))
         if pipe.writable(Priority.CONTROL):
             sent += self._collect()
         if not poor:
@@ -131,7 +131,7 @@ class HubLink:
     def _collect(self) -> int:
         pipe, outbox, classifier = self._pipe, self._connection.outbox, self._classifier
         big = None if pipe.writable(Priority.BULK) else WHOLE
-        budget = _BUDGET if self._held else min(_BUDGET, max(1, self._allowance.left))
+        budget = _BUDGET if self._paused else min(_BUDGET, max(1, self._allowance.left))
         messages = outbox.collect(int(budget), wrap=classifier.note, big=big)
         for data, priority in zip(messages, classifier.noted(), strict=True):
             pipe.send(data, priority)
@@ -153,14 +153,14 @@ class HubLink:
             outbox.control = rest
         return stops
 
-    def _hold(self, *, held: bool) -> None:
-        if held != self._held:
-            self._held = held
+    def _pause(self, *, paused: bool) -> None:
+        if paused != self._paused:
+            self._paused = paused
             outbox = self._connection.outbox
-            if held:
-                outbox.hold()
+            if paused:
+                outbox.pause()
             else:
-                outbox.release()
+                outbox.resume()
 
     def close(self, why: str) -> None:
         """End the link; its session waits for the hub to return."""

@@ -19,6 +19,7 @@ __all__ = ["configuration", "on_loop", "opened"]
 
 log = structlog.get_logger("rcp.zenoh")
 _PAUSE = 1.0  # s between two attempts to reach a router
+_SESSIONS, _PENDING = 20_000, 2_000  # of a router: robots, and those that come at once
 _QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 4}
 """Batches of 64 KiB by priority: twice what the windows of a link let through."""
 
@@ -45,6 +46,10 @@ def configuration(
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),  # a proxy or another machine has none
         ("transport/link/tx/lease", round(silence * 1000)),
+        # It would save copies on one machine, where it allows for no more than 350 sessions.
+        ("transport/shared_memory/enabled", False),
+        ("transport/unicast/max_sessions", _SESSIONS),
+        ("transport/unicast/accept_pending", _PENDING),
         *((f"transport/link/tx/queue/size/{name}", size) for name, size in _QUEUES.items()),
         *((f"transport/link/tls/{name}", value) for name, value in _settings(tls).items()),
         *(() if access is None else (("access_control", access),)),

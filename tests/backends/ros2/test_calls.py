@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from backends.ros2.robot import BOUND, Robot, ignore, robot_of
+from backends.ros2.robot import BOUND, Peer, Robot, ignore, robot_of
 from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
 from rcp_kernel.model import Operation
 from rcp_kernel.values import value_type
@@ -134,6 +134,20 @@ async def test_a_parameter_is_read_set_and_told(robot: Robot) -> None:
         await robot.until(lambda: robot.of("param/speed_limit")[-1] == 0.75)
     assert await robot.backend.read("param/speed_limit") == 0.75
     assert await robot.backend.read("param/gains") == [0.5, 0.25]
+
+
+async def test_two_paths_of_one_parameter_are_told_of_its_changes(domain: int, peer: Peer) -> None:
+    one = {"node": "/peer", "parameter": "max_speed"}
+    async with robot_of(domain, map={"/param/a": one, "/param/b": one}) as robot:
+        await robot.until(lambda: {"param/a", "param/b"} <= robot.resources.keys())
+        async with robot.backend.watch("param/a", None):
+            async with robot.backend.watch("param/b", None):
+                await robot.first("param/a")
+                await robot.first("param/b")
+                await robot.backend.write("param/b", 0.6)
+                await robot.until(lambda: robot.of("param/a")[-1] == robot.of("param/b")[-1] == 0.6)
+            await robot.backend.write("param/b", 0.5)
+            await robot.until(lambda: robot.of("param/a")[-1] == 0.5)
 
 
 async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: Robot) -> None:

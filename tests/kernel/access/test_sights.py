@@ -151,10 +151,10 @@ async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
             robot.add(level(number, "A new level."))
         sight = sights.look(rights)
         assert not sight.whole("alpha")
-        assert sight.names_hidden("alpha", "robot", "anything")
+        assert sight.mentions_hidden("alpha", "robot", "anything")
         sight = await _looked(world, rights)
         assert sight.whole("alpha")
-        assert not sight.names_hidden("alpha", "robot", "anything")
+        assert not sight.mentions_hidden("alpha", "robot", "anything")
 
 
 async def _looked(world: World, rights: Rights) -> Sight:

@@ -19,8 +19,8 @@ pytestmark = pytest.mark.anyio
 PATHS = 5_000
 
 
-def rules(paths: str) -> str:
-    return CONFIG + key("driver", "driver-driver-driver") + role("driver", rule("*", paths))
+def rules(*paths: str) -> str:
+    return CONFIG + key("driver", "driver-driver-driver") + role("driver", rule("*", *paths))
 
 
 class Many(Robot):

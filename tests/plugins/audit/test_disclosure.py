@@ -341,7 +341,7 @@ async def test_a_record_of_one_robot_is_for_those_who_see_something_of_it(world:
 
 
 async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world: World) -> None:
-    shown, judge = shown_of(world), Visibility.names_hidden
+    shown, judge = shown_of(world), Visibility.mentions_hidden
     partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
     record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": "sensor/later"}
     judged: list[Any] = []
@@ -351,7 +351,7 @@ async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world:
         return judge(*facts)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Visibility, "names_hidden", counted)
+        patch.setattr(Visibility, "mentions_hidden", counted)
         for session in (partial, ada, partial, ada):
             assert shown(session, record) is record
         assert len(judged) == 2

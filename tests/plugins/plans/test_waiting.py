@@ -16,7 +16,7 @@ from msgspec import Raw
 from configuration import key
 from kernel.world import Client, World, world_of
 from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
-from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.queued_request import QueuedRequest
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
@@ -106,7 +106,7 @@ async def test_a_plan_that_an_adapter_held_back_while_its_robot_was_stopped_neve
         await admin.ask(**STOP, body={"reset": True})
         session = world.client().connection.session
         for moment, told in ((since, "estop_active"), (time.monotonic(), None)):
-            request = HeldRequest(since=moment, type="execute", path="/system/plans", body=body)
+            request = QueuedRequest(since=moment, type="execute", path="/system/plans", body=body)
             reply = await client_api.request(session, request)
             assert (reply.error or {}).get("code") == told
 
