@@ -443,7 +443,7 @@ class ClientApi:
 
     def hides(self, session: Session, names: Iterable[str]) -> bool:
         """Tell whether one of the names (see `names_in`) means something hidden from a session."""
-        return self._parts.visibility.names_hidden(session.rights, session.tenant, names)
+        return self._parts.visibility.mentions_hidden(session.rights, session.tenant, names)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Revoke client certificates; their sessions end."""

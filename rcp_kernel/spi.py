@@ -15,26 +15,33 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.contract.caller import Caller, caller
 from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Transform
+from rcp_kernel.values import Encoding
 
 __all__ = [
     "Anchor",
     "Backend",
     "BackendKind",
     "BaseBackend",
+    "Caller",
     "Dimensions",
+    "Encoded",
     "FrameTree",
     "Host",
     "MotionState",
     "Native",
+    "Principal",
     "Progress",
     "Publication",
     "RobotFacts",
     "StopPlan",
     "Watchdog",
+    "caller",
     "check_fence",
     "fenced_off",
     "is_commanded",
@@ -55,6 +62,22 @@ class Native(Protocol):
     def decode(self) -> Any:
         """Return the value; called at most once, on the event loop."""
         ...
+
+
+@runtime_checkable
+class Encoded(Native, Protocol):
+    """A value that another gateway has numbered and encoded: it is passed on as it is.
+
+    From its first one on, a resource has the numbers of its source; one that is not newer is not
+    published again, and what the kernel learns otherwise (a written value) has no number.
+    """
+
+    encoding: Encoding
+    """The encoding of `data`."""
+    seq: int
+    """Number of the sample at its source."""
+    timestamp: int
+    """Source time, ns since the UNIX epoch."""
 
 
 class Publication(msgspec.Struct, frozen=True, gc=False):
@@ -207,8 +230,12 @@ class Host(Protocol):
         """Run a function on the event loop, from any thread."""
         ...
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
-        """Report that the link is degraded (or down), with the reason; None: it has recovered."""
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
+        """Report that the link is degraded (or down), with the reason; None: it has recovered.
+
+        With `robot`, of one of the backend's robots (see `Resource.robot`): the others are not
+        touched.
+        """
         ...
 
     def link_restored(self, robot: str | None = None) -> None:
@@ -322,6 +349,15 @@ class Backend(Protocol):
     `return`.
     Included in the command's error; `recover` applies it."""
 
+    has_gateways: bool
+    """Whether each of its robots has a gateway of its own, as in a fleet.
+
+    Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
+    their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
+    their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
+    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
+    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
+
     async def halt(self) -> None:
         """Bring everything that moves to rest at once, by the strongest effective means.
 
@@ -369,6 +405,16 @@ class Backend(Protocol):
         """
         ...
 
+    async def reset_estop(self, robot: str | None) -> None:
+        """Ask a robot's own gateway (None: all) to reset its e-stop; see `has_gateways`.
+
+        Called after an e-stop was reset here, for who `caller()` tells. A robot whose gateway refuses,
+        or cannot be reached, is latched here again.
+
+        :raises RcpError: it refuses.
+        """
+        ...
+
     def watchdogs(self) -> Sequence[Watchdog]:
         """List what stops the robots when the gateway falls silent, as verified on the device."""
         ...
@@ -378,6 +424,7 @@ class BaseBackend:
     """A backend that refuses everything: a subclass writes only what its robot has."""
 
     on_loss: str = "hold"
+    has_gateways: bool = False
 
     async def read(self, name: str) -> Any:
         """Refuse: only published values are available."""
@@ -421,6 +468,9 @@ class BaseBackend:
         """Hold."""
         await self.hold(robot)
         return "held"
+
+    async def reset_estop(self, robot: str | None) -> None:
+        """Do nothing: no robot has a latch of its own."""
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """List none."""

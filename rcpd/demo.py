@@ -26,6 +26,10 @@ port = {port}
 [log]
 level = "{level}"
 
+# All robots are simulated: a computer that is busy for a moment need not stop them.
+[safety]
+guard_after = 5.0
+
 [features.frames.anchors]
 "/tenant/alpha" = {{ latitude = -35.3632, longitude = 149.1653, altitude = 584 }}
 "/tenant/beta" = {{ latitude = -35.3631, longitude = 149.1654, altitude = 584 }}

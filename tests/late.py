@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from configuration import backend, listener, table
 from rcp_kernel.app import server
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
@@ -28,18 +29,11 @@ from rcp_kernel.types import quantity
 __all__ = ["PATH", "LateGateway"]
 
 PATH = "/tenant/alpha/sensor/run"
-_CONFIG = """
-[transports]
-http = false
-sse = false
-[transports.asgi]
-port = {port}
-[anonymous]
-role = "operator"
-[[backends]]
-use = "late"
-tenant = "alpha"
-"""
+_CONFIG = (
+    table("transports", http=False, sse=False)
+    + table("anonymous", role="operator")
+    + backend(use="late")
+)
 
 
 class LateGateway:
@@ -103,7 +97,7 @@ async def _main(port: int, late: float) -> None:
 
     configure("critical")
     server._FIRST_OPEN = 0.0
-    config = parse(_CONFIG.format(port=port), "late")
+    config = parse(_CONFIG + listener(port), "late")
     async with serve(config, BackendKind("late", _NoOptions, open_late)):
         sys.stdout.write("open\n")
         sys.stdout.flush()

@@ -9,24 +9,16 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from configuration import backend, key, listener
+
 __all__ = ["ROVER", "serving"]
 
-ROVER = """
-[transports.asgi]
-port = 0
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-operator"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-"""
+ROVER = (
+    listener()
+    + backend("rover", use="sim")
+    + key("operator", "operator-operator")
+    + key("admin", "admin-admin-admin")
+)
 """A simulated rover in tenant alpha, an operator and an admin: whoever serves it adds the rest."""
 _CLOSE = 40.0  # s that it may take to end
 

@@ -22,14 +22,14 @@ from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive, Fault
 from rcp_can.facts import Facts
-from rcp_can.guard import (
+from rcp_can.health import Health
+from rcp_can.messages import Condition
+from rcp_can.preconditions import (
     STALLED,
     heartless,
     loss,
     stale,
 )
-from rcp_can.health import Health
-from rcp_can.messages import Condition
 from rcp_can.setpoint import set_point, torque_offset
 from rcp_kernel.errors import (
     AdapterUnavailable,

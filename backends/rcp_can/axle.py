@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from rcp_can.axis import Axis
 from rcp_can.config_diff_drive import DiffDriveConfig
-from rcp_can.guard import check, check_link
 from rcp_can.pace import Pace
+from rcp_can.preconditions import check, check_link
 from rcp_can.wheel_ramp import WheelRamp
 from rcp_kernel.errors import ModeForbids, OutOfRange, RcpError
 from rcp_kernel.spi import check_fence
@@ -102,7 +102,7 @@ class Axle:
     def check(self, owner: str) -> None:
         """Check that both wheels can be commanded by `owner`.
 
-        :raises RcpError: as for `guard.check`, for the first wheel that cannot.
+        :raises RcpError: as for `preconditions.check`, for the first wheel that cannot.
         :raises ModeForbids: another command drives one of them.
         """
         for wheel in self.wheels:

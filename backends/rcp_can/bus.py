@@ -62,7 +62,8 @@ class Bus:
         """Called with every frame, including error frames and our own."""
         self._host, self._health = host, health
         self._prefix = f"can/{name}"
-        self._wire: Wire | None = None
+        self.wire: Wire | None = None
+        """The open interface, while there is one."""
         self._lost = asyncio.Event()
         self._reason = ""
         self._routes: list[tuple[Route, Listener]] = []
@@ -98,12 +99,12 @@ class Bus:
     @property
     def up(self) -> bool:
         """Whether frames can be sent."""
-        return self._wire is not None and self.state != "bus_off"
+        return self.wire is not None and self.state != "bus_off"
 
     @property
     def lag(self) -> float:
         """Seconds since the interface accepted a frame, while frames are queued."""
-        wire = self._wire
+        wire = self.wire
         return 0.0 if wire is None else wire.lag
 
     def send(
@@ -125,7 +126,7 @@ class Bus:
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: the send queue is full.
         """
-        wire = self._wire
+        wire = self.wire
         if wire is None or self.state == "bus_off":
             raise AdapterUnavailable(f"CAN bus '{self.name}' is {self.state}: {self._reason}")
         message = self._message(
@@ -193,7 +194,7 @@ class Bus:
             received=self._take,
             lost=self._lose,
         )
-        self._wire = wire
+        self.wire = wire
         self._reason = ""
         self.restarts += restarted
         self._turn("error_active", "restarted" if restarted else "open")
@@ -201,7 +202,7 @@ class Bus:
         try:
             await self._lost.wait()
         finally:
-            self._wire = None
+            self.wire = None
             for key in self._past:
                 self._past[key] += getattr(wire, key)
             with anyio.CancelScope(shield=True):
@@ -272,7 +273,7 @@ class Bus:
             self._reason = "the controller is bus-off"
             self._turn("bus_off", self._reason)
             self._lost.set()
-        elif state is not None and self._wire is not None and state != self.state:
+        elif state is not None and self.wire is not None and state != self.state:
             self._turn(state, detail)  # type: ignore[arg-type]
 
     def _duration(self, message: can.Message) -> float:
@@ -318,7 +319,7 @@ class Bus:
 
     def statistics(self, period: float = 0.0, rx: int = 0, tx: int = 0) -> m.Statistics:
         """Compute the statistics; rates are since `rx` and `tx` were counted, `period` seconds ago."""
-        wire = self._wire
+        wire = self.wire
         total = {key: n + (getattr(wire, key) if wire else 0) for key, n in self._past.items()}
         known = self.config.bitrate is not None and period
         return m.Statistics(

@@ -13,9 +13,9 @@ from rcp_can.base_move import BaseMove
 from rcp_can.base_resources import BaseNames, base_resources
 from rcp_can.binding import Part
 from rcp_can.config_diff_drive import DiffDriveConfig
-from rcp_can.guard import check_feedback, check_link, ready
 from rcp_can.motor import released
 from rcp_can.odometry import Odometry
+from rcp_can.preconditions import check_feedback, check_link, ready
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import AdapterUnavailable, InvalidValue, ModeForbids, RcpError
 from rcp_kernel.model import Resource

@@ -11,9 +11,9 @@ import anyio
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config import CanConfig
-from rcp_can.guard import check_feedback, check_link, ready
 from rcp_can.motor import released
 from rcp_can.power_switch import enable
+from rcp_can.preconditions import check_feedback, check_link, ready
 from rcp_can.standstill import rested
 from rcp_can.together import together
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError

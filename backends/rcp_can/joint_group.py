@@ -11,7 +11,6 @@ from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config_joints import JointGroupConfig
 from rcp_can.cubic import Cubic
-from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.joint_limits import joint_limits
 from rcp_can.joint_resources import JointNames, joint_resources
 from rcp_can.joint_run import JointRun
@@ -19,6 +18,7 @@ from rcp_can.joint_types import joint_types
 from rcp_can.joint_watch import MoveWatch, TrajectoryWatch
 from rcp_can.motor import released
 from rcp_can.path import Leg, Path
+from rcp_can.preconditions import check, check_feedback, check_link, ready
 from rcp_can.trajectory import Trajectory
 from rcp_can.trajectory_plan import Joint, Point, plan
 from rcp_kernel.clock import iso, now

@@ -13,9 +13,9 @@ from rcp_can import motor_messages as m
 from rcp_can import views
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
-from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.motor_resources import motor_resources
 from rcp_can.power_switch import enable
+from rcp_can.preconditions import check, check_feedback, check_link, ready
 from rcp_can.standstill import rested
 from rcp_kernel.errors import (
     DeviceRejected,
@@ -57,7 +57,7 @@ class MotorPart(Part):
     def check(self, name: str, value: float) -> None:
         """Check that a set-point would be accepted now.
 
-        :raises RcpError: the motor is driven by an action, or as `guard.check`.
+        :raises RcpError: the motor is driven by an action, or as `preconditions.check`.
         """
         axis = self.axis
         if _is_zero(name, value):
@@ -179,7 +179,7 @@ class MotorPart(Part):
         axis.forget(None)
         axis.owner = f"action/{axis.name}/home"
         try:
-            await _guarded(axis, axis.drive.home())
+            await _unless_lost(axis, axis.drive.home())
         except (asyncio.CancelledError, RcpError) as error:
             await abandon(axis, error)
             raise
@@ -213,7 +213,7 @@ def _is_zero(name: str, value: float) -> bool:
     return value == 0.0 and not name.endswith("/position")
 
 
-async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
+async def _unless_lost(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
     """Await an operation of the drive; end it with the reason if the motor becomes unavailable."""
     task = asyncio.ensure_future(work)
     reasons: list[RcpError] = []
@@ -255,7 +255,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
         axis.forget(None)
         goal = (move.position - axis.config.offset) * axis.ratio
         raw = None if acceleration is None else acceleration * axis.config.gear
-        await _guarded(axis, axis.drive.move(goal, velocity * axis.config.gear, raw))
+        await _unless_lost(axis, axis.drive.move(goal, velocity * axis.config.gear, raw))
         axis.ended = lost.append
     else:
         axis.ended = lost.append

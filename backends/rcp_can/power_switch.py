@@ -9,7 +9,7 @@ from contextlib import suppress
 import anyio
 
 from rcp_can.axis import Axis
-from rcp_can.guard import check_bus, check_feedback, check_link
+from rcp_can.preconditions import check_bus, check_feedback, check_link
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, ModeForbids, RcpError
 from rcp_kernel.spi import check_fence, unfenced
 

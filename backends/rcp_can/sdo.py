@@ -18,6 +18,9 @@ __all__ = ["ABORTS", "Sdo", "SdoAborted"]
 _TIMEOUT = 0.5  # s for one response
 _LONGEST = 65_536  # bytes: the longest value accepted
 _TIMED_OUT = 0x05040000
+_UPLOADED, _DOWNLOADED, _SEGMENT_UP, _SEGMENT_DOWN, _ABORTED = 0x40, 0x60, 0x00, 0x20, 0x80
+"""Command specifiers of a server (CiA 301, 7.2.4.3), the top three bits of a response."""
+_INITIATED = frozenset((_UPLOADED, _DOWNLOADED))  # these have an index and a sub-index
 
 ABORTS = {
     0x05030000: "toggle bit not alternated",
@@ -69,6 +72,10 @@ class Sdo:
         self._answer: asyncio.Future[bytes] | None = None
         self._expected = b""
         """Index and sub-index of the pending request."""
+        self._specifier = 0
+        """The command specifier of its response."""
+        self._mismatched = False
+        """Whether a response to another request arrived meanwhile."""
         self._last = b"", 0.0
         """The previous response, and when it arrived."""
 
@@ -94,10 +101,21 @@ class Sdo:
         if again and data[1:4] != self._expected:
             self.unasked += 1
         elif self._answer is not None and not self._answer.done():
+            if not self._matches(data):  # late, of another node with this id, or to another master
+                self._mismatched = True
+                return
             self._answer.set_result(data)
             self._last = data, now
             self._expected = b""
-        # Others are late, or responses to another master.
+
+    def _matches(self, data: bytes) -> bool:
+        """Return whether a response is one to the pending request, as far as it tells."""
+        specifier = data[0] & 0xE0
+        if specifier == _ABORTED:
+            return data[1:4] in (self._expected, b"\0\0\0")
+        return specifier == self._specifier and (
+            specifier not in _INITIATED or data[1:4] == self._expected
+        )
 
     async def upload(self, index: int, sub: int = 0) -> bytes:
         """Read an object.
@@ -106,14 +124,15 @@ class Sdo:
         :raises DeviceTimeout: the node does not respond.
         """
         async with self._lock:
-            head = await self._request(struct.pack("<BHBxxxx", 0x40, index, sub), index, sub)
-            self._expect(head, 0x40, index, sub)
+            frame = struct.pack("<BHBxxxx", 0x40, index, sub)
+            head = await self._request(frame, _UPLOADED, index, sub)
             if head[0] & 2:
                 size = 4 - (head[0] >> 2 & 3) if head[0] & 1 else 4
                 return head[4 : 4 + size]
             data, toggle = b"", 0
             while True:
-                part = await self._request(bytes((0x60 | toggle,)).ljust(8, b"\0"), index, sub)
+                frame = bytes((0x60 | toggle,)).ljust(8, b"\0")
+                part = await self._request(frame, _SEGMENT_UP, index, sub)
                 if part[0] & 0xF0 != toggle:
                     await self._abort(index, sub, 0x05030000)
                 data += part[1 : 8 - (part[0] >> 1 & 7)]
@@ -133,34 +152,30 @@ class Sdo:
             if 0 < len(data) <= 4:
                 command = 0x23 | (4 - len(data)) << 2
                 frame = struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
-                self._expect(await self._request(frame, index, sub), 0x60, index, sub)
+                await self._request(frame, _DOWNLOADED, index, sub)
                 return
             frame = struct.pack("<BHBI", 0x21, index, sub, len(data))
-            self._expect(await self._request(frame, index, sub), 0x60, index, sub)
+            await self._request(frame, _DOWNLOADED, index, sub)
             toggle = 0
             for start in range(0, max(len(data), 1), 7):
                 part = data[start : start + 7]
                 last = start + 7 >= len(data)
                 command = toggle | (7 - len(part)) << 1 | last
-                answer = await self._request(bytes((command,)) + part.ljust(7, b"\0"), index, sub)
+                frame = bytes((command,)) + part.ljust(7, b"\0")
+                answer = await self._request(frame, _SEGMENT_DOWN, index, sub)
                 if answer[0] & 0xF0 != 0x20 | toggle:
                     await self._abort(index, sub, 0x05030000)
                 toggle ^= 0x10
-
-    def _expect(self, answer: bytes, command: int, index: int, sub: int) -> None:
-        if answer[0] & 0xE0 != command or struct.unpack_from("<HB", answer, 1) != (index, sub):
-            raise DeviceRejected(
-                f"node {self._node} sent a response to 0x{index:04X}:{sub:02X} that does not match",
-                remedy="Check for another master on this bus, or another node with this id.",
-            )
 
     async def _abort(self, index: int, sub: int, code: int) -> None:
         self._bus.send(0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, code))
         raise SdoAborted(self._node, index, sub, code)
 
-    async def _request(self, frame: bytes, index: int, sub: int) -> bytes:
+    async def _request(self, frame: bytes, specifier: int, index: int, sub: int) -> bytes:
+        """Send a request; return the response to it, whatever else arrives before."""
         self._answer = asyncio.get_running_loop().create_future()
-        self._expected = struct.pack("<HB", index, sub)
+        self._expected, self._specifier = struct.pack("<HB", index, sub), specifier
+        self._mismatched = False
         try:
             self._bus.send(0x600 + self._node, frame)
             async with asyncio.timeout(_TIMEOUT):  # `wait_for` may swallow a cancellation
@@ -170,12 +185,19 @@ class Sdo:
                 self._bus.send(
                     0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, _TIMED_OUT)
                 )
-                raise DeviceTimeout(
-                    f"node {self._node} did not respond for 0x{index:04X}:{sub:02X}"
-                ) from None
+                raise self._late(index, sub) from None
             raise AdapterUnavailable(f"CAN bus '{self._bus.name}' is {self._bus.state}") from None
         finally:
             self._answer = None
-        if answer[0] == 0x80:
+        if answer[0] & 0xE0 == _ABORTED:
             raise SdoAborted(self._node, index, sub, int.from_bytes(answer[4:8], "little"))
         return answer
+
+    def _late(self, index: int, sub: int) -> DeviceTimeout:
+        text = f"node {self._node} did not respond for 0x{index:04X}:{sub:02X}"
+        if not self._mismatched:
+            return DeviceTimeout(text)
+        return DeviceTimeout(
+            f"{text}, but to another request",
+            remedy="Check for another master on this bus, or another node with this id.",
+        )

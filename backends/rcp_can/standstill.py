@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
-from rcp_can.guard import check_feedback, check_link
+from rcp_can.preconditions import check_feedback, check_link
 from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.spi import MotionState
 

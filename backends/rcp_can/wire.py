@@ -42,7 +42,7 @@ class Wire:
         lost: Callable[[str], None],
     ) -> None:
         self.rx = self.tx = self.dropped = self.expired = self.failed = 0
-        self._bus, self._limit = bus, queue
+        self.interface, self._limit = bus, queue
         self._received, self._lost = received, lost
         self._loop = asyncio.get_running_loop()
         self._inbox: deque[can.Message] = deque()
@@ -119,12 +119,12 @@ class Wire:
         for thread in reversed(self._threads):
             thread.join(2.0)
         with suppress(Exception):  # an interface that is gone cannot be closed cleanly
-            self._bus.shutdown()
+            self.interface.shutdown()
 
     # Threads
 
     def _read(self) -> None:
-        recv, inbox = self._bus.recv, self._inbox
+        recv, inbox = self.interface.recv, self._inbox
         while not self._closing:
             try:
                 message = recv(_RECV)
@@ -165,7 +165,7 @@ class Wire:
                 self._sending = True
                 try:
                     self._note(message)
-                    self._bus.send(message, timeout=_SEND)
+                    self.interface.send(message, timeout=_SEND)
                     self.tx, failures = self.tx + 1, 0
                     self._moving = time.monotonic()
                 except Exception as error:

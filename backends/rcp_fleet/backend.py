@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
 import zenoh
 
+from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
-from rcp_kernel.errors import ConfigError
-from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_fleet.revocations import Revocations
+from rcp_fleet.stops import RobotStop
+from rcp_fleet.types import RobotTypes
+from rcp_hubs.signer import HubSigner, read_private_key
+from rcp_kernel.clock import SYSTEM_CLOCK
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    ConfigError,
+    DeviceTimeout,
+    UnsupportedOperation,
+)
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.tls import check_links
 
 __all__ = ["FleetBackend", "open_fleet"]
 
@@ -23,31 +35,38 @@ class FleetBackend(BaseBackend):
     """Passes every operation to the gateway whose resource it concerns."""
 
     on_loss = "continue"  # the robot's own gateway decides
+    has_gateways = True
 
-    def __init__(self, config: FleetConfig, session: zenoh.Session, host: Host) -> None:
+    def __init__(
+        self,
+        config: FleetConfig,
+        session: zenoh.Session,
+        host: Host,
+        signer: HubSigner | None,
+        revocations: Revocations | None,
+    ) -> None:
         self._config, self._session, self._host = config, session, host
+        self._signer, self._revocations = signer, revocations
+        self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
 
     def token(self, sample: zenoh.Sample) -> None:
         """Note that a gateway has come or gone."""
         name, here = part(sample.key_expr, 2), sample.kind == zenoh.SampleKind.PUT
+        if here and self._revocations is not None:
+            self._revocations.hasten()
         known = self.gateways.get(name)
         if known is None and here:
             known = self.gateways[name] = RemoteGateway(
-                self._config, self._session, self._host, name, self._review
+                self._config,
+                self._session,
+                self._host,
+                self._types,
+                self._signer,
+                name,
             )
         if known is not None:
             known.alive(here=here)
-
-    def _review(self) -> None:
-        away = sorted(name for name, gateway in self.gateways.items() if not gateway.ready)
-        if not away:
-            self._host.report(None)
-            return
-        shown = ", ".join(away[:5]) + (f" and {len(away) - 5} more" if len(away) > 5 else "")
-        # Down ends the commands in the kernel; those of a gateway go on without this link.
-        down = not any(one.ready or one.commands for one in self.gateways.values())
-        self._host.report(f"not reachable: {shown}", down=down)
 
     def _of(self, name: str) -> RemoteGateway:
         return self.gateways[name.split("/", 2)[1]]
@@ -60,6 +79,10 @@ class FleetBackend(BaseBackend):
         """Write at the robot's gateway."""
         return await self._of(name).write(name, value)
 
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Write several values of one robot as one."""
+        return await self._of(next(iter(values))).write_together(values)
+
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Execute at the robot's gateway."""
         return await self._of(name).execute(name, value, progress)
@@ -69,14 +92,68 @@ class FleetBackend(BaseBackend):
         return self._of(name).watch(name, rate)
 
     async def halt(self) -> None:
-        """Stop every robot; all are asked at once."""
-        async with asyncio.TaskGroup() as group:
-            for gateway in self.gateways.values():
-                group.create_task(gateway.stop())
+        """Stop every robot: all are asked at once, and each to the end.
+
+        :raises DeviceTimeout: one is not at rest, or has not answered.
+        """
+        names = list(self.gateways)
+        stops = (self.gateways[name].stops.stop() for name in names)
+        found = await asyncio.gather(*stops, return_exceptions=True)
+        late = [name for name, error in zip(names, found, strict=True) if error is not None]
+        if late:
+            raise DeviceTimeout(f"not stopped: {', '.join(late)}")
 
     async def halt_robot(self, robot: str) -> None:
-        """Stop one robot."""
-        await self.gateways[robot].stop()
+        """Stop one robot by its own gateway's e-stop."""
+        await self._stops(robot).stop()
+
+    def _stops(self, robot: str) -> RobotStop:
+        """Return the stop of a robot.
+
+        :raises AdapterUnavailable: its gateway has not been seen since the hub began.
+        """
+        gateway = self.gateways.get(robot)
+        if gateway is None:
+            raise AdapterUnavailable(f"the gateway of '{robot}' has not been seen")
+        return gateway.stops
+
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Report what the gateways say of their stops."""
+        if robot is not None:
+            return self._stops(robot).motion()
+        states = {name: one.stops.motion() for name, one in self.gateways.items()}
+        late = {name: one for name, one in states.items() if not one.at_rest}
+        if not late:
+            return MotionState(at_rest=True) if states else None
+        moves = any(one.at_rest is False for one in late.values())
+        detail = "; ".join(f"{name}: {one.detail}" for name, one in late.items())
+        return MotionState(False if moves else None, detail)
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Ask again those gateways that are not known to hold their robots."""
+        names = self.gateways if robot is None else [robot]
+        for name in names:
+            if name in self.gateways:
+                self.gateways[name].stops.hold()
+
+    async def hold(self, robot: str | None) -> None:
+        """Refuse: a robot that can hold has a service for it; for nobody in particular, do nothing.
+
+        When this hub was frozen, or somebody lost control here, the robots' own gateways decide.
+        """
+        if caller() is not None:
+            raise UnsupportedOperation(f"the gateway of '{robot}' offers no hold")
+
+    async def recover(self, robot: str | None) -> str:
+        """Leave it to the robot's gateway."""
+        return "left to its own gateway"
+
+    async def reset_estop(self, robot: str | None) -> None:
+        """Ask the gateway of a robot, or all of them."""
+        names = list(self.gateways) if robot is None else [robot]
+        for name in names:
+            self._stops(name)
+        await asyncio.gather(*(self.gateways[name].reset_estop() for name in names))
 
     async def close(self) -> None:
         """End all sessions."""
@@ -90,16 +167,49 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
         raise ConfigError(
             "the fleet has no router: `listen` makes this hub one, `connect` names others"
         )
+    if (config.key is None) == (config.token is None):
+        raise ConfigError(
+            "the fleet needs `key`, the file of this hub's private key, or `token` for a trial in "
+            "which everybody acts as the hub"
+        )
+    signer = None
+    if config.key is not None:
+        signer = HubSigner(config.hub, read_private_key(config.key, "`key`"), SYSTEM_CLOCK)
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
-    zenoh_config = configuration(mode, listen=config.listen, connect=config.connect)
+    check_links((*config.listen, *config.connect), config.tls, "the fleet")
+    if (config.robots or config.hubs) and (config.tls is None or not config.listen):
+        raise ConfigError(
+            "the fleet: `robots` and `hubs` are the rules of a router with `listen` and `tls`"
+        )
+    access = None
+    if config.tls is not None and config.listen:
+        access = access_rules(host.tenant, config.robots, config.hubs)
+    zenoh_config = configuration(
+        mode,
+        listen=config.listen,
+        connect=config.connect,
+        silence=config.silence,
+        tls=config.tls,
+        access=access,
+    )
     async with opened(zenoh_config, patient=False) as session:
-        backend = FleetBackend(config, session, host)
+        revocations = None
+        if config.revoked is not None:
+            revocations = Revocations(session, host.tenant, config.revoked)
+        backend = FleetBackend(config, session, host, signer, revocations)
+        repeating = loop.create_task(_repeat(revocations), name="fleet revocations")
         tokens = session.liveliness().declare_subscriber(
             alive(host.tenant), on_loop(loop, backend.token), history=True
         )
         try:
             yield backend
         finally:
+            repeating.cancel()
             tokens.undeclare()
             await backend.close()
+
+
+async def _repeat(revocations: Revocations | None) -> None:
+    if revocations is not None:
+        await revocations.run()

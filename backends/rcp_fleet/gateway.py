@@ -3,31 +3,45 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import asynccontextmanager
 from typing import Any
 
+import msgspec
 import structlog
 import zenoh
 
-from rcp_client.address import Address
-from rcp_client.carrier import Carrier, Lost, Received
-from rcp_client.client import Client
 from rcp_client.command import Feedback
 from rcp_client.errors import ConnectionLost
-from rcp_client.messages import Codec
-from rcp_client.settings import Settings
+from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
-from rcp_fleet.link import FleetLink
-from rcp_fleet.resources import name_of, resource_of
+from rcp_fleet.resources import facts_of, name_of, resource_of
+from rcp_fleet.sessions import GatewaySessions
+from rcp_fleet.stops import RobotStop
+from rcp_fleet.types import RobotTypes
+from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
+from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, RcpError
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import Caller, Host, Principal, Progress, caller
 
 __all__ = ["RemoteGateway"]
 
 log = structlog.get_logger("rcp.fleet")
 _LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
+_SHORTEST = 0.001  # s: a deadline must lie ahead
+
+
+class _Stream:
+    """A subscription of the gateway, and who uses it here."""
+
+    __slots__ = ("idle", "task", "users")
+
+    def __init__(self, task: asyncio.Task[None]) -> None:
+        self.task = task
+        self.users = 0
+        self.idle = False
+        """Whether nobody has used it for a while, and the link was up."""
 
 
 class RemoteGateway:
@@ -38,46 +52,37 @@ class RemoteGateway:
         config: FleetConfig,
         session: zenoh.Session,
         host: Host,
+        types: RobotTypes,
+        signer: HubSigner | None,
         name: str,
-        changed: Callable[[], None],
     ) -> None:
-        self._config, self._session, self._host, self._changed = config, session, host, changed
+        self._host = host
+        self._types = types
         self.name = name
         self.ready = False
         """Whether its resources are declared and it can be reached."""
-        self.commands = 0
-        """Running commands, which outlive a cut: their gateway reports their end when it is back."""
-        self._alive = asyncio.Event()
-        self._link: FleetLink | None = None
+        self._reached = asyncio.Event()
+        """Set while it is."""
         self._paths: dict[str, str] = {}
-        self._client = Client(
-            Settings(
-                address=Address.parse("fleet"),
-                token=config.token,
-                connect_timeout=config.connect_timeout,
-                patience=None,
-                longest_pause=_LONGEST_PAUSE,
-                client=f"hub {config.hub}",
-                dial=self._dial,
-            )
-        )
-        self._client.channel.listeners.append(lambda _notice: self._review())
+        self._numbers = RobotNumbers()
+        self._streams: dict[tuple[str, float | None], _Stream] = {}
+        self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
+        self._client = self._sessions.own
+        self.stops = RobotStop(self._client, config.hub)
+        self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
     def alive(self, *, here: bool) -> None:
         """Note that the gateway's token has appeared or gone."""
-        if here:
-            self._alive.set()
-            return
-        self._alive.clear()
-        if self._link is not None:
-            self._link.close("the gateway is gone")
+        self._sessions.alive(here=here)
 
-    async def _dial(self, codec: Codec, received: Received, lost: Lost) -> Carrier:
-        await self._alive.wait()
-        place = (self._host.tenant, self.name, self._config.hub)
-        self._link = FleetLink(self._session, place, codec, received, lost)
-        return self._link
+    def _heard(self, notice: Notice) -> None:
+        if notice.code == "refused":
+            self._refused(notice.message or "refused")
+        self._review()
+
+    def _refused(self, reason: str) -> None:
+        self._host.report(reason, down=True, robot=self.name)
 
     async def _open(self) -> None:
         while True:
@@ -87,25 +92,65 @@ class RemoteGateway:
             except ConnectionLost as error:
                 log.info("fleet_gateway_unreachable", gateway=self.name, reason=error.message)
             except RcpError as error:
-                self._host.report(f"gateway '{self.name}': {error.message}")
-                return
+                self._refused(error.message)
             await asyncio.sleep(_LONGEST_PAUSE)
-        await self._declare()
-        self._review()
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._follow_tree())
+            group.create_task(self._follow_facts())
+            group.create_task(self.stops.follow())
+
+    async def _follow_tree(self) -> None:
+        """Declare what the gateway has, and again whenever its tree changes."""
+        try:
+            async for _ in self._client.subscribe("/system/tree"):
+                await self._declare()
+        except RcpError as error:  # an earlier version: what it has now is what it will have
+            log.info("fleet_tree_not_followed", gateway=self.name, reason=error.message)
+            await self._declare()
 
     async def _declare(self) -> None:
-        found = await self._client.discover("/tenant/**")
+        found = await self._discover()
+        resources = [resource_of(info, self.name, self._types.of) for info in found]
+        gone = self._paths.keys() - {resource.name for resource in resources}
         self._paths = {name_of(info.path, self.name): info.path for info in found}
-        self._host.declare(*(resource_of(info, self.name) for info in found))
+        # Services first: the robot's own `hold` comes before the one that the kernel would add.
+        resources.sort(key=lambda one: not one.name.startswith("service/"))
+        for resource in resources:
+            try:
+                self._host.declare(resource)
+            except RcpError as error:  # one that is odd must not hide the others
+                log.warning("fleet_resource_refused", gateway=self.name, reason=error.message)
+        self._host.withdraw(*gone)
+        self._review()
+
+    async def _discover(self) -> list[ResourceInfo]:
+        while True:
+            try:
+                return await self._types.discover(self._client, "/tenant/**")
+            except RcpError as error:
+                log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
+            await asyncio.sleep(_LONGEST_PAUSE)
+
+    async def _follow_facts(self) -> None:
+        """Describe the robot as its gateway's inventory does, if it has one."""
+        try:
+            async for update in self._client.subscribe("/system/robots", rate=1.0):
+                self._host.describe(facts_of(update.body), self.name)
+        except RcpError as error:
+            log.info("fleet_robot_not_described", gateway=self.name, reason=error.message)
 
     def _review(self) -> None:
         ready = bool(self._paths) and self._client.connected
         if ready == self.ready:
             return
         self.ready = ready
-        if ready:
-            self._host.link_restored(self.name)
-        self._changed()
+        if not ready:
+            self._reached.clear()
+            self._host.report("its gateway cannot be reached", down=True, robot=self.name)
+            return
+        self._host.link_restored(self.name)  # before its commands: it may be latched
+        self._host.report(None, robot=self.name)
+        self._reached.set()
 
     def _path(self, name: str) -> str:
         if not self.ready:
@@ -113,56 +158,129 @@ class RemoteGateway:
         return self._paths[name]
 
     async def read(self, name: str) -> Any:
-        """Read from the gateway."""
-        return await self._client.read(self._path(name))
+        """Read from the gateway, as the person who asked."""
+        path, asked = self._path(name), caller()
+        async with self._sessions.acting(_who(asked)) as client:
+            reply = await client.sample(path, deadline=_left(asked))
+        if reply.seq is None or reply.source_timestamp is None:
+            return reply.body
+        data, time = msgspec.msgpack.encode(reply.body), parse_time(reply.source_timestamp)
+        return RobotValue(data, self._numbers.of(name, reply.seq, time), time)
 
     async def write(self, name: str, value: Any) -> Any:
-        """Write, and return the value in force."""
-        return await self._client.write(self._path(name), value)
+        """Write as the person who asked, and return the value in force."""
+        path, asked = self._path(name), caller()
+        async with self._sessions.acting(_who(asked)) as client:
+            return await client.write(
+                path,
+                value,
+                valid_for=None if asked is None else asked.valid_for,
+                idempotency_key=_key(asked),
+                deadline=_left(asked),
+            )
+
+    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Write several values as one, and return those in force."""
+        names, asked = {self._path(name): name for name in values}, caller()
+        async with self._sessions.acting(_who(asked)) as client:
+            written = await client.write_all(
+                {path: values[name] for path, name in names.items()},
+                valid_for=None if asked is None else asked.valid_for,
+                idempotency_key=_key(asked),
+                deadline=_left(asked),
+            )
+        return {names[path]: value for path, value in written.items()}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Run a command of the gateway; its errors are the robot's own."""
+        """Run a command as the person who asked; its errors are the robot's own."""
 
         def feedback(one: Feedback) -> None:
             if one.status == "in_progress":
                 progress(one.body, fraction=one.progress)
 
-        path = self._path(name)
-        self.commands += 1
-        try:
-            return await self._client.execute(path, value, on_feedback=feedback)
-        finally:
-            self.commands -= 1
-            if not self.ready:
-                self._changed()
+        asked = caller()
+        while True:  # until the kernel ends it at its deadline; its key keeps it from running twice
+            await self._reached.wait()
+            try:
+                async with self._sessions.acting(_who(asked)) as client:
+                    return await client.execute(
+                        self._paths[name],
+                        value,
+                        deadline=_left(asked),
+                        idempotency_key=_key(asked),
+                        on_feedback=feedback,
+                    )
+            except ConnectionLost as error:
+                if not error.retryable:  # the gateway has forgotten it, and its key
+                    raise
+            await asyncio.sleep(_LONGEST_PAUSE)
 
-    async def stop(self) -> None:
-        """Stop the robot by its own e-stop, which returns when it is measured to be at rest."""
+    async def reset_estop(self) -> None:
+        """Ask the gateway, as the person who asked, to reset its e-stop; it may refuse."""
         if not self.ready:
-            raise AdapterUnavailable(f"the gateway of '{self.name}' cannot be reached")
-        await self._client.estop(reason=f"hub {self._config.hub}")
+            raise AdapterUnavailable("its gateway cannot be reached")
+        async with self._sessions.acting(_who(caller())) as client:
+            await client.estop(reset=True)
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
         """Publish what one subscription of the gateway brings."""
-        task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+        stream = self._streams.get((name, rate))
+        if stream is None:
+            task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")
+            stream = self._streams[name, rate] = _Stream(task)
+        stream.users, stream.idle = stream.users + 1, False
         try:
             yield
         finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+            stream.users -= 1
+            self._leave(name, rate)
+
+    def _leave(self, name: str, rate: float | None) -> None:
+        """End a subscription that nobody uses, but not during a cut: it is to catch up after it."""
+        stream = self._streams.get((name, rate))
+        if stream is None or stream.users:
+            return
+        if self.ready and stream.idle:
+            del self._streams[name, rate]
+            stream.task.cancel()
+        else:
+            stream.idle = self.ready
+            asyncio.get_running_loop().call_later(_LONGEST_PAUSE, self._leave, name, rate)
 
     async def _pass_on(self, name: str, rate: float | None) -> None:
-        try:
-            async for update in self._client.subscribe(self._paths[name], rate=rate):
-                if not update.truncated:
-                    self._host.publish(name, update.body, parse_time(update.timestamp))
-        except RcpError as error:
-            log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+        def publish(data: bytes, seq: int, time: int) -> None:
+            number = self._numbers.of(name, seq, time)
+            self._host.publish(name, RobotValue(data, number, time))
+
+        while True:
+            try:
+                async for _ in RobotFeed(self._client.channel, self._paths[name], rate, publish):
+                    pass  # a notice: its updates are published as they arrive
+            except RcpError as error:
+                log.warning("fleet_subscription_ended", resource=name, reason=error.message)
+            await asyncio.sleep(_LONGEST_PAUSE)
 
     async def close(self) -> None:
         """End the session; what the robot does goes on as its own gateway decides."""
-        self._opening.cancel()
-        await asyncio.gather(self._opening, return_exceptions=True)
-        await self._client.channel.close()
+        tasks = [self._opening, *(stream.task for stream in self._streams.values())]
+        self._streams.clear()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._sessions.close()
+
+
+def _who(asked: Caller | None) -> Principal | None:
+    return None if asked is None else asked.principal
+
+
+def _key(asked: Caller | None) -> str | None:
+    return None if asked is None else asked.key
+
+
+def _left(asked: Caller | None) -> float | None:
+    """Return the seconds until the deadline of a request."""
+    if asked is None:
+        return None
+    return max(asked.deadline - asyncio.get_running_loop().time(), _SHORTEST)

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
 from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.messages import Codec
+from rcp_fleet.values import decoded
+from rcp_zenoh.budget import Allowance
 from rcp_zenoh.keys import LinkKeys
+from rcp_zenoh.lane import Priority
 from rcp_zenoh.pipe import Pipe
 from rcp_zenoh.session import on_loop
+from rcp_zenoh.statistics import LinkStatistics
 
 __all__ = ["FleetLink"]
+
+_LONGEST = 67_108_864  # bytes of a message that a gateway may make this hub keep
 
 
 class FleetLink(Carrier):
@@ -24,20 +32,26 @@ class FleetLink(Carrier):
         self,
         session: zenoh.Session,
         place: tuple[str, str, str],
+        silence: float,
+        statistics: LinkStatistics,
+        is_feed: Callable[[str | None], bool],
         codec: Codec,
         received: Received,
         lost: Lost,
     ) -> None:
         keys = LinkKeys.of(*place, secrets.token_hex(8))
         self._codec, self._received, self._lost = codec, received, lost
+        self._statistics, self._is_feed = statistics, is_feed
         self.segment_size: int | None = None
+        self.longest = _LONGEST
         self._why = "the link was closed"
-        self._waiting: list[bytes] = []
+        self._waiting: deque[bytes] = deque()
         """Messages for which the window has no room yet."""
-        self._pipe = Pipe(session, keys.up, self._drain, self._ended)
         loop = asyncio.get_running_loop()
         self._messages = session.declare_subscriber(keys.down, on_loop(loop, self._take))
+        self._pipe = Pipe(session, keys.up, silence, self, Allowance(), self._note)
         self._token = session.liveliness().declare_token(keys.token)
+        statistics.opened()
 
     @property
     def closed(self) -> bool:
@@ -50,27 +64,43 @@ class FleetLink(Carrier):
         return self._why
 
     def send(self, envelope: dict[str, Any]) -> None:
-        """Send an envelope, or keep it until there is room."""
-        if not self.closed:
-            self._waiting.append(self._codec.encode(envelope))
-            self._drain()
+        """Send an envelope, or keep it until there is room; an e-stop never waits."""
+        if self.closed:
+            return
+        data = self._codec.encode(envelope)
+        if envelope.get("type") == "execute" and envelope.get("path") == "/system/estop":
+            self._pipe.send(data, Priority.STOP)
+            return
+        self._waiting.append(data)
+        self.drained()
 
-    def _drain(self) -> None:
-        while self._waiting and self._pipe.writable:
-            self._pipe.send(self._waiting.pop(0))
+    def drained(self) -> None:
+        """Send what waits for room."""
+        while self._waiting and self._pipe.writable(Priority.CONTROL):
+            self._pipe.send(self._waiting.popleft(), Priority.CONTROL)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        data = self._pipe.receive(sample)
-        if data is not None:
-            self._received(self._codec.decode(data), data)
+        message = self._pipe.receive(sample)
+        if message is None:
+            return
+        if message.data is None:
+            self.close(f"the gateway sent a message of {message.size} bytes")
+            return
+        data = message.data
+        self._received(decoded(self._codec, data, self._is_feed), data)
 
     def close(self, why: str = "the hub closed the link") -> None:
         """End the link."""
         self._pipe.end(why)
 
-    def _ended(self, why: str) -> None:
+    def ended(self, why: str) -> None:
+        """Report the end."""
         self._why = why
+        self._statistics.ended(self._pipe, why)
         self._waiting.clear()
         self._messages.undeclare()
         self._token.undeclare()
         self._lost(self)
+
+    def _note(self) -> None:
+        self._statistics.note(self._pipe)

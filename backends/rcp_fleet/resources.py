@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
-
-from msgspec import Meta
+from collections.abc import Callable
+from typing import Any
 
 from rcp_client.messages import ResourceInfo
 from rcp_kernel.model import Operation, Resource
+from rcp_kernel.spi import Dimensions, RobotFacts
 
-__all__ = ["name_of", "resource_of"]
+__all__ = ["facts_of", "name_of", "resource_of"]
 
 
 def name_of(path: str, gateway: str) -> str:
@@ -18,10 +18,13 @@ def name_of(path: str, gateway: str) -> str:
     return f"{branch}/{gateway}/{rest}"
 
 
-def resource_of(info: ResourceInfo, gateway: str) -> Resource:
-    """Describe a resource that the gateway of a robot serves."""
+def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any]) -> Resource:
+    """Describe a resource that the gateway of a robot serves; `type_of` knows its schemas' ids.
+
+    The robot's own serialized bytes do not cross the link, so that `native` is left out.
+    """
     operations = Operation.NONE
-    for name in info.operations:
+    for name in info.operations if info.offers is None else info.offers:
         operations |= Operation[name.upper()]
     return Resource(
         name=name_of(info.path, gateway),
@@ -33,12 +36,30 @@ def resource_of(info: ResourceInfo, gateway: str) -> Resource:
         timeout=info.timeout,
         policy=info.policy,  # pyright: ignore[reportArgumentType] - of the same protocol
         max_age=info.max_age,
+        valid_for=info.valid_for,
+        safe=info.safe,
+        moves=info.moves,
+        energises=info.energises,
+        atomic=info.atomic,
         meta={**info.meta, "gateway": gateway, "path": info.path},
-        **{name: _type(schema) for name, schema in info.schemas.items()},
+        profiles=tuple(info.profiles),
+        **{name: type_of(id_) for name, id_ in info.schema_ids.items()},
     )
 
 
-def _type(schema: dict[str, Any]) -> Any:
-    """Return a type that has this schema and accepts anything: the robot's gateway validates."""
-    bare = {key: item for key, item in schema.items() if key != "$id"}
-    return Annotated[Any, Meta(extra_json_schema=bare)]
+def facts_of(robots: list[dict[str, Any]]) -> RobotFacts:
+    """Return what a gateway's inventory says of its robot; of several, it says nothing."""
+    if len(robots) != 1:
+        return RobotFacts()
+    (told,) = robots
+    sheet = told.get("fact_sheet", {})
+    dimensions = sheet.get("dimensions")
+    return RobotFacts(
+        kind=told.get("kind"),
+        vendor=told.get("vendor"),
+        model=told.get("model"),
+        firmware=told.get("firmware"),
+        serial=told.get("serial"),
+        dimensions=None if dimensions is None else Dimensions(**dimensions),
+        frames=tuple(sheet.get("frames", ())),
+    )

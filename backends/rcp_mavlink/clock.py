@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from rcp_mavlink.frames import Frame
 
@@ -17,7 +18,8 @@ _WORSE = 1.2  # aging factor of the best round trip, so that drift is followed
 class Clock:
     """The offset between a vehicle's clock and ours."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], int] = time.time_ns) -> None:
+        self._now = now
         self._offset: int | None = None
         """Our time (ns) at which its clock was 0."""
         self._best = 0.0
@@ -25,12 +27,12 @@ class Clock:
 
     def request(self) -> int:
         """Return `ts1` for a new request."""
-        self._requested = time.time_ns()
+        self._requested = self._now()
         return self._requested
 
     def on_reply(self, remote: int, requested: int) -> None:
         """Handle the reply to the latest request; the shortest round trip is the most accurate."""
-        round_trip = time.time_ns() - requested
+        round_trip = self._now() - requested
         if remote == 0 or requested != self._requested or not 0 <= round_trip <= _SLOWEST:
             return
         self._requested = 0
@@ -64,5 +66,5 @@ class Clock:
             at = self._offset + ticks * scale
         else:
             return None
-        now = time.time_ns()
+        now = self._now()
         return None if now - at > _OLDEST else min(at, now)

@@ -52,7 +52,7 @@ class GroundStation:
         self._params: list[str] = []
         self._log: tuple[int, int, int] | None = None
         self._tasks: list[Callable[[], None]] = []
-        self._handlers: dict[str, Callable[[Any], None]] = {
+        self.handlers: dict[str, Callable[[Any], None]] = {
             "HEARTBEAT": self._heartbeat,
             "COMMAND_LONG": self._command,
             "COMMAND_INT": self._command,
@@ -130,7 +130,7 @@ class GroundStation:
             task()
 
     def _take(self, message: Any) -> None:
-        handler = self._handlers.get(message.get_type())
+        handler = self.handlers.get(message.get_type())
         target = getattr(message, "target_system", 0)
         if handler is not None and target in (0, self.vehicle.options.system):
             handler(message)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterable
 from collections.abc import Mapping as Named
 from typing import Any, NamedTuple
 
 import msgspec
 
+from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceRejected,
@@ -26,6 +27,7 @@ from rcp_ros2.binding import Shared
 from rcp_ros2.config import Mapping
 from rcp_ros2.description import JointLimits
 from rcp_ros2.shapes import seconds
+from rcp_ros2.stamps import Delays
 from rcp_ros2.standard import defined
 
 __all__ = ["ArmJoints", "FollowTrajectory", "JointMotion", "MoveJoints"]
@@ -38,7 +40,6 @@ _NEAR = 0.03  # rad or m from its goal at which a joint has arrived
 _STILL = 0.03  # rad/s or m/s
 _ARRIVAL = 4.0  # s for the joints to arrive, or to come to rest, after the controller's last word
 _APART = 0.05  # s between two positions of which a speed is made
-_MESSAGES = 50  # that are looked at for the positions of all joints
 _ROUNDING = 1.001
 """Ratio by which a mean speed may exceed the limit."""
 
@@ -60,6 +61,8 @@ class _Point(NamedTuple):
 class _Measured(NamedTuple):
     positions: dict[str, float]
     velocities: dict[str, float]
+    at: float
+    """Monotonic time of the oldest part."""
 
 
 class JointMotion(Run):
@@ -81,6 +84,7 @@ class JointMotion(Run):
         self.joints = joints
         self._limits = dict(joints.limits)
         self._states = states
+        self._delays = Delays()
         own = self.resource
         self.resource = defined(
             name,
@@ -115,47 +119,81 @@ class JointMotion(Run):
     # -- measurements ----------------------------------------------------------------------------
 
     async def _measure(self, names: Collection[str]) -> _Measured:
-        """Return where joints are (without names: all that one message has).
+        """Return where joints are: a robot with several drivers tells some of them in each message.
 
         :raises AdapterUnavailable: the joint states lack one.
         """
-        found = _Measured({}, {})
-        for _ in range(_MESSAGES):
+        found, end = _Measured({}, {}, math.inf), time.monotonic() + self.timeout
+        while not found.positions.keys() >= set(names):
+            if time.monotonic() >= end:
+                raise self._lacking(set(names) - found.positions.keys())
             state = await self._states()
+            if not set(names).isdisjoint(state.name):
+                found = found._replace(at=min(found.at, await self._measured(state)))
             found.positions.update(zip(state.name, state.position, strict=False))
             found.velocities.update(zip(state.name, state.velocity, strict=False))
-            if found.positions and found.positions.keys() >= set(names):
-                return found
-        missing = ", ".join(sorted(set(names) - found.positions.keys())) or "positions"
-        raise AdapterUnavailable(
-            f"the joint states lack {missing}, of {self.mapping.target}",
+        return found
+
+    async def _here(self, given: Collection[str]) -> dict[str, float]:
+        """Return where the controller's joints are.
+
+        If it does not tell which those are: the joints of a message that has the `given` ones.
+
+        :raises AdapterUnavailable: the joint states lack one, or all.
+        """
+        if self.joints.names:
+            return (await self._measure(self.joints.names)).positions
+        found: dict[str, float] = {}
+        end = time.monotonic() + self.timeout
+        while True:
+            state = await self._states()
+            one = dict(zip(state.name, state.position, strict=False))
+            if one and one.keys() >= set(given):
+                return one
+            found.update(one)
+            if time.monotonic() >= end:
+                break
+        if not found:
+            raise self._lacking(("positions",))
+        return found
+
+    def _lacking(self, missing: Iterable[str]) -> AdapterUnavailable:
+        return AdapterUnavailable(
+            f"the joint states lack {', '.join(sorted(missing))}, of {self.mapping.target}",
             remedy="Check the controller's joints and its joint_state_broadcaster.",
         )
+
+    async def _measured(self, state: m.JointStates) -> float:
+        """Return the monotonic time when joint states that have just arrived were measured."""
+        now = time.monotonic()
+        if state.timestamp is None:
+            return now
+        stamp = parse_time(state.timestamp)
+        if self.shared.config.use_sim_time:
+            return await self.shared.ros.call(self.shared.ticks.measured, stamp, now)
+        return self._delays.measured(stamp, now)
 
     async def _still(
         self, names: Collection[str], is_there: Callable[[Named[str, float]], bool]
     ) -> _Measured:
-        """Wait until joints are measured at rest, where they should be.
+        """Wait until joints are measured at rest for a while, where they should be.
+
+        What was measured before does not count: it may come late, from before the motion.
 
         :raises TimeoutError: they are not.
         """
-        last, at = await self._measure(names), time.monotonic()
-        end = at + _ARRIVAL
-        while time.monotonic() < end:
+        began = time.monotonic()
+        last: _Measured | None = None
+        while time.monotonic() < began + _ARRIVAL:
             found = await self._measure(names)
-            now = time.monotonic()
-            if now - at < _APART:
+            if found.at <= began:
                 continue
-            told = found.velocities.keys() >= set(names)
-            speeds = (
-                abs(found.velocities[name])
-                if told
-                else abs(found.positions[name] - last.positions[name]) / (now - at)
-                for name in names
-            )
-            if all(speed <= _STILL for speed in speeds) and is_there(found.positions):
-                return found
-            last, at = found, now
+            if last is None:
+                last = found
+            elif found.at - last.at >= _APART:
+                if _rests(names, last, found) and is_there(found.positions):
+                    return found
+                last = found
         raise TimeoutError
 
     def _off(self, name: str, position: float, goal: float) -> float:
@@ -269,7 +307,7 @@ class MoveJoints(JointMotion):
         :raises InvalidValue: there is no such joint.
         """
         given = _given(value.positions)
-        here = (await self._measure(self.joints.names)).positions
+        here = await self._here(given)
         names = self.joints.names or tuple(here)
         self._check(given, names, "/positions")
         goal = {name: given.get(name, here[name]) for name in names}
@@ -314,7 +352,7 @@ class FollowTrajectory(JointMotion):
         :raises InvalidValue: it names a joint that there is not, or its times do not increase.
         :raises OutOfRange: a joint would have to move faster than it can.
         """
-        here = (await self._measure(self.joints.names)).positions
+        here = await self._here({name for one in value.points for name in _given(one.positions)})
         names = self.joints.names or tuple(here)
         points = self._planned(value.points, names, {name: here[name] for name in names})
 
@@ -366,6 +404,16 @@ class FollowTrajectory(JointMotion):
                 remedy="Leave more time between the points.",
                 details={"pointer": f"{place}/time"},
             )
+
+
+def _rests(names: Collection[str], first: _Measured, last: _Measured) -> bool:
+    """Return whether joints rest at both of two moments, or between them without velocities."""
+    if all(one.velocities.keys() >= set(names) for one in (first, last)):
+        speeds = [abs(one.velocities[name]) for one in (first, last) for name in names]
+    else:
+        apart = last.at - first.at
+        speeds = [abs(last.positions[name] - first.positions[name]) / apart for name in names]
+    return all(speed <= _STILL for speed in speeds)  # false for NaN
 
 
 def _given(values: Any) -> dict[str, float]:

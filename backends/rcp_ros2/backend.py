@@ -18,7 +18,7 @@ from rcp_ros2.config import Ros2Config
 from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import Graph, GraphWatch
 from rcp_ros2.parameters import Setting
-from rcp_ros2.ros import guarded, open_ros
+from rcp_ros2.ros import contained, open_ros
 from rcp_ros2.stops import Stops
 
 __all__ = ["Ros2Backend", "open_ros2"]
@@ -30,12 +30,12 @@ class Ros2Backend(BaseBackend):
     """One ROS 2 domain."""
 
     def __init__(self, catalog: Catalog, stops: Stops, on_loss: str) -> None:
-        self._catalog = catalog
-        self._stops = stops
+        self.catalog = catalog
+        self.stops = stops
         self.on_loss = on_loss
 
     def _binding(self, name: str) -> Binding:
-        binding = self._catalog.bindings.get(name)
+        binding = self.catalog.bindings.get(name)
         if binding is None:
             raise AdapterUnavailable(f"'{name}' has left the ROS graph")
         return binding
@@ -80,7 +80,7 @@ class Ros2Backend(BaseBackend):
 
     @asynccontextmanager
     async def _watch(self, name: str, rate: float) -> AsyncGenerator[None]:
-        rates = self._catalog.rates.setdefault(name, [])
+        rates = self.catalog.rates.setdefault(name, [])
         rates.append(rate)
         self._adjust(name)
         try:
@@ -90,10 +90,10 @@ class Ros2Backend(BaseBackend):
             self._adjust(name)
 
     def _adjust(self, name: str) -> None:
-        binding = self._catalog.bindings.get(name)
-        rates = self._catalog.rates[name]
+        binding = self.catalog.bindings.get(name)
+        rates = self.catalog.rates[name]
         if not rates:
-            del self._catalog.rates[name]
+            del self.catalog.rates[name]
         if binding is None:
             return
         if rates:
@@ -107,31 +107,31 @@ class Ros2Backend(BaseBackend):
         :raises AdapterUnavailable: it is unknown whether everything is at rest.
         :raises DeviceTimeout: something is not at rest.
         """
-        await self._stops.halt(None)
+        await self.stops.halt(None)
 
     async def halt_robot(self, robot: str) -> None:
         """Stop one robot, as `halt`."""
-        await self._stops.halt(robot)
+        await self.stops.halt(robot)
 
     def motion(self, robot: str | None) -> MotionState:
         """Report whether a robot is at rest: by odometry, otherwise by delivered safe values."""
-        return self._stops.motion(robot)
+        return self.stops.motion(robot)
 
     def hold_stop(self, robot: str | None) -> None:
         """Keep a robot stopped; the ROS thread repeats the stop."""
-        self._stops.hold_stop(robot)
+        self.stops.hold_stop(robot)
 
     async def hold(self, robot: str | None) -> None:
         """Publish safe values and cancel every goal, without the configured means."""
-        await self._stops.halt(robot)
+        await self.stops.halt(robot)
 
     async def recover(self, robot: str | None) -> str:
         """Cancel goals that were lost with their server, or with a previous gateway process."""
-        return await self._stops.recover(robot)
+        return await self.stops.recover(robot)
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """Report per robot that no watchdog is known."""
-        return self._stops.watchdogs()
+        return self.stops.watchdogs()
 
 
 @asynccontextmanager
@@ -183,4 +183,4 @@ async def _settle(catalog: Catalog, limit: float) -> None:
 
 def _poll(shared: Shared) -> None:
     for poll in list(shared.on_poll):
-        guarded(poll)()
+        contained(poll)()

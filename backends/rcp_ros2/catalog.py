@@ -60,7 +60,7 @@ class Catalog:
 
     def __init__(self, shared: Shared) -> None:
         config = shared.config
-        self._shared = shared
+        self.shared = shared
         self._exposes = bool(config.expose or config.robots or not config.map)
         """Whether the paths depend on the graph."""
         self.bindings: dict[str, Binding] = {}
@@ -124,7 +124,7 @@ class Catalog:
 
     def update(self, graph: Graph) -> None:
         """Apply a new poll of the graph."""
-        self._shared.graph = graph
+        self.shared.graph = graph
         self._descriptions.update(graph)
         for action in self._arms.unknown(graph, self._wanted.matters):
             if self._is_due(f"arm {action}"):
@@ -159,14 +159,14 @@ class Catalog:
         self._report(graph)
         if self._is_complete():
             self.complete.set()
-        if self.is_mapped and not (self._shared.settling and self._exposes):
-            self._shared.host.discovering(active=False)
+        if self.is_mapped and not (self.shared.settling and self._exposes):
+            self.shared.host.discovering(active=False)
 
     async def place_mapped(self) -> None:
         """Declare mappings whose type is configured, which do not need the graph."""
         for name, mapping in self._mapped.items():
             if mapping.type is not None:
-                self._want(name, mapping, self._shared.graph, mapped=True)
+                self._want(name, mapping, self.shared.graph, mapped=True)
         if self._tasks:
             await asyncio.wait(self._tasks, timeout=_PLACING)
 
@@ -185,7 +185,7 @@ class Catalog:
         self._gone.pop(name, None)
         type_ = type_of(mapping, graph)
         if type_ is None:
-            if mapped and name not in self.bindings and not self._shared.settling:
+            if mapped and name not in self.bindings and not self.shared.settling:
                 self._place(name, self._absent(name, mapping, _not_seen(mapping), _START_IT))
             return
         made = self._made_of.get(name)
@@ -222,7 +222,7 @@ class Catalog:
                 binding = await self._made(name, mapping, type_)
         except MissingType as error:
             if mapping.topic is not None:  # a node that appears later may provide the type
-                self._later[name] = time.monotonic() + (_SOON if self._shared.settling else _AGAIN)
+                self._later[name] = time.monotonic() + (_SOON if self.shared.settling else _AGAIN)
                 type_ = ""
                 if isinstance(self.bindings.get(name), Absent):
                     return
@@ -242,19 +242,19 @@ class Catalog:
         self._made_of[name] = mapping
 
     async def _made(self, name: str, mapping: Mapping, type_: str) -> Binding:
-        ros = self._shared.ros
+        ros = self.shared.ros
         try:
             return await ros.call(self._make, name, mapping, type_)
         except MissingType:
-            if mapping.topic is None or not await learn(self._shared, mapping.target, type_):
+            if mapping.topic is None or not await learn(self.shared, mapping.target, type_):
                 raise
             return await ros.call(self._make, name, mapping, type_)
 
     async def _bring(self, name: str, offer: Offer) -> None:
         try:
-            binding = await self._shared.ros.call(offer.make)
+            binding = await self.shared.ros.call(offer.make)
         except MissingType as error:
-            self._shared.trouble(name, f"{name} is not available: {error}. {error.remedy}")
+            self.shared.trouble(name, f"{name} is not available: {error}. {error.remedy}")
             binding = self._absent(name, offer.mapping, str(error), error.remedy)
         self._keys[name] = offer.key
         self._types.pop(name, None)
@@ -266,22 +266,22 @@ class Catalog:
             return self._profiles.make(name, self._standard(name, mapping), mapping, type_)
         match mapping.noun:
             case "service" if kind is Kind.EVENT:
-                return calls_of(self._shared, name, mapping, type_)
+                return calls_of(self.shared, name, mapping, type_)
             case "action" if kind is Kind.SENSOR:
-                return goals_of(self._shared, name, mapping)
+                return goals_of(self.shared, name, mapping)
             case "topic":
                 cls = load(type_)
                 if kind is not Kind.ACTUATOR:
-                    return Observed.of(self._shared, name, mapping, cls)
-                return Commanded(self._shared, name, mapping, cls)
+                    return Observed.of(self.shared, name, mapping, cls)
+                return Commanded(self.shared, name, mapping, cls)
             case "service":
-                return Called(self._shared, name, mapping, load(type_, "srv"))
+                return Called(self.shared, name, mapping, load(type_, "srv"))
             case _:
-                return Run(self._shared, name, mapping, load(type_, "action"))
+                return Run(self.shared, name, mapping, load(type_, "action"))
 
     def _standard(self, name: str, mapping: Mapping) -> str:
         """Return the name of a mapping's resource without the robot."""
-        robot = self._shared.naming.split(mapping.target)[0]
+        robot = self.shared.naming.split(mapping.target)[0]
         branch, _, rest = name.partition("/")
         return f"{branch}/{rest.removeprefix(f'{robot}/')}" if robot else name
 
@@ -313,7 +313,7 @@ class Catalog:
             self._later[f"arm {action}"] = time.monotonic() + _AGAIN
             log.warning("ros_joints_unknown", action=action, detail=error.message)
             return
-        self._shared.refresh()
+        self.shared.refresh()
 
     async def _bind_parameter(self, name: str, mapping: Mapping) -> Binding:
         node = await self._node(mapping.target)
@@ -330,15 +330,15 @@ class Catalog:
         self._events.follow(mapping.target, partial(self._changed, mapping.target))
         if mapping.parameters:
             settable = [one for one in found if not one.read_only]
-            return AtomicParameters(self._shared, name, mapping, node, settable)
+            return AtomicParameters(self.shared, name, mapping, node, settable)
         if mapping.profile:
             standard = self._standard(name, mapping)
-            return SpeedLimit(self._shared, name, standard, mapping, node, found[0], self._events)
-        return Setting(self._shared, name, mapping, node, found[0], self._events)
+            return SpeedLimit(self.shared, name, standard, mapping, node, found[0], self._events)
+        return Setting(self.shared, name, mapping, node, found[0], self._events)
 
     async def _node(self, name: str) -> NodeParameters:
         if name not in self._nodes:
-            made = await self._shared.ros.call(NodeParameters, self._shared, name)
+            made = await self.shared.ros.call(NodeParameters, self.shared, name)
             self._nodes.setdefault(name, made)
         return self._nodes[name]
 
@@ -346,7 +346,7 @@ class Catalog:
         return key not in self._types and time.monotonic() >= self._later.get(key, 0.0)
 
     async def _expose_parameters(self, name: str) -> None:
-        prefix = self._shared.naming.path("param", name) + "/"
+        prefix = self.shared.naming.path("param", name) + "/"
         key = f"node {name}"
         try:
             async with self._queries:
@@ -365,7 +365,7 @@ class Catalog:
             free = path not in self._mapped and offers(name, described.name)
             if free and not same:
                 mapping = Mapping(node=name, parameter=described.name)
-                binding = Setting(self._shared, path, mapping, node, described, self._events)
+                binding = Setting(self.shared, path, mapping, node, described, self._events)
                 self._place(path, binding)
         self._types[key] = "parameters"
 
@@ -386,7 +386,7 @@ class Catalog:
             self._types.pop(f"node {node}", None)
         if not kinds.keys().isdisjoint(LIMITS):
             self._types.pop(f"limit {node}", None)
-        self.update(self._shared.graph)
+        self.update(self.shared.graph)
 
     def _absent(self, name: str, mapping: Mapping, why: str, remedy: str) -> Absent:
         resource = Resource(
@@ -397,7 +397,7 @@ class Catalog:
             output=Any,
             meta={mapping.noun: mapping.target},
         )
-        return Absent(self._shared, resource, mapping, why, remedy)
+        return Absent(self.shared, resource, mapping, why, remedy)
 
     # -- adding and removing ---------------------------------------------------------------------
 
@@ -405,11 +405,11 @@ class Catalog:
         old = self.bindings.get(name)
         if old is not None:
             old.close()
-        robot = self._shared.naming.split(binding.mapping.target)[0]
+        robot = self.shared.naming.split(binding.mapping.target)[0]
         if robot is not None and name.split("/")[1] == robot:
             binding.resource = replace(binding.resource, robot=robot)
         try:
-            self._shared.host.declare(binding.resource)
+            self.shared.host.declare(binding.resource)
         except (PluginError, RcpError) as error:
             binding.close()
             self.bindings.pop(name, None)
@@ -424,7 +424,7 @@ class Catalog:
     def _tag(self) -> None:
         """Tell what the robots claim with what they offer now."""
         for binding in self._profiles.tag():
-            self._shared.host.declare(binding.resource)
+            self.shared.host.declare(binding.resource)
 
     def _sweep(self, found: AbstractSet[str], graph: Graph) -> None:
         now = time.monotonic()
@@ -444,26 +444,26 @@ class Catalog:
         self._made_of.pop(name, None)
         self._keys.pop(name, None)
         node = binding.mapping.node
-        if node is not None and node not in self._shared.graph.nodes:
+        if node is not None and node not in self.shared.graph.nodes:
             self._types.pop(f"node {node}", None)
             self._types.pop(f"limit {node}", None)
             self._profiles.limits.pop(node, None)
             self._events.leave(node)
-        self._shared.outbox.forget(name)
-        self._shared.host.withdraw(name)
+        self.shared.outbox.forget(name)
+        self.shared.host.withdraw(name)
 
     def _report(self, graph: Graph) -> None:
-        if self._shared.settling:
+        if self.shared.settling:
             return
         missing = sorted(
             {m.target for m in self._mapped.values() if not graph.has(m.noun, m.target)}
         )
         text = f"nobody offers {', '.join(missing)}" if missing else None
-        self._shared.trouble("missing", text)
-        self._shared.trouble("profiles", self._profiles.missing(graph))
+        self.shared.trouble("missing", text)
+        self.shared.trouble("profiles", self._profiles.missing(graph))
         words = "; ".join(graph.disputed[name] for name in sorted(graph.disputed))
-        self._shared.trouble("types", words or None)
-        self._shared.report()
+        self.shared.trouble("types", words or None)
+        self.shared.report()
 
     async def close(self) -> None:
         """Stop creating bindings, and release everything."""

@@ -51,6 +51,10 @@ class Codec:
         except (struct.error, IndexError) as error:
             raise Malformed(f"cannot decode {len(data)} bytes as {self.name}: {error}") from None
 
+    def concerns(self, data: bytes) -> bool:
+        """Return whether a message of the topic has a part of the value."""
+        return True
+
     def stamp(self, data: bytes) -> int | None:
         """Return the time in the message's header, ns since the epoch; None without a header."""
         if not self._stamped or len(data) < _HEADER + 8:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rcp_ros2.pulse import node_of
-from rcp_ros2.ros import Ros, guarded
+from rcp_ros2.ros import Ros, contained
 
 __all__ = ["CALLS", "GOALS", "Graph", "GraphWatch"]
 
@@ -89,7 +89,7 @@ class GraphWatch:
     def start(self) -> None:
         """Start polling; called in the ROS thread."""
         self._settled = time.monotonic() + self._ros.config.grace
-        self._ros.node.create_timer(_FAST, guarded(self._tick))
+        self._ros.node.create_timer(_FAST, contained(self._tick))
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -98,7 +98,7 @@ class GraphWatch:
         settled = now > self._settled
         self._next = now + (self._ros.config.poll - _FAST / 2 if settled else 0.0)
         for poll in self.on_poll:
-            guarded(poll)()  # one failing poll must not stop the others
+            contained(poll)()  # one failing poll must not stop the others
         self._ros.host.call_soon(self._on_change, self._snapshot())
 
     def _snapshot(self) -> Graph:

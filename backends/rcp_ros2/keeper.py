@@ -16,7 +16,7 @@ from rcp_kernel.errors import EstopActive
 from rcp_ros2.link import RosLink
 from rcp_ros2.means import StopSignal
 from rcp_ros2.rest import Rest
-from rcp_ros2.ros import guarded
+from rcp_ros2.ros import contained
 from rcp_ros2.servers import ActionServer
 
 __all__ = ["Hold", "Keeper"]
@@ -66,12 +66,12 @@ class Keeper:
         found.latched = latched
         if not found.begun:
             found.begun = True
-            self._link.ros.submit(guarded(self._begin, robot))
+            self._link.ros.submit(contained(self._begin, robot))
         return found
 
     def again(self, robot: str | None) -> None:
         """Repeat every stop command to a robot."""
-        self._link.ros.submit(guarded(self._begin, robot))
+        self._link.ros.submit(contained(self._begin, robot))
 
     def release(self, robot: str | None) -> None:
         """End a hold: the e-stop was reset."""
@@ -153,7 +153,7 @@ class Keeper:
     def wake(self) -> None:
         """Repeat the stop of held robots."""
         if self._timer is None:
-            self._timer = self._link.ros.node.create_timer(_TICK, guarded(self._tick))
+            self._timer = self._link.ros.node.create_timer(_TICK, contained(self._tick))
         elif self._timer.is_canceled():
             self._timer.reset()
 

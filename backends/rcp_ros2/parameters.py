@@ -178,7 +178,8 @@ class Events:
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
-        self._listeners: dict[tuple[str, str], Callable[[Any], None]] = {}
+        self._listeners: dict[tuple[str, str], set[Callable[[Any], None]]] = {}
+        """By node and parameter: several paths may be one parameter."""
         self._followers: dict[str, Callable[[dict[str, int]], None]] = {}
         self._subscription: Any = None
 
@@ -201,12 +202,14 @@ class Events:
 
     def listen(self, node: str, parameter: str, on_change: Callable[[Any], None]) -> None:
         """Call a function, on the event loop, with each new ParameterValue."""
-        self._listeners[node, parameter] = on_change
+        self._listeners.setdefault((node, parameter), set()).add(on_change)
         self._shared.ros.post(self._open)
 
-    def ignore(self, node: str, parameter: str) -> None:
+    def ignore(self, node: str, parameter: str, on_change: Callable[[Any], None]) -> None:
         """Unsubscribe."""
-        if self._listeners.pop((node, parameter), None) is not None:
+        listeners = self._listeners.get((node, parameter), set())
+        listeners.discard(on_change)
+        if not listeners and self._listeners.pop((node, parameter), None) is not None:
             self._shared.ros.post(self._close)
 
     def _open(self) -> None:
@@ -247,8 +250,7 @@ class Events:
             follower(kinds)
 
     def _notify(self, node: str, name: str, value: Any) -> None:
-        on_change = self._listeners.get((node, name))
-        if on_change is not None:
+        for on_change in tuple(self._listeners.get((node, name), ())):
             on_change(value)
 
 
@@ -310,7 +312,7 @@ class Setting(Binding):
 
     def unwatched(self) -> None:
         """Stop publishing."""
-        self._events.ignore(self._node.node, self.described.name)
+        self._events.ignore(self._node.node, self.described.name, self._changed)
         if self._first is not None:
             self._first.cancel()
             self._first = None

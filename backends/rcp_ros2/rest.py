@@ -156,6 +156,11 @@ class Rest:
         found[own] -= sum(publisher.topic_name == self.topic for publisher in node.publishers)
         self.others = tuple(sorted(name for name, count in found.items() if count > 0))
 
+    @property
+    def counters(self) -> bool:
+        """Whether it counters foreign commands."""
+        return self._tap is not None
+
     def listen(self) -> None:
         """Subscribe to foreign commands while the robot is stopped, to counter each of them."""
         if self.others and self._tap is None:

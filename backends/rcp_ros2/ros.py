@@ -21,7 +21,7 @@ from rcp_kernel.spi import Host
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.middleware import check_middleware
 
-__all__ = ["Ros", "Ticket", "guarded", "one_argument", "open_ros"]
+__all__ = ["Ros", "Ticket", "contained", "one_argument", "open_ros"]
 
 log = structlog.get_logger("rcp.ros2")
 _START = 15.0  # s to import rclpy and create a node, on a slow machine
@@ -149,7 +149,7 @@ class Ros:
         Does nothing once the thread has ended: everything has been released.
         """
         with contextlib.suppress(AdapterUnavailable):
-            self.submit(guarded(function, *args))
+            self.submit(contained(function, *args))
 
     def submit(self, run: Callable[..., None], *args: Any) -> None:
         """Run a function that never raises in the thread.
@@ -251,7 +251,7 @@ def _explained(error: BaseException) -> BaseException:
     return NotReady(f"ROS 2 did not start: {error}")
 
 
-def guarded(function: Callable[..., Any], *args: Any) -> Callable[[], None]:
+def contained(function: Callable[..., Any], *args: Any) -> Callable[[], None]:
     """Wrap a callback: an exception that escaped would end the executor."""
 
     def run() -> None:
@@ -267,7 +267,7 @@ def one_argument(function: Callable[[Any], Any]) -> Callable[[Any], None]:
     """Wrap a one-argument callback; rclpy inspects the signature and passes more to others."""
 
     def run(message: Any) -> None:
-        guarded(function, message)()
+        contained(function, message)()
 
     return run
 

@@ -26,6 +26,8 @@ class Shape(NamedTuple):
     """Returns the profile's fields of a decoded message."""
     whole: bool = False
     """Whether the message's other fields are kept: the path was the message's before."""
+    joints: frozenset[str] = frozenset()
+    """Those of the value, if not all of the message: it may have none of them."""
 
 
 class Shaped(Codec):
@@ -38,7 +40,18 @@ class Shaped(Codec):
         self.type = extended(shape.type, native) if shape.whole else shape.type
         known = {field.name for field in msgspec.structs.fields(shape.type)}
         names = (field.name for field in msgspec.structs.fields(native))
+        self._joints = shape.joints
+        self._named = Codec(cls, "name") if shape.joints else None
         self._more = tuple(name for name in names if name not in known) if shape.whole else ()
+
+    def concerns(self, data: bytes) -> bool:
+        """Return whether a message has one of the joints, if those are only some of a topic's."""
+        if self._named is None:
+            return True
+        try:
+            return not self._joints.isdisjoint(self._named.decode(data))
+        except Malformed:
+            return True  # decoding it says why
 
     def decode(self, data: bytes) -> Any:
         """Return the value.
@@ -155,8 +168,6 @@ def joints_of(names: tuple[str, ...]) -> Shape:
     def part(message: Any) -> dict[str, Any]:
         own = [at for at, name in enumerate(message.name) if name in names]
         whole = _joints(message)
-        if not own:
-            raise Malformed("the message has none of these joints")
         lists: dict[str, Any] = {
             key: [whole[key][at] for at in own if at < len(whole[key])]
             for key in ("name", "position", "velocity")
@@ -165,7 +176,7 @@ def joints_of(names: tuple[str, ...]) -> Shape:
         lists["effort"] = None if effort is None else [effort[at] for at in own if at < len(effort)]
         return whole | lists
 
-    return Shape(m.JointStates, part)
+    return Shape(m.JointStates, part, joints=frozenset(names))
 
 
 def _image(message: Any) -> dict[str, Any]:

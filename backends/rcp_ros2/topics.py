@@ -19,7 +19,7 @@ from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
-from rcp_ros2.ros import Ros, guarded
+from rcp_ros2.ros import Ros, contained
 
 __all__ = ["PROFILE", "Tap", "TopicSubscription", "TopicSubscriptions"]
 
@@ -71,16 +71,17 @@ class TopicSubscriptions:
         self._ros = ros
         self._outbox = outbox
         self._complain = complain
-        self._subscriptions: dict[str, TopicSubscription] = {}
+        self.by_topic: dict[str, TopicSubscription] = {}
+        """The open subscriptions, for the executor's thread."""
         self._sweeper: Any = None
         self.now: Callable[[], int | None] = lambda: None
         """The time of messages without a stamp, ns; None uses the time of receipt."""
 
     def tap(self, topic: str, cls: Any, qos: Qos, tap: Tap) -> None:
         """Subscribe a path to a topic, or change its rate."""
-        subscription = self._subscriptions.get(topic)
+        subscription = self.by_topic.get(topic)
         if subscription is None:
-            subscription = self._subscriptions[topic] = TopicSubscription(topic, cls, qos)
+            subscription = self.by_topic[topic] = TopicSubscription(topic, cls, qos)
         elif subscription.cls is not cls:  # the topic has a new type, and so have its other paths
             self._drop(subscription)
             subscription.taps.clear()
@@ -94,6 +95,7 @@ class TopicSubscriptions:
                 subscription.last is not None
                 and subscription.profile is not None
                 and subscription.profile.latched
+                and tap.codec.concerns(subscription.last)
             ):
                 self._send(tap, subscription.last, 0.0)  # the middleware does not send it again
         self._match(subscription)
@@ -101,17 +103,17 @@ class TopicSubscriptions:
 
     def untap(self, topic: str, name: str) -> None:
         """Unsubscribe a path; the last one ends the subscription."""
-        subscription = self._subscriptions.get(topic)
+        subscription = self.by_topic.get(topic)
         if subscription is None or subscription.taps.pop(name, None) is None or subscription.taps:
             return
-        del self._subscriptions[topic]
+        del self.by_topic[topic]
         self._drop(subscription)
         self._complain(topic, None)
         self._keep_sweeping()
 
     def refresh(self) -> None:
         """Match publishers that have appeared in the meantime."""
-        for subscription in self._subscriptions.values():
+        for subscription in self.by_topic.values():
             self._match(subscription)
 
     def _match(self, subscription: TopicSubscription) -> None:
@@ -127,7 +129,7 @@ class TopicSubscriptions:
                     self._ros.node,
                     subscription.cls,
                     subscription.topic,
-                    self._callback_for(subscription),
+                    self.callback_for(subscription),
                     profile,
                 )
             except Exception as error:  # a subscription of another type may still exist
@@ -145,7 +147,8 @@ class TopicSubscriptions:
             self._ros.node.destroy_subscription(subscription.handle)
             subscription.handle = None
 
-    def _callback_for(self, subscription: TopicSubscription) -> Callable[[bytes], None]:
+    def callback_for(self, subscription: TopicSubscription) -> Callable[[bytes], None]:
+        """Return what takes each message of a subscription, on the executor's thread."""
         taps = subscription.taps
         monotonic = time.monotonic
 
@@ -156,6 +159,8 @@ class TopicSubscriptions:
                     _advise(subscription, len(data))
                 now = monotonic()
                 for tap in taps.values():
+                    if not tap.codec.concerns(data):
+                        continue
                     if tap.period and now < tap.due:
                         tap.held = data
                     else:
@@ -180,18 +185,18 @@ class TopicSubscriptions:
     def _keep_sweeping(self) -> None:
         needed = any(
             tap.period
-            for subscription in self._subscriptions.values()
+            for subscription in self.by_topic.values()
             for tap in subscription.taps.values()
         )
         if needed and self._sweeper is None:
-            self._sweeper = self._ros.node.create_timer(_SWEEP, guarded(self._sweep))
+            self._sweeper = self._ros.node.create_timer(_SWEEP, contained(self._sweep))
         elif not needed and self._sweeper is not None:
             self._ros.node.destroy_timer(self._sweeper)
             self._sweeper = None
 
     def _sweep(self) -> None:
         now = time.monotonic()
-        for subscription in self._subscriptions.values():
+        for subscription in self.by_topic.values():
             for tap in subscription.taps.values():
                 if tap.held is not None and now >= tap.due:
                     self._send(tap, tap.held, now)

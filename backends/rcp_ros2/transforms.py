@@ -321,7 +321,7 @@ class Moved(Binding):
     """The current transform of one frame in another."""
 
     def __init__(self, tree: Tree, name: str, mapping: Mapping, target: str, source: str) -> None:
-        self._tree = tree
+        self.tree = tree
         self._pair = target, source
         self._publishing: asyncio.Task[None] | None = None
         type_ = _pair_type(target, source)
@@ -341,7 +341,7 @@ class Moved(Binding):
 
     def _lookup(self) -> tuple[Any, int | None]:
         try:
-            place, time = self._tree.lookup(*self._pair)
+            place, time = self.tree.lookup(*self._pair)
         except RcpError as error:
             raise AdapterUnavailable(error.message, remedy=error.remedy) from None
         return self._make(*self._pair, place, time), time
@@ -377,7 +377,7 @@ class LookupTransform(Binding):
     """The transform of any frame in any other, at any time in the buffer."""
 
     def __init__(self, tree: Tree, name: str, mapping: Mapping) -> None:
-        self._tree = tree
+        self.tree = tree
         output = outward(load(_STAMPED))
         self._make = _maker(output)
         span = tree.shared.config.tf.buffer
@@ -393,5 +393,5 @@ class LookupTransform(Binding):
     async def execute(self, value: Any, progress: Progress) -> Any:
         """Look the transform up; raises as `Tree.lookup`."""
         at = None if value.time is None else round(value.time * 1e9)
-        place, time = self._tree.lookup(value.target, value.source, at)
+        place, time = self.tree.lookup(value.target, value.source, at)
         return self._make(value.target.lstrip("/"), value.source.lstrip("/"), place, time)

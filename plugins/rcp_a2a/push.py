@@ -155,6 +155,11 @@ class Notifier(PushNotificationSender):
                     worker.cancel()
                 await asyncio.gather(*self._workers.values(), return_exceptions=True)
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is left to post."""
+        return not self._workers
+
     async def send_notification(self, task_id: str, event: PushNotificationEvent) -> None:
         """Queue a task's update for each of its addresses; returns at once."""
         configs = await self._subscribers.get_info_for_dispatch(task_id)

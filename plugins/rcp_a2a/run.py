@@ -36,7 +36,7 @@ from rcp_a2a.questions import (
     with_schemas,
 )
 from rcp_a2a.stops import PLANS
-from rcp_kernel.api import HeldRequest, Query, Session, at_once
+from rcp_kernel.api import Query, QueuedRequest, Session, at_once
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
@@ -91,7 +91,7 @@ class Run:
     def start(self, caller: Caller, plan: TaskRequest, approval: str | None = None) -> None:
         """Submit the plan to the gateway, which checks and starts it."""
         self._plan, self._session = plan, caller.session
-        request = HeldRequest(
+        request = QueuedRequest(
             since=caller.since,
             type="execute",
             path=PLANS,

@@ -8,7 +8,7 @@ from typing import Any
 from rcp_audit.config import AuditConfig, AuditTables, from_gateway
 from rcp_audit.disclosure import Disclosure
 from rcp_audit.log import HISTORY, AuditLog
-from rcp_audit.replies import HeldReplies
+from rcp_audit.replies import DelayedReplies
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.features.status import StatusPart
@@ -40,7 +40,7 @@ def _make(tables: AuditTables, host: FeatureHost) -> Feature:
         resources=(SystemResource(resource=_RESOURCE, shows=disclosure.shown),),
         on_event=log.hear,
         on_command=log.follow,
-        durability=HeldReplies(host.ledger, host.loop) if host.ledger.keeps else None,
+        durability=DelayedReplies(host.ledger, host.loop) if host.ledger.keeps else None,
         status=status,
         reconfigure=reconfigure,
     )

@@ -70,7 +70,7 @@ class Disclosure:
         robot = record.get("robot")
         if robot is not None and not sight.sees_robot(rights, robot, tenant):
             return False
-        return not sight.names_hidden(rights, tenant, self._names_of(record))
+        return not sight.mentions_hidden(rights, tenant, self._names_of(record))
 
     def _masked(self, rights: Rights, record: dict[str, Any]) -> dict[str, Any] | None:
         """Remove hidden robots; None if no others are left."""

@@ -96,7 +96,7 @@ def _value(request: Request, *, hide: bool) -> Any:
     """Return the recorded form of a request's body; None if there is none."""
     body = bytes(request.body)
     if body and not hide and isinstance(request, Prepared):
-        return request.told
+        return request.recorded
     if hide or len(body) > LONGEST:
         return hashed(body)
     if not body:

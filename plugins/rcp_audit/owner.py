@@ -50,4 +50,5 @@ def _tenant(principal: Principal, acting: str | None, own: str | None) -> str | 
 @lru_cache(_KNOWN)
 def _person(principal: Principal, owners: tuple[str, ...]) -> dict[str, Any]:
     roles = [r for t, held in principal.grants if t in ("*", *owners) for r in held]
-    return {"principal": principal.name[:_NAME], "roles": roles, "proof": principal.proof}
+    who = {"principal": principal.name[:_NAME], "roles": roles, "proof": principal.proof}
+    return who if principal.via is None else {**who, "via": principal.via}

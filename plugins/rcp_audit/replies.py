@@ -16,14 +16,14 @@ from rcp_kernel.sessions.unrecorded import unrecorded
 from rcp_kernel.wire import Reply
 from rcp_store.ledger import Ledger
 
-__all__ = ["HeldReplies"]
+__all__ = ["DelayedReplies"]
 
 _LOOK = 0.25  # s between checks for replies past their deadline
 _LONGEST = 5.0  # s, maximum delay of a reply
 _ESTOP = 0.25  # s, maximum delay of the reply to an e-stop, which is always sent
 
 
-class _Held:
+class _Delayed:
     """A reply waiting for its record."""
 
     __slots__ = ("anyway", "reply", "send", "until")
@@ -53,13 +53,13 @@ class _Held:
             self.send(unrecorded(reply))
 
 
-class HeldReplies:
+class DelayedReplies:
     """Holds replies back until their records are committed: the `Durability` of the log."""
 
     def __init__(self, ledger: Ledger, loop: asyncio.AbstractEventLoop) -> None:
         self._ledger = ledger
         self._loop = loop
-        self._held: deque[_Held] = deque()
+        self._delayed: deque[_Delayed] = deque()
         self._watching = False
 
     def check(self) -> None:
@@ -77,32 +77,34 @@ class HeldReplies:
                 retry_after=1.0,
             )
 
-    def hold_estop(self, send: Answer, reply: Reply) -> None:
+    def send_estop_when_stored(self, send: Answer, reply: Reply) -> None:
         """Send the reply to an e-stop likewise, but after `_ESTOP` seconds at the latest."""
-        self.hold(send, self._loop.time() + _ESTOP, reply, anyway=True)
+        self.send_when_stored(send, self._loop.time() + _ESTOP, reply, anyway=True)
 
-    def hold(self, send: Answer, until: float, reply: Reply, *, anyway: bool = False) -> None:
+    def send_when_stored(
+        self, send: Answer, until: float, reply: Reply, *, anyway: bool = False
+    ) -> None:
         """Send a reply once all records made so far are committed."""
         moment = self._loop.time()
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
-        held = _Held(reply, send, until, anyway=anyway)
-        self._ledger.settled(held.release)  # called at once if all are committed
-        if held.reply is None:
+        delayed = _Delayed(reply, send, until, anyway=anyway)
+        self._ledger.settled(delayed.release)  # called at once if all are committed
+        if delayed.reply is None:
             return
-        while self._held and self._held[0].reply is None:  # released in order: few are kept
-            self._held.popleft()
-        self._held.append(held)
+        while self._delayed and self._delayed[0].reply is None:  # released in order: few are kept
+            self._delayed.popleft()
+        self._delayed.append(delayed)
         if not self._watching:
             self._watching = True
             self._loop.call_later(_LOOK, self._look)
 
     def _look(self) -> None:
         moment = self._loop.time() + _LOOK
-        kept = [held for held in self._held if held.reply is not None]
-        for held in kept:
-            if held.until < moment:
-                held.give_up()
-        self._held = deque(held for held in kept if held.reply is not None)
-        self._watching = bool(self._held)
+        kept = [delayed for delayed in self._delayed if delayed.reply is not None]
+        for delayed in kept:
+            if delayed.until < moment:
+                delayed.give_up()
+        self._delayed = deque(delayed for delayed in kept if delayed.reply is not None)
+        self._watching = bool(self._delayed)
         if self._watching:
             self._loop.call_later(_LOOK, self._look)

@@ -8,6 +8,7 @@ from weakref import WeakValueDictionary
 
 from rcp_frames.config import EARTH, FramesConfig
 from rcp_frames.demand import PoseDemand
+from rcp_frames.goal_schema import with_earth
 from rcp_frames.goals import goal_frame, in_robot_frame, own_frame
 from rcp_frames.moves import Move
 from rcp_frames.robot import Moment, RobotFrames, Sight, no_transform, pose_path, tree_poses
@@ -102,6 +103,14 @@ class Frames:
             except RcpError:  # reported as its backend's fault
                 return []
         return robot.known(source)
+
+    def command_schema(
+        self, entry: Entry, frames: list[str], schema: dict[str, Any]
+    ) -> dict[str, Any] | None:
+        """Return the schema of a goal that may be a place on the earth; None: it may not."""
+        if goal_frame(entry.resource.input) is None or EARTH not in frames:
+            return None
+        return with_earth(schema)
 
     def _robot(self, entry: Entry, sight: Sight) -> RobotFrames:
         request = self._demand.request

@@ -100,5 +100,5 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
 @hookimpl
 def rcp_features() -> Iterable[FeatureKind]:
     """Offer the inventory."""
-    grants = {"viewer": (_LOOK,), "operator": (_LOOK,), "agent": (_LOOK,)}
+    grants = {"viewer": (_LOOK,), "hub": (_LOOK,), "operator": (_LOOK,), "agent": (_LOOK,)}
     return [FeatureKind("inventory", InventoryConfig, _make, __doc__ or "", grants=grants)]

@@ -97,7 +97,7 @@ class _View:
         state = RobotState(
             path=robot.path,
             tenant=robot.tenant,
-            state=_worst({unit.owner.name: unit.owner.availability for unit in self._units}),
+            state=_worst({unit.owner.name: unit.availability for unit in self._units}),
             estop=any(unit.latch is not None for unit in self._units),
             held=any(unit.is_held for unit in self._units),
             kind=facts.kind,

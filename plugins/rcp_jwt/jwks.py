@@ -106,16 +106,18 @@ def _made(key: PublicKeyTypes, kid: str | None) -> PublicKey | None:
     return PublicKey(kid, algorithm, key, hashlib.sha256(der).hexdigest())
 
 
-def read_static(given: str | Iterable[str], where: str) -> tuple[PublicKey, ...]:
-    """Parse the keys of a configuration: PEM, JWK or JWKS, as text or file paths.
+def read_static(
+    given: str | Iterable[str], where: str, option: str = "keys"
+) -> tuple[PublicKey, ...]:
+    """Parse the keys of an option of the configuration: PEM, JWK or JWKS, as text or file paths.
 
     :raises ConfigError: one of them is invalid; its text is not shown.
     """
     found: list[PublicKey] = []
     for number, text in enumerate((given,) if isinstance(given, str) else given, 1):
-        place = f"{where}: `keys` number {number}"
+        place = f"{where}: `{option}` number {number}"
         if not text.lstrip().startswith(("-----BEGIN", "{")):
-            place = f"{where}: `keys` '{text[:200]}'"
+            place = f"{where}: `{option}` '{text[:200]}'"
             try:
                 text = Path(text).expanduser().read_text(encoding="utf-8")  # noqa: PLW2901
             except (OSError, ValueError) as error:

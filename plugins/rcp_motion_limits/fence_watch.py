@@ -1,6 +1,6 @@
 """Monitors the position of driven robots, and stops a robot that leaves its fence.
 
-Keeps every sensor that a fence uses published, so that its current value is known when a command
+Keeps every sensor that a limit uses published, so that its current value is known when a command
 arrives.
 """
 

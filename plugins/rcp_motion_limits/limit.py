@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from typing import Any, NoReturn
 
 import msgspec
+from msgspec.structs import replace
 
 from rcp_conditions import Condition, Ref, condition
 from rcp_conditions.fields import Field
@@ -19,11 +20,14 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import Bound, EnvelopeConfig
+from rcp_motion_limits.own_pose import OwnPose
 from rcp_motion_limits.place import Place
 
 __all__ = ["MotionLimit", "within"]
 
 _MODE: Ref = ("sensor", "mode")
+_HEIGHT = "position.z"  # of a goal: null keeps the height, as in the profiles
+_GOAL = (_HEIGHT, "position.x", "frame")
 _LONGEST = 1.0  # s assumed between commands at most, if the path has no `valid_for`
 
 
@@ -45,6 +49,11 @@ class MotionLimit:
         self.units: dict[str, str | None] = {}
         self.fault = self._find_fault()
         """Why the limit does not fit the path, so that every command is refused."""
+        goal = called and all(Field(name).leaf(self._type.type) for name in _GOAL)
+        self._height = table.bounds.get(_HEIGHT) if goal else None
+        """The bound of a goal's height, which may be the one that the robot keeps."""
+        kept = self._height is not None and not self._height.optional
+        self._pose = OwnPose(entry, robots.entries) if kept else None
 
     def _find_fault(self) -> str | None:
         wanted = [(field, bool(bound.allow)) for field, bound in self.bounds]
@@ -62,14 +71,24 @@ class MotionLimit:
             self.units[field.text] = leaf.unit
         return None
 
+    @property
+    def pose(self) -> str | None:
+        """The path of the pose by which a height that is kept is judged, if it is."""
+        return None if self._pose is None else self._pose.path
+
+    @property
+    def shown(self) -> Mapping[str, Bound]:
+        """The bounds of what a client may send."""
+        if self._height is None:
+            return self.table.bounds
+        return self.table.bounds | {_HEIGHT: replace(self._height, optional=True)}
+
     def check_value(self, session: Session, value: Any) -> None:
         """Refuse a value that is not allowed in any state of the robot.
 
         :raises OutOfRange: a field or the commanded position is outside its limits.
         """
-        for field, bound in self.bounds:
-            for name, found in field.every(value):
-                self._check_bound(name, found, bound, self.units[field.text])
+        self._check_bounds(value)
         if self.place is not None and self.place.sensor is None:
             self._check_place(session, self.place, value)
 
@@ -92,9 +111,9 @@ class MotionLimit:
             self._check_mode(session)
         if self.when is not None and self._conditions.holds(self.when, self.entry) is not True:
             self._precondition(session, self.when)
-        for field, bound in self.bounds:
-            for name, found in field.every(value):
-                self._check_bound(name, found, bound, self.units[field.text])
+        self._check_bounds(value)
+        if self._pose is not None and self._height is not None:
+            self._check_kept(session, value, self._pose, self._height)
         if self.place is not None:
             self._check_place(session, self.place, value)
         for field, most in self.rates:
@@ -103,6 +122,37 @@ class MotionLimit:
                 self._check_change(field, field.every(value), field.every(was.value), most, step)
 
     # -- the limits ----------------------------------------------------------------------------
+
+    def _check_bounds(self, value: Any) -> None:
+        for field, bound in self.bounds:
+            for name, found in field.every(value):
+                if found is not None or bound is not self._height:
+                    self._check_bound(name, found, bound, self.units[field.text])
+
+    def _check_kept(self, session: Session, value: Any, pose: OwnPose, bound: Bound) -> None:
+        """Refuse a goal without a height if the robot must not keep its own."""
+        if Field(_HEIGHT).one(value) is not None:
+            return
+        height, about = pose.height(value.frame), {"field": _HEIGHT, "pointer": "/position/z"}
+        if height is None:
+            raise PreconditionFailed(
+                f"{_named(_HEIGHT, self.entry)} is null, and the height that the robot keeps is "
+                f"unknown{self.why}",
+                path=self.entry.path,
+                remedy="Name a height, or send it again when the robot reports its pose.",
+                details={**about, **self.facts()},
+            )
+        if not within(height, bound):
+            seen = session.rights.mask(pose.path) & Operation.READ
+            text = f", {_text(round(height, 3))} m," if seen else ""
+            shown = {"value": height} if seen else {}
+            self._raise(
+                f"{_named(_HEIGHT, self.entry)} is null, and the height that the robot keeps{text} "
+                "exceeds the allowed range",
+                allowed={"min": bound.min, "max": bound.max},
+                **about,
+                **shown,
+            )
 
     def _check_bound(self, name: str, found: Any, bound: Bound, unit: str | None) -> None:
         if within(found, bound):

@@ -52,9 +52,10 @@ class BoundPath:
 
     @property
     def sensors(self) -> set[str]:
-        """The sensors that fences of this path use."""
+        """The sensors that limits of this path use."""
         places = (envelope.place for envelope in self.envelopes)
-        return {p.sensor for p in places if p is not None and p.sensor is not None}
+        used = {place.sensor for place in places if place is not None}
+        return {path for path in used | {one.pose for one in self.envelopes} if path is not None}
 
     def held(self, grants: Grants) -> tuple[MotionLimit, ...]:
         """Return the limits that apply to a principal: those of any of its roles here."""
@@ -79,7 +80,7 @@ class BoundPath:
             self._schemas.clear()
         if grants not in self._schemas:
             held = [e for e in self.held(grants) if e.fault is None]
-            bounds = [item for e in held for item in e.table.bounds.items()]
+            bounds = [item for e in held for item in e.shown.items()]
             type_ = self.entry.input_type if _called(self.entry) else self.entry.value_type
             self._schemas[grants] = narrowed(type_.schema, bounds) if bounds else None
         return self._schemas[grants]

@@ -15,6 +15,7 @@ from rcp_kernel.model import full_path
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_motion_limits.config import Fence
+from rcp_motion_limits.own_pose import OwnPose
 from rcp_motion_limits.polygon import Polygon
 
 __all__ = ["Place"]
@@ -33,6 +34,7 @@ class Place:
         self._outside = {name: Polygon(corners) for name, corners in fence.outside.items()}
         self._max_age = fence.max_age
         self._entries = entries
+        self._pose = OwnPose(entry, entries)
         self._entry = entry
 
     def trouble(self, x: float, y: float) -> tuple[list[str], str] | None:
@@ -60,20 +62,8 @@ class Place:
             return None
         unit = self._entry.unit
         declared = next(iter(unit.facts.frames or unit.whole.facts.frames), None)
-        own = declared or self._of_pose() or _default_frame(type(value))
+        own = declared or self._pose.frame() or _default_frame(type(value))
         return None if frame == own else frame
-
-    def _of_pose(self) -> str | None:
-        """Return the frame in which the robot reports its pose, if it does."""
-        entry, own = self._entry, self._entry.unit.robot
-        name = f"sensor/{own}/pose" if own else "sensor/pose"
-        pose = self._entries.get(full_path(entry.tenant or "", entry.robot, name))
-        if pose is None or pose.latest is None:
-            return None
-        try:
-            return getattr(pose.latest.value, "frame_id", None)
-        except RcpError:  # reported as a fault of the backend
-            return None
 
     def of_sample(self, sample: Sample) -> tuple[float, float] | None:
         """Return the robot's position in a sample, or None if it contains none."""

@@ -77,7 +77,7 @@ class Rights:
         "_conditions",
         "_deny",
         "_folders",
-        "_held",
+        "_granted",
         "_room",
         "_terms",
         "approve",
@@ -95,22 +95,22 @@ class Rights:
     ) -> None:
         self.grants = grants
         self.tenants = tuple(tenant for tenant, _ in grants)
-        self._held = [(t, roles[name]) for t, names in grants for name in names if name in roles]
+        self._granted = [(t, roles[name]) for t, names in grants for name in names if name in roles]
         self._allow = [
             r
-            for t, role in self._held
+            for t, role in self._granted
             for rule in (*role.allow, *_implied(role))
             for r in _reaches(rule, t)
         ]
         self._deny = [
             r._replace(bits=r.bits if r.when is None else r.bits & ~_DISCOVER)
-            for t, role in self._held
+            for t, role in self._granted
             for rule in role.deny
             for r in _reaches(rule, t)
         ]
         self.approve = [
             r
-            for t, role in self._held
+            for t, role in self._granted
             if role.approve
             for r in _reaches(Rule(("write", "execute"), role.approve), t)
         ]
@@ -127,11 +127,11 @@ class Rights:
 
     def may_reset(self, tenant: str | None) -> bool:
         """Tell whether a latched e-stop of a tenant's robot may be reset."""
-        return any(role.reset for place, role in self._held if place in ("*", tenant))
+        return any(role.reset for place, role in self._granted if place in ("*", tenant))
 
     def may_stop_all(self) -> bool:
         """Tell whether one e-stop may stop the robots of several tenants."""
-        return any(role.stop_all for _, role in self._held)
+        return any(role.stop_all for _, role in self._granted)
 
     def asks(self, path: str) -> bool:
         """Tell whether a person has to approve commands on a path first."""
@@ -145,15 +145,15 @@ class Rights:
 
     def may_approve(self, tenant: str | None) -> bool:
         """Return whether requests of other principals in a tenant may be approved."""
-        return any(role.may_approve for place, role in self._held if place in ("*", tenant))
+        return any(role.may_approve for place, role in self._granted if place in ("*", tenant))
 
     def may_approve_own(self, tenant: str | None) -> bool:
         """Return whether the person at an adapter's client may approve its own requests."""
-        return any(role.approve_own for place, role in self._held if place in ("*", tenant))
+        return any(role.approve_own for place, role in self._granted if place in ("*", tenant))
 
     def priority(self, tenant: str | None) -> int:
         """Return the highest priority that a role gives in a tenant."""
-        return max((role.priority for t, role in self._held if t in ("*", tenant)), default=0)
+        return max((role.priority for t, role in self._granted if t in ("*", tenant)), default=0)
 
     def places(self, path: str, operation: Operation) -> tuple[str, ...]:
         """List the tenants whose own roles allow an operation on a path of `/system/`.

@@ -33,6 +33,10 @@ class AuthThrottle:
         self._next: dict[str, float] = {}
         """When the next signature of a network may be verified."""
 
+    def __len__(self) -> int:
+        """Count the networks that it remembers."""
+        return len(self._spent)
+
     def check(self, address: str | None, digest: str, *, signed: bool = False) -> None:
         """Check that a credential may be verified; `signed` means that it cannot be guessed.
 

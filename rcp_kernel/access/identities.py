@@ -237,7 +237,7 @@ class Identities:
             self._attempts.check(peer.address, digest, signed=signed)
         if authenticator is None:
             raise Unauthenticated("unknown token")
-        principal = _guarded(authenticator.verify, token, digest, fetched=fetched)
+        principal = _contained(authenticator.verify, token, digest, fetched=fetched)
         if principal is None and fetched:
             raise Unauthenticated("unknown token")
         if principal is not None and principal.proof.partition(" ")[0] != authenticator.name:
@@ -247,7 +247,7 @@ class Identities:
 
     def _authenticator_of(self, token: str) -> Authenticator | None:
         for authenticator in self._authenticators.values():
-            if _guarded(authenticator.recognises, token):
+            if _contained(authenticator.recognises, token):
                 return authenticator
         return None
 
@@ -260,7 +260,7 @@ class Identities:
             _log_failure(error)
 
 
-def _guarded(call: Callable[_P, _T], *args: _P.args, **named: _P.kwargs) -> _T:
+def _contained(call: Callable[_P, _T], *args: _P.args, **named: _P.kwargs) -> _T:
     """Call a feature with a token; report only kind and place of its errors.
 
     Their text may contain the token.

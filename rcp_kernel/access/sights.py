@@ -179,7 +179,7 @@ class Sight:
         part = self.parts.get(tenant)
         return (None if part is None else part.hidden.get(backend)) or Hidden()
 
-    def names_hidden(self, tenant: str | None, backend: str, text: str) -> bool:
+    def mentions_hidden(self, tenant: str | None, backend: str, text: str) -> bool:
         """Tell whether a text may name what of a tenant's backend is hidden."""
         return not self.current or self.hides(tenant, backend).named_in(text)
 
@@ -251,11 +251,11 @@ class Sights:
         known = self._known.get(rights)
         if known is None:
             known = self._known[rights] = Sight(self.growing(rights))
-            for tenant, changes in self._held(rights):
+            for tenant, changes in self._changes_in(rights):
                 known.parts[tenant] = _Part(changes, known=True)
         return known
 
-    def _held(self, rights: Rights) -> list[tuple[str | None, _Changes]]:
+    def _changes_in(self, rights: Rights) -> list[tuple[str | None, _Changes]]:
         """List the parts of the tree of which a principal may see something."""
         held = (None, *rights.tenants)
         return [(t, c) for t, c in self._changes.items() if "*" in held or t in held]
@@ -265,7 +265,7 @@ class Sights:
             growing = self.growing(rights)
             news = growing != sight.growing
             sight.growing = growing
-            for tenant, changes in self._held(rights):
+            for tenant, changes in self._changes_in(rights):
                 part = sight.parts.get(tenant)
                 if part is None or part.missed(changes):
                     part = sight.parts[tenant] = _Part(changes, known=False)

@@ -98,7 +98,7 @@ class Visibility:
 
     # -- names -----------------------------------------------------------------------------------
 
-    def names_hidden(self, rights: Rights, tenant: str | None, names: Iterable[str]) -> bool:
+    def mentions_hidden(self, rights: Rights, tenant: str | None, names: Iterable[str]) -> bool:
         """Return whether one of the names refers to a hidden resource.
 
         A name without a tenant refers to a resource of `tenant`, or of any tenant if that is None.

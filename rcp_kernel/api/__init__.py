@@ -13,11 +13,11 @@ from rcp_kernel.access.certificates import read_certificate, read_pem, revoked_b
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.roles import check_pattern
-from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
 from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.queued_request import QueuedRequest
 from rcp_kernel.contract.shared_work import SharedWork
 from rcp_kernel.contract.touches import EVERYTHING as TOUCHES_EVERYTHING
 from rcp_kernel.contract.turns import Turns, at_once
@@ -48,7 +48,6 @@ __all__ = [
     "Connection",
     "Field",
     "GatewayConfig",
-    "HeldRequest",
     "Hello",
     "Outbound",
     "Outbox",
@@ -57,6 +56,7 @@ __all__ = [
     "Principal",
     "PromptReply",
     "Query",
+    "QueuedRequest",
     "Rights",
     "Sample",
     "Serial",

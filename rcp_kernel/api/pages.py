@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_kernel.requests.object_list import EncodedBody, ObjectList
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
-from rcp_kernel.requests.parts import Parts, Written
 
-__all__ = ["LONGEST", "MOST", "Parts", "Written", "cursor_of", "place_of", "room"]
+__all__ = ["LONGEST", "MOST", "EncodedBody", "ObjectList", "cursor_of", "place_of", "room"]

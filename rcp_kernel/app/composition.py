@@ -462,6 +462,7 @@ def _system(
         stops=motion.stops,
         registry=base.registry,
         hub=base.hub,
+        sights=base.sights,
         recent=recent,
         features=features.resources,
         reader_status=features.reader_status,

@@ -61,6 +61,8 @@ class ContainedBackend:
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
         self.on_loss = backend.on_loss
+        # Absent in backends that do not derive from `BaseBackend`.
+        self.has_gateways: bool = getattr(backend, "has_gateways", False)
 
     @property
     def inner(self) -> Backend:
@@ -142,6 +144,11 @@ class ContainedBackend:
         """Apply the policy after a lost link."""
         with contained():
             return await self._backend.recover(robot)
+
+    async def reset_estop(self, robot: str | None) -> None:
+        """Ask a robot's own gateway to reset its e-stop."""
+        with contained():
+            await self._backend.reset_estop(robot)
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """List what stops the robot when the gateway falls silent."""

@@ -61,7 +61,7 @@ class Recorder(Listener):
     ) -> None:
         super().__init__(on_event, on_command, health)
         self._durability = durability
-        self.hold = durability.hold
+        self.send_when_stored = durability.send_when_stored
         self.lost = 0
         """Number of events that were not recorded."""
 
@@ -116,8 +116,8 @@ class Recorder(Listener):
             )
         self._durability.check()
 
-    def hold_estop(self, send: Answer, reply: Reply) -> None:
+    def send_estop_when_stored(self, send: Answer, reply: Reply) -> None:
         """Send the reply to an e-stop, in any case."""
         if self.failing:
             reply.message = f"{reply.message or ''} There is no audit record of it.".lstrip()
-        self._durability.hold_estop(send, reply)
+        self._durability.send_estop_when_stored(send, reply)

@@ -257,15 +257,16 @@ async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
 
 
 async def _rest(kernel: Kernel) -> None:
-    """Bring everything that moves to rest before anything closes."""
+    """Bring everything that moves to rest before anything closes, but robots with gateways."""
     kernel.shutdown.begin()
-    _cancel_writes(kernel, kernel.supervisors)
-    halts = _halts(kernel.supervisors)
+    ours = [one for one in kernel.supervisors if not one.has_gateways]
+    _cancel_motion_writes(kernel, ours)
+    halts = _halts(ours)
     await kernel.commands.close()
     await _halted(halts)
 
 
-def _cancel_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None:
+def _cancel_motion_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None:
     for supervisor in supervisors:
         for entry in supervisor.entries.values():
             if entry.moves:
@@ -276,8 +277,9 @@ async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
     """Bring removed backends to rest, then close them."""
     for supervisor in supervisors:
         supervisor.retire()
-    _cancel_writes(server.kernel, supervisors)
-    await _halted(_halts(supervisors))
+    ours = [one for one in supervisors if not one.has_gateways]
+    _cancel_motion_writes(server.kernel, ours)
+    await _halted(_halts(ours))
     await asyncio.gather(*(stop_backend(server, supervisor) for supervisor in supervisors))
 
 

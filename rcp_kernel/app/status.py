@@ -29,7 +29,7 @@ from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.streams.subscription import Subscription
-from rcp_kernel.tree.entry import is_system
+from rcp_kernel.tree.entry import StopGroup, is_system
 from rcp_kernel.tree.registry import Registry
 from rcp_store.store import Store
 
@@ -65,7 +65,7 @@ class StatusReport:
         self._recent = recent
         self._registry = registry
         self._hub = hub
-        self._sights = sights
+        self.sights = sights
         self._visibility = visibility
         self._identities = identities
         self._sessions = sessions
@@ -126,6 +126,7 @@ class StatusReport:
         adapters = [*self.adapters, *self._identities.facts]
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
+        broken = broken or any(robot["robots"] for robot in robots)
         broken = broken or (self._store.trouble or self._store.damage) is not None
         sections = list(self._features(rights))
         broken = broken or any(part.degraded for part in sections)
@@ -163,28 +164,47 @@ class StatusReport:
     def _count_resources(self, rights: Rights | None) -> int:
         if rights is None:
             return len(self._registry.entries)
-        return self._sights.look(rights).visible
+        return self.sights.look(rights).visible
 
     def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
-        return self._sights.look(rights).hides(supervisor.tenant, supervisor.name)
+        return self.sights.look(rights).hides(supervisor.tenant, supervisor.name)
 
-    def _names_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
-        sight = self._sights.look(rights)
-        return sight.names_hidden(supervisor.tenant, supervisor.name, text)
+    def _mentions_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
+        sight = self.sights.look(rights)
+        return sight.mentions_hidden(supervisor.tenant, supervisor.name, text)
 
     def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
         """Describe a backend without anything hidden from the principal."""
         facts = supervisor.plain()
+        facts["robots"] = {
+            unit.robot: {
+                "state": unit.state,
+                "since": iso(unit.since),
+                "detail": self._shown(supervisor, rights, unit.detail),
+            }
+            for unit in supervisor.unready
+            if rights is None or self._sees(rights, unit)
+        }
         if rights is None:
             return facts
         facts["resources"] -= self._hides(supervisor, rights).count
         for key in ("detail", "last_error"):
-            text = facts[key]
-            if text is not None and (
-                rights.hides(text) or self._names_hidden(supervisor, rights, text)
-            ):
-                facts[key] = "see the log of the gateway"
+            facts[key] = self._shown(supervisor, rights, facts[key])
         return facts
+
+    def _sees(self, rights: Rights, robot: StopGroup) -> bool:
+        if not robot.own:  # it was never reached
+            return self._visibility.sees_whole(rights, robot.tenant)
+        return any(rights.mask(entry.path) for entry in robot.own.values())
+
+    def _shown(
+        self, supervisor: BackendSupervisor, rights: Rights | None, text: str | None
+    ) -> str | None:
+        """Return a text of a backend, unless it names something hidden from the principal."""
+        if text is None or rights is None:
+            return text
+        hidden = rights.hides(text) or self._mentions_hidden(supervisor, rights, text)
+        return "see the log of the gateway" if hidden else text
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
         """Return whether a log record is of a principal's tenants and names nothing hidden."""
@@ -194,11 +214,11 @@ class StatusReport:
             return False
         facts = record["facts"]
         texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
-        if self._visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
+        if self._visibility.mentions_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
         supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
         return supervisor is None or not any(
-            self._names_hidden(supervisor, rights, text) for text in texts
+            self._mentions_hidden(supervisor, rights, text) for text in texts
         )
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:
@@ -282,6 +302,18 @@ class StatusReport:
             ("backend", "tenant"),
             [([s.name, s.tenant], float(s.backend is not None)) for s in self._supervisors],
         )
+        robots = [(s, unit) for s in self._supervisors for unit in s.robots]
+        for begin in range(0, len(robots), _PART):
+            yield gauge(
+                "rcp_robot_up",
+                "Whether one of several robots of a backend is ready.",
+                ("backend", "tenant", "robot"),
+                [
+                    ([s.name, s.tenant, str(unit.robot)], float(_is_up(unit)))
+                    for s, unit in robots[begin : begin + _PART]
+                    if self._sees(rights, unit)
+                ],
+            )
         yield counter(
             "rcp_requests",
             "Requests by their outcome.",
@@ -367,6 +399,10 @@ class StatusReport:
                 name = session.transport
                 sums[name] = sums.get(name, 0) + session.connection.outbox.updates
         return [([name], count) for name, count in sums.items()]
+
+
+def _is_up(robot: StopGroup) -> bool:
+    return robot.availability in ("ready", "degraded")
 
 
 def _conflated(subscriptions: Iterable[Subscription]) -> int:

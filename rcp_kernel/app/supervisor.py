@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Literal
 
@@ -120,6 +120,8 @@ class BackendSupervisor:
         self.backend: Backend | None = None
         """The open backend, or None while there is none that works. Every read looks at it."""
         self._on_loss = BaseBackend.on_loss
+        self.has_gateways = BaseBackend.has_gateways
+        """Whether each of its robots has a gateway of its own, as the last opening said."""
         self._closing = asyncio.Event()
         self._discovering = False
         self._logged_at = 0.0
@@ -134,6 +136,7 @@ class BackendSupervisor:
         unit = self._units.get(robot)
         if unit is None:
             unit = self._units[robot] = StopGroup(self, self._latches, robot)
+            unit.link = self.backend
             if self._backend is not None and unit.latch is not None:
                 self._stops.resume(unit)
         return unit
@@ -183,6 +186,8 @@ class BackendSupervisor:
             if entry.moves:
                 self._offer_hold(entry.unit)
                 self._find_lost(entry)
+            if self.has_gateways and self.backend is not None:
+                self._commands.take_up(entry, self.backend)
 
     def _offer_hold(self, unit: StopGroup) -> None:
         """Add the hold service to a robot that moves, unless it has its own."""
@@ -266,8 +271,11 @@ class BackendSupervisor:
             self.fault(f"{type(error).__name__}: {error}")
             log.exception("backend_call_failed", backend=self.name)
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
-        """Change the state of an open backend."""
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
+        """Change the state of an open backend, or of one of its robots."""
+        if robot is not None:
+            self._report_robot(self.unit(robot), detail, down=down)
+            return
         if self._backend is None or self.state not in ("ready", "degraded", "down"):
             return
         if detail is None:
@@ -275,13 +283,33 @@ class BackendSupervisor:
         else:
             self._enter("down" if down else "degraded", detail)
             if down:
-                self._interrupt(detail)
+                self._interrupt_all(detail)
+
+    def _report_robot(self, unit: StopGroup, detail: str | None, *, down: bool) -> None:
+        if self.state not in ("opening", *_WORKING, "down"):
+            return
+        state: Availability = "ready" if detail is None else "down" if down else "degraded"
+        changed = state != unit.state
+        unit.state, unit.detail = state, detail
+        unit.link = None if down else self.backend
+        if not changed:
+            return
+        unit.since = now()
+        level = log.info if detail is None else log.warning
+        level("robot_state", backend=unit.name, state=state, detail=detail)
+        if down:
+            self._interrupt(unit.own.values(), f"robot '{unit.robot}'", detail or "")
+        if not self._shutdown.begun:
+            self._registry.state_changed()
 
     def link_restored(self, robot: str | None = None) -> None:
         """Stop a latched robot before anything else reaches it."""
+        unit, detail = self.unit(robot), "the link has just been restored"
         if self.state == "down" and self._backend is not None:
-            self._enter("degraded", "the link has just been restored")
-        self._regain(self.unit(robot))
+            self._enter("degraded", detail)
+        if unit.state == "down":
+            self._report_robot(unit, detail, down=False)
+        self._regain(unit)
 
     def is_latched(self, robot: str | None = None) -> bool:
         """Tell whether an e-stop holds a robot."""
@@ -327,6 +355,8 @@ class BackendSupervisor:
         while not self._closing.is_set():
             started = time.monotonic()
             self._discovering = False
+            for unit in self._units.values():  # what an earlier life said of them is over
+                unit.state, unit.detail = "ready", None
             if self.state != "down":
                 self._enter("opening", None)
             try:
@@ -335,7 +365,7 @@ class BackendSupervisor:
             except (ConfigError, PluginError) as error:
                 self._set_backend(None)
                 self._enter("failed", str(error))
-                self._interrupt(str(error))
+                self._interrupt_all(str(error))
                 return
             except Exception as error:
                 self._down(error)
@@ -351,23 +381,35 @@ class BackendSupervisor:
         self._enter("closed", None)
 
     async def _live(self, kind: BackendKind, config: Any) -> None:
-        async with kind.open(config, self) as opened:
-            backend = ContainedBackend(opened)
-            self._set_backend(backend)
-            self._on_loss = backend.on_loss
-            self._enter("ready", None)
-            self._tell_cut_off()
-            for unit in self.units:
-                self._regain(unit)
-            self.settled.set()
-            try:
-                await self._closing.wait()
-            finally:
-                for recovery in self._recoveries.values():
-                    recovery.cancel()
-                if not self._closing.is_set():
-                    self._enter("down", self.detail or "the backend stopped")
+        left: list[asyncio.Task[Any]] = []
+        try:
+            async with kind.open(config, self) as opened:
+                self._began(ContainedBackend(opened))
+                try:
+                    await self._closing.wait()
+                finally:
+                    for recovery in self._recoveries.values():
+                        recovery.cancel()
+                    left = self._commands.leave(self.name)
+                    if not self._closing.is_set():
+                        self._enter("down", self.detail or "the backend stopped")
+        finally:  # when nothing can reach the robots any more
+            for task in left:
+                task.cancel()
         self._set_backend(None)
+
+    def _began(self, backend: ContainedBackend) -> None:
+        """Use an open backend: first the stops, then what its robots still carry out."""
+        self._set_backend(backend)
+        self._on_loss, self.has_gateways = backend.on_loss, backend.has_gateways
+        self._enter("ready", None)
+        self._tell_cut_off()
+        for unit in self.units:
+            self._regain(unit)
+        if backend.has_gateways:
+            for entry in list(self.entries.values()):
+                self._commands.take_up(entry, backend)
+        self.settled.set()
 
     def _regain(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; otherwise settle its lost commands."""
@@ -414,13 +456,16 @@ class BackendSupervisor:
         else:
             log.error("backend_crashed", backend=self.name, exc_info=error)
         self._enter("down", text)
-        self._interrupt(text)
+        self._interrupt_all(text)
 
-    def _interrupt(self, why: str) -> None:
-        for entry in self.entries.values():
-            error = AdapterUnavailable(
-                f"the link to backend '{self.name}' was lost: {why}", origin=self.name
-            )
+    def _interrupt_all(self, why: str) -> None:
+        self._interrupt(self.entries.values(), f"backend '{self.name}'", why)
+
+    def _interrupt(self, entries: Iterable[Entry], whose: str, why: str) -> None:
+        if self.has_gateways:  # their commands go on, and wait for their robots
+            return
+        for entry in entries:
+            error = AdapterUnavailable(f"the link to {whose} was lost: {why}", origin=self.name)
             self._commands.interrupt(entry.path, error)
 
     def _note_growth(self) -> None:
@@ -433,7 +478,11 @@ class BackendSupervisor:
     def _set_backend(self, backend: ContainedBackend | None) -> None:
         """Have an open backend, which works as far as the present state says so."""
         self._backend = backend
-        self.backend = backend if self.state in _WORKING else None
+        usable = backend if self.state in _WORKING else None
+        if usable is not self.backend:
+            self.backend = usable
+            for unit in (self.whole, *self._units.values()):
+                unit.link = None if unit.state == "down" else usable
 
     def _enter(self, state: State, detail: str | None) -> None:
         changed = state != self.state
@@ -454,7 +503,7 @@ class BackendSupervisor:
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
         self.whole.retired = Latch("the gateway", "the backend is being closed")
-        self._interrupt("it was removed from the configuration")
+        self._interrupt_all("it was removed from the configuration")
 
     def close(self) -> None:
         """Make `run` end; leaving its context closes the backend."""
@@ -480,6 +529,16 @@ class BackendSupervisor:
             "faults": self.faults,
             "estop": next((u.latch.plain() for u in self.units if u.latch is not None), None),
         }
+
+    @property
+    def unready(self) -> list[StopGroup]:
+        """The robots of which the backend says that they are degraded or down."""
+        return [unit for unit in self._units.values() if unit.state != "ready"]
+
+    @property
+    def robots(self) -> list[StopGroup]:
+        """The robots that it can halt one by one."""
+        return [unit for unit in self._units.values() if unit.own]
 
     def path(self, name: str) -> str:
         """Return the full path of one of the backend's own names."""

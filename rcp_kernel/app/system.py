@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.access.sights import Sights
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.contract.paths import ESTOP
@@ -34,7 +35,9 @@ __all__ = ["System"]
 _POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _LOG = "/system/log"
+_TREE = "/system/tree"
 _SOON = 0.02  # s that changes of the e-stop are gathered
+_SETTLED = 0.1  # s that changes of the tree are gathered
 
 
 class LogRecord(msgspec.Struct, frozen=True):
@@ -47,6 +50,13 @@ class LogRecord(msgspec.Struct, frozen=True):
     tenant: str | None = None
     """Whose it is; None is the gateway's own, for those who act in every tenant."""
     facts: dict[str, Any] = {}
+
+
+class Tree(msgspec.Struct, frozen=True):
+    """What one reader sees of the tree, as a number."""
+
+    generation: int = 0
+    """That of discovery: it rises with every change of resources that the reader may see."""
 
 
 class System(BaseBackend):
@@ -68,6 +78,7 @@ class System(BaseBackend):
         stops: StopController,
         registry: Registry,
         hub: Hub,
+        sights: Sights,
         recent: Recent,
         features: Sequence[SystemResource],
         reader_status: Callable[[Session], dict[str, Any]],
@@ -80,10 +91,13 @@ class System(BaseBackend):
         self._reader_status = reader_status
         self._registry = registry
         self._hub = hub
+        self._sights = sights
         self._loop = loop
         self.samples = 0
         self._unit = StopGroup(self, None)
+        self._unit.link = self
         self._estop_due: asyncio.TimerHandle | None = None
+        self._tree_due: asyncio.TimerHandle | None = None
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
         self.views: dict[str, View] = {
@@ -91,13 +105,14 @@ class System(BaseBackend):
             "/system/sessions": self._list_sessions,
             "/system/commands": self._list_commands,
             ESTOP: lambda session: msgspec.to_builtins(estop.state(session)),
+            _TREE: self._tree,
         }
         """Resources whose value depends on the reader, by path."""
         self.filters: dict[str, Filter] = {_LOG: self._shown}
         """Filters of resources of whose samples each reader sees only its own, by path; a filter
         returns
         None for a hidden sample."""
-        self.by_rights: set[str] = set()
+        self.by_rights: set[str] = {_TREE}
         """Resources whose view is the same for readers with equal rights, by path."""
         self.pages: dict[str, Pages] = {}
         """Resources whose items can be searched and read in pages, by path."""
@@ -109,12 +124,17 @@ class System(BaseBackend):
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
+        self._publish("tree", {})
+        registry.on_added.append(self._tree_changed)
+        registry.on_removed.append(self._tree_changed)
         self._recent = recent
         recent.on_record.append(self._logged)
 
     def close(self) -> None:
-        """Publish no log records any more."""
+        """Publish no log records or changes of the tree any more."""
         self._recent.on_record.remove(self._logged)
+        if self._tree_due is not None:
+            self._tree_due.cancel()
 
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
@@ -151,6 +171,15 @@ class System(BaseBackend):
     def _publish_estop(self) -> None:
         self._estop_due = None
         self._publish("estop", self._estop.everything())
+
+    def _tree_changed(self, _: Entry) -> None:
+        """Announce a change of the tree, after a while: backends declare one by one."""
+        if self._tree_due is None:
+            self._tree_due = self._loop.call_later(_SETTLED, self._publish_tree)
+
+    def _publish_tree(self) -> None:
+        self._tree_due = None
+        self._publish("tree", {})
 
     @property
     def backend(self) -> Backend | None:
@@ -217,6 +246,12 @@ class System(BaseBackend):
         report = self._status.plain(session.rights)
         return report | self._reader_status(session)
 
+    def _tree(self, session: Session) -> dict[str, Any]:
+        sight = self._sights.look(session.rights)
+        if not sight.current:  # the rest of many changes is processed soon
+            self._tree_due = self._tree_due or self._loop.call_later(_SETTLED, self._publish_tree)
+        return {"generation": sight.number}
+
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
         principal = session.principal
         places = session.rights.places("/system/sessions", Operation.EXECUTE)
@@ -240,6 +275,12 @@ def _resources() -> list[Resource]:
             name="sensor/status",
             description="Health of the gateway and everything connected to it.",
             value=dict[str, Any],
+            history=1,
+        ),
+        Resource(
+            name="sensor/tree",
+            description="Changes whenever the visible part of the tree does, as in discovery.",
+            value=Tree,
             history=1,
         ),
         Resource(

@@ -11,6 +11,7 @@ BUILTIN: tuple[str, ...] = (
     "audit",
     "frames",
     "guard",
+    "hubs",
     "inventory",
     "jwt",
     "leases",

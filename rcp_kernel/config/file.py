@@ -107,6 +107,8 @@ class GatewayConfig(Table, frozen=True):
     certificates: tuple[CertificateConfig, ...] = ()
     jwt: tuple[dict[str, Any], ...] = ()
     """The tables that the feature's own type decodes."""
+    hubs: tuple[dict[str, Any], ...] = ()
+    """As `jwt`."""
     anonymous: Anonymous = Anonymous()
     envelopes: tuple[dict[str, Any], ...] = ()
     """As `jwt`."""
@@ -134,6 +136,8 @@ class GatewayConfig(Table, frozen=True):
             used.add("approvals")
         if self.jwt:
             used.add("jwt")
+        if self.hubs:
+            used.add("hubs")
         if self.audit:
             used.add("audit")
         if self.plans:

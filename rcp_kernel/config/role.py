@@ -10,7 +10,7 @@ from msgspec import Meta
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.model import Operation
 
-__all__ = ["ASK", "BUILTIN_ROLES", "DECIDE", "OPERATIONS", "Role", "Rule"]
+__all__ = ["ASK", "BUILTIN_ROLES", "DECIDE", "HUB", "OPERATIONS", "Role", "Rule"]
 
 OperationName = Literal["discover", "read", "write", "execute", "subscribe", "*"]
 OPERATIONS = (
@@ -59,18 +59,21 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
-_HEALTH = Rule(_LOOK, ("/system/status",))
+_HEALTH = Rule(_LOOK, ("/system/status", "/system/tree"))
 _STOP = Rule(("discover", "read", "subscribe", "execute"), (ESTOP,))
 _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
 ASK = Rule(_LOOK, ("/system/approvals",))
 DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
+HUB = "hub"
+"""The role of a hub of a fleet for what it does for itself: it looks, and can stop."""
 BUILTIN_ROLES: dict[str, Role] = {
     "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
+    HUB: Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
     "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _STOP, _OWN)),
     "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _STOP, _OWN), priority=10),
     "admin": Role(
         allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
     ),
 }
-"""Roles that need no configuration: look, operate, operate as a program that gives way to people,
+"""Roles that need no configuration: look (as a person, or as a hub), operate, operate as a program that gives way to people,
 and all of it with the gateway's own branch. Features add their own rules: `FeatureKind.grants`."""

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Protocol
 
+from rcp_kernel.contract.caller import asked
 from rcp_kernel.errors import EstopActive
 
 __all__ = [
@@ -65,17 +66,19 @@ def permit(unit: Fenced, stops: int) -> None:
 
 
 def end_permit() -> None:
-    """Run the rest of the current task without one: its robot has answered."""
+    """Run the rest of the current task without one, for nobody: its robot has answered."""
     _permit.set(None)
+    asked.set(None)
 
 
 @contextmanager
 def unfenced() -> Generator[None]:
-    """Run the body without a permit: a stop, or work that outlives its request."""
-    token = _permit.set(None)
+    """Run the body without a permit, for nobody: a stop, or work that outlives its request."""
+    token, caller = _permit.set(None), asked.set(None)
     try:
         yield
     finally:
+        asked.reset(caller)
         _permit.reset(token)
 
 

@@ -10,9 +10,18 @@ import msgspec
 
 from rcp_kernel.errors import TokenExpired
 
-__all__ = ["Grants", "Keyring", "Principal", "check_time", "fingerprint", "granted", "same"]
+__all__ = [
+    "HOUSE",
+    "Grants",
+    "Keyring",
+    "Principal",
+    "check_time",
+    "fingerprint",
+    "granted",
+    "same",
+]
 
-_HOUSE = ("key", "token", "certificate")
+HOUSE = ("key", "token", "certificate")
 """Proofs whose names the operator assigns, so that equal names mean the same person."""
 
 
@@ -39,6 +48,8 @@ class Principal(msgspec.Struct, frozen=True, cache_hash=True):
     """Hash of the credential; never shown to clients."""
     expires: int | None = None
     """When the proof is not good any more, ns since the UNIX epoch; None: it stays good."""
+    via: str | None = None
+    """The hub that asserted it, for records; the same person may come by way of several."""
 
     @property
     def tenants(self) -> tuple[str, ...]:
@@ -90,7 +101,7 @@ def same(one: Principal, other: Principal) -> bool:
 
 
 def _voucher(principal: Principal) -> str:
-    return "house" if principal.proof in _HOUSE else principal.proof
+    return "house" if principal.proof in HOUSE else principal.proof
 
 
 def check_time(principal: Principal, moment: int) -> Principal:

@@ -17,7 +17,7 @@ class Prepared(Request):
     """The type used to decode the body."""
     outcome: Any
     """Its value, or the error that decoding ended with."""
-    told: dict[str, Any]
+    recorded: dict[str, Any]
     """Its length and hash, for the record."""
 
     def decode_body(self, type_: ValueType, label: str = "body") -> Any:

@@ -8,10 +8,15 @@ import itertools
 from collections.abc import Callable, Hashable
 from contextvars import Context
 
-__all__ = ["Deadlines", "Timers"]
+__all__ = ["Deadlines", "Timers", "moment_of"]
 
 _SLOTS = 64  # per second
 _EARLY = 0.001  # s that uvloop may call before the time
+
+
+def moment_of(slot: int) -> float:
+    """Return when the deadlines of a slot are missed, on the event loop's clock."""
+    return slot / _SLOTS
 
 
 class Deadlines:
@@ -48,7 +53,7 @@ class Deadlines:
             self._alarm.cancel()
         self._next = slot
         # In no context: what is missed belongs to many requests.
-        self._alarm = self._loop.call_at(slot / _SLOTS, self._ring, context=Context())
+        self._alarm = self._loop.call_at(moment_of(slot), self._ring, context=Context())
 
     def _ring(self) -> None:
         self._alarm, self._next = None, float("inf")

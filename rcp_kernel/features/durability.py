@@ -23,13 +23,13 @@ class Durability(Protocol):
         """
         ...
 
-    def hold(self, send: Answer, until: float, reply: Reply) -> None:
+    def send_when_stored(self, send: Answer, until: float, reply: Reply) -> None:
         """Send a reply now, or once all records so far are stored.
 
         `until` is the event loop time at which the client stops waiting.
         """
         ...
 
-    def hold_estop(self, send: Answer, reply: Reply) -> None:
-        """Send the reply to an e-stop as `hold`, but soon in any case."""
+    def send_estop_when_stored(self, send: Answer, reply: Reply) -> None:
+        """Send the reply to an e-stop as `send_when_stored`, but soon in any case."""
         ...

@@ -113,4 +113,4 @@ class FeatureKind(msgspec.Struct, frozen=True):
     called by
     `rcpd check`."""
     grants: Mapping[str, tuple[Rule, ...]] = {}
-    """Rules that the built-in roles `viewer`, `operator` and `agent` have with the feature."""
+    """Rules that the built-in roles `viewer`, `hub`, `operator` and `agent` have with the feature."""

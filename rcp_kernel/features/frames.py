@@ -34,6 +34,12 @@ class FrameConverter(Protocol):
         """Return the frames to or from which a resource's values are converted, for discovery."""
         ...
 
+    def command_schema(
+        self, entry: Entry, frames: list[str], schema: dict[str, Any]
+    ) -> dict[str, Any] | None:
+        """Return the schema of a command widened by what `frames` allow; None: as it is."""
+        ...
+
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Return the input of a request in a frame that the robot takes; None: it is so already.
 
@@ -60,6 +66,12 @@ class NoFrames:
     def known(self, rights: Rights, entry: Entry) -> list[str]:
         """Know no frames."""
         return []
+
+    def command_schema(
+        self, entry: Entry, frames: list[str], schema: dict[str, Any]
+    ) -> dict[str, Any] | None:
+        """Widen nothing."""
+        return None
 
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Convert nothing."""

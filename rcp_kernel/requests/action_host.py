@@ -94,8 +94,8 @@ class GatewayActionHost:
         check_motion(entry)
         if not gained:
             self._control.check(session, entry)
-        if entry.owner.backend is None:
-            raise entry.owner.unavailable()
+        if entry.unit.link is None:
+            raise entry.unit.unavailable()
         if complete:
             self._foresee(session, entry, value)
 

@@ -81,8 +81,8 @@ class Admission:
             self._shutdown.check()
         for demand in self._replies.demands:
             demand.check()
-        if entry.owner.backend is None:
-            raise entry.owner.unavailable()
+        if entry.unit.link is None:
+            raise entry.unit.unavailable()
         if self._early:
             self._ask(self._early, call)
 
@@ -142,9 +142,9 @@ class Admission:
                     check_hold(entry, call.value)
             if self.control and entry.tenant is not None:
                 _confirm(self.control, call)
-        backend = entry.owner.backend
+        backend = entry.unit.link
         if backend is None:
-            raise entry.owner.unavailable()
+            raise entry.unit.unavailable()
         if entry.is_hold:
             return backend
         if self.active and _concerns_guards(call):

@@ -120,16 +120,16 @@ class AtomicWriteHandler:
         keyed = request.idempotency_key is not None
         first = self._keyed.find(session, request, place) if keyed else None
         if first is not None:
-            held = self._replies.held(answer, request)
-            self._keyed.repeat(first, session, request, None, timeout, held)
+            reply_to = self._replies.when_stored(answer, request)
+            self._keyed.repeat(first, session, request, None, timeout, reply_to)
             return None
         admitted = self._admit(session, request, items)
         if request.dry_run:
             return self._dry_run_reply(request, admitted)
-        held = self._replies.held(answer, request)
+        reply_to = self._replies.when_stored(answer, request)
         if keyed:
-            held = self._keyed.note(session, request, place, held)
-        noted = self._request_events.written_together(session, admitted.calls, held)
+            reply_to = self._keyed.note(session, request, place, reply_to)
+        noted = self._request_events.written_together(session, admitted.calls, reply_to)
         try:
             self._inflight.later(
                 session,
@@ -204,6 +204,8 @@ class AtomicWriteHandler:
             _raise([error])
         least = min(windows.values(), default=0.0)
         limited = tuple(call.entry for call in calls if call.entry.path in windows)
+        if calls[0].entry.owner.has_gateways and not request.dry_run:  # it has the dead-man too
+            limited = ()
         return _Admitted(calls, limited, least, calls[0].entry.unit.stops)
 
     def _windows(self, request: Request, calls: Sequence[Call]) -> dict[str, float]:
@@ -297,13 +299,13 @@ class AtomicWriteHandler:
                 deadman.disarm(entry, guards.get(entry.path))
             if at_risk:
                 deadman.arm_together(at_risk, 0)
-            told = _attributed(error, admitted)
+            attributed = _attributed(error, admitted)
             try:
-                if told is error:
+                if attributed is error:
                     raise
-                raise told from error
+                raise attributed from error
             finally:
-                del told  # a frame that refers to its error forms a reference cycle
+                del attributed  # a frame that refers to its error forms a reference cycle
         calls[0].entry.owner.latency = perf_counter() - started
         for call in calls:
             events.took(call.entry, call.value, actual.get(call.entry.name, call.value))
@@ -405,9 +407,9 @@ def _raise(faults: list[RcpError]) -> None:
     """Raise the first fault, with all of them in its details; empties the list."""
     if not faults:
         return
-    told = [_fault(fault) for fault in faults]
+    listed = [_fault(fault) for fault in faults]
     first = faults[0]
-    first.details = {**(first.details or {}), "faults": told}
+    first.details = {**(first.details or {}), "faults": listed}
     faults.clear()
     try:
         raise first

@@ -18,8 +18,8 @@ from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.object_list import EncodedBody, ObjectList, expected
 from rcp_kernel.requests.pages import MOST_BATCH, shared_room
-from rcp_kernel.requests.parts import Parts, Written, expected
 from rcp_kernel.safety.estop import EstopRequest
 from rcp_kernel.sessions.session import Answer, Handler, Session
 from rcp_kernel.values import Encoding, value_type
@@ -68,7 +68,7 @@ class BatchHandler:
         )
         timeout = request.deadline or self._settings.limits.deadline
 
-        def done(replies: Parts) -> Reply:
+        def done(replies: ObjectList) -> Reply:
             return Reply(type="batch", id=request.id, body=replies, timestamp=iso(now()))
 
         owner = session.principal.identity
@@ -100,12 +100,12 @@ class _Batch:
         self._replies: dict[int, Reply] = {}
         self._whole = whole
 
-    async def run(self, turns: Turns, owner: Hashable) -> Parts:
+    async def run(self, turns: Turns, owner: Hashable) -> ObjectList:
         """Handle all parts; return their replies."""
         if self._parts:
             turns.run(owner, self._begin())
             await self._whole
-        replies = Parts(self._answer)
+        replies = ObjectList(self._answer)
         for number in range(len(self._parts)):
             await turns.wait(owner)
             with turns.spending():
@@ -158,7 +158,7 @@ class _Batch:
         else:
             self._room -= len(data)
             if data:
-                reply.body = Written(reply.body, self._answer, data)
+                reply.body = EncodedBody(reply.body, self._answer, data)
         self._replies[number] = reply
         if len(self._replies) == len(self._parts) and not self._whole.done():
             self._whole.set_result(None)
@@ -169,10 +169,10 @@ def _is_stop(request: Request) -> bool:
     if request.type != "execute" or request.path != ESTOP:
         return False
     try:
-        asked = request.decode_body(_ESTOP_INPUT, "input")
+        stop = request.decode_body(_ESTOP_INPUT, "input")
     except RcpError:  # it will be refused
         return False
-    return asked is None or not asked.reset
+    return stop is None or not stop.reset
 
 
 def _without_body(reply: Reply, size: int, limit: int) -> Reply:

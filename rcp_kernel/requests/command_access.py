@@ -41,7 +41,7 @@ class CommandAccess:
             # Of what it has read in the name of who sent it, the value is told.
             if command.tenant not in tenants or not sight.sees_all(rights, command.touches, _READ):
                 return False
-        return not sight.names_hidden(rights, command.tenant, command.names)
+        return not sight.mentions_hidden(rights, command.tenant, command.names)
 
     def visible(self, session: Session) -> list[Command]:
         """List the commands that a session may see, newest first."""

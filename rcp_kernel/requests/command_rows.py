@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+import msgspec
 import structlog
 from msgspec import Raw
+from msgspec.structs import asdict
 
 from rcp_kernel.contract.touches import EVERYTHING
 from rcp_kernel.errors import InternalError, InvalidValue
-from rcp_kernel.sessions.command import Command, Record
+from rcp_kernel.sessions.command import Command, Continuation, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.sessions.resume import hashed
 from rcp_kernel.tree.entry import is_system
@@ -37,6 +39,7 @@ def as_row(command: Command) -> dict[str, Any]:
         "input": _written(command.input),
         "created": command.created,
         "finished": command.finished,
+        "continuation": None if command.continuation is None else asdict(command.continuation),
         "history": [
             {
                 "status": r.status,
@@ -75,11 +78,12 @@ def _read(row: dict[str, Any]) -> Command | None:
         steps = row.pop("history")
         unknown = (EVERYTHING,) if is_system(row["path"]) else ()  # of a gateway before this one
         row["touches"] = tuple(row.get("touches", unknown))
+        row["continuation"] = msgspec.convert(row.get("continuation"), Continuation | None)
         command = Command(**row)
         for step in steps:
             step.setdefault("body", NO_BODY)
             command.history.append(Record(**step))
-    except (TypeError, KeyError, AttributeError) as error:
+    except (TypeError, KeyError, AttributeError, msgspec.ValidationError) as error:
         log.warning("store_row_unreadable", table=TABLE, error=str(error))
         return None
     return command

@@ -15,8 +15,10 @@ from typing import Any
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import permit
-from rcp_kernel.contract.timers import Deadlines
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.timers import Deadlines, moment_of
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -34,6 +36,7 @@ from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.safety.loss import tell_loss
 from rcp_kernel.sessions.command import (
     Command,
+    Continuation,
     LinkLost,
     Record,
     has_begun,
@@ -44,7 +47,7 @@ from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import is_long
-from rcp_kernel.wire import NO_BODY, error_body
+from rcp_kernel.wire import NO_BODY, Request, error_body
 
 __all__ = ["Commands"]
 
@@ -77,6 +80,10 @@ class Commands:
         """The command that occupies each path whose policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
         self._starts: dict[str, Callable[[], None]] = {}
+        self._left: dict[str, list[Command]] = {}
+        """Commands that go on without this gateway, by path, until they are taken up again."""
+        for command in self.running.values():
+            self._wait(command)
 
     @property
     def running(self) -> Mapping[str, Command]:
@@ -157,6 +164,77 @@ class Commands:
                 timeout = min(timeout, deadline)
             missed = partial(self._expire, command, timeout)
             command.deadline = self._deadlines.set(timeout, command, missed)
+        if entry.owner.has_gateways:
+            self._outlive(command, call, command.deadline)
+
+    # -- commands that go on without this gateway ------------------------------------------------
+
+    def _outlive(self, command: Command, call: Call, slot: int) -> None:
+        """Keep what is needed to go on with a command, before its robot is told of it."""
+        until = self._now() + int((moment_of(slot) - self._loop.time()) * 1e9)
+        grants, key = call.session.principal.grants, call.request.idempotency_key
+        command.continuation = Continuation(call.entry.owner.name, until, grants, key)
+        self._journal.keep(command)
+        command.ready = self._journal.committed
+
+    def leave(self, backend: str) -> list[asyncio.Task[Any]]:
+        """Go on with the commands of a backend later; return their tasks, to be ended with it."""
+        tasks: list[asyncio.Task[Any]] = []
+        for command in self.running.values():
+            kept, task = command.continuation, command.task
+            if kept is not None and kept.backend == backend and task is not None:
+                tasks.append(task)
+                command.task = None
+                if command.deadline is not None:
+                    self._deadlines.clear(command.deadline, command)
+                self._wait(command)
+        return tasks
+
+    def _wait(self, command: Command) -> None:
+        """Keep a command until its backend takes it up, or its deadline has passed."""
+        assert command.continuation is not None
+        self._left.setdefault(command.path, []).append(command)
+        left = max(0.0, (command.continuation.until - self._now()) / 1e9)
+        taken = (command.continuation.until - command.created) / 1e9
+        missed = partial(self._expire, command, taken)
+        command.deadline = self._deadlines.set(left, command, missed)
+
+    def take_up(self, entry: Entry, backend: Backend) -> None:
+        """Go on with the commands of a path that were left, or that an earlier run began."""
+        for command in list(self._left.get(entry.path, ())):
+            command.entry = entry
+            if entry.barred and entry.unit.latch is not None:
+                why = f"{entry.path} was cancelled: emergency stop"
+                self._end(command, Cancelled(why, path=entry.path))
+                continue
+            self._left[entry.path].remove(command)
+            if not entry.parallel:
+                self._active.setdefault(entry.path, command)
+            work = self._continue(command, entry, backend)
+            command.task = self._loop.create_task(work, name=f"command {command.id}")
+            command.task.add_done_callback(partial(self._ended, command))
+            if command.cancelling is not None:  # once its robot can be told
+                self._loop.call_soon(command.task.cancel)
+
+    async def _continue(self, command: Command, entry: Entry, backend: Backend) -> Any:
+        kept, slot = command.continuation, command.deadline
+        assert kept is not None
+        assert slot is not None
+        principal = Principal(command.principal, kept.grants, command.proof)
+        request = Request(type="execute", path=entry.path, idempotency_key=kept.idempotency_key)
+        value = entry.input_type.convert(command.input)
+        asked.set((principal, request, slot, command.id))
+        permit(entry.unit, entry.unit.stops)
+        command.sent = True
+        result = await backend.execute(entry.name, value, partial(self._progress, command, entry))
+        try:
+            if result is None:
+                return None
+            return await self._turns.finish(principal.identity, checked(entry.output_type, result))
+        except RcpError as error:
+            raise _mismatch(entry, error) from error
+
+    # -- their work ------------------------------------------------------------------------------
 
     async def _carry_out(self, command: Command, call: Call, confirm: Confirm) -> Any:
         entry, work = call.entry, command.work
@@ -169,6 +247,8 @@ class Commands:
                 remedy="Ask the operator to look into the log of the gateway.",
             )
         backend = confirm(call)
+        assert command.deadline is not None
+        asked.set((call.session.principal, call.request, command.deadline, command.id))
         progress = partial(self._progress, command, entry)
         command.sent = True
         if work is not None:
@@ -182,11 +262,7 @@ class Commands:
                 return await self._turns.finish(owner, checked(entry.output_type, result))
             return entry.output_type.check(result)[0] if result is not None else None
         except RcpError as error:
-            entry.owner.fault(f"result of {entry.path}: {error.message}")
-            raise DeviceRejected(
-                f"the robot finished, but its result does not match its type: {error.message}",
-                remedy="Correct the backend or the type that it declares.",
-            ) from error
+            raise _mismatch(entry, error) from error
 
     def _progress(
         self,
@@ -215,7 +291,9 @@ class Commands:
         if command.final:
             return
         command.expired = True
-        if command.task is None:
+        if command in self._left.get(command.path, ()):
+            what = f"did not finish within {timeout:g} s; its robot could not be reached"
+        elif command.task is None:
             self._unqueue(command)
             what = f"did not start within {timeout:g} s: other commands were ahead of it"
         else:
@@ -237,8 +315,9 @@ class Commands:
             self._end(
                 command, Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
             )
-        elif command.task is not None:
-            command.task.cancel()
+        elif command.task is not None or command.continuation is not None:
+            if command.task is not None:
+                command.task.cancel()
             self._loop.call_later(_CANCEL_GRACE, self._give_up, command)
 
     def withdraw(self, command: Command, error: Refused) -> None:
@@ -262,10 +341,13 @@ class Commands:
             )
 
     def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
-        if command.finished is None:
+        left = command.task is not task  # it goes on elsewhere
+        if command.finished is None and not left:
             self._end(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # retrieved, so that asyncio does not report it
+        if left:
+            return
         command.task = None  # and everything it refers to, because the command is kept for long
         path = command.path
         if self._active.get(path) is command:
@@ -293,6 +375,13 @@ class Commands:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
             self._journal.write(command, Record("completed", self._now(), body, message=text))
+        path = command.path
+        if path in self._left and command in self._left[path]:
+            self._left[path].remove(command)
+            if self._active.get(path) is command:
+                del self._active[path]
+                if path in self._queues:
+                    self._next(path)
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End the commands on a path whose backend is gone, with the reason."""
@@ -301,18 +390,30 @@ class Commands:
                 self._unqueue(command)
                 self._end(command, error)
                 continue
+            if command in self._left.get(path, ()):
+                continue
             if command.task is not None:
                 command.task.cancel()
             lost = LinkLost(error.message, origin=error.origin) if command.sent else error
             self._end(command, lost)
 
     async def close(self) -> None:
-        """Cancel all commands, and wait a limited time for their end."""
-        tasks = [c.task for c in self._journal.running.values() if c.task is not None]
-        for command in list(self._journal.running.values()):
+        """Cancel all commands but those that go on without this gateway; wait a limited time."""
+        ours = [c for c in self._journal.running.values() if c.continuation is None]
+        tasks = [c.task for c in ours if c.task is not None]
+        for command in ours:
             self.cancel(command, "the gateway is closing")
         if tasks:
             await asyncio.wait(tasks, timeout=_CANCEL_GRACE)
+
+
+def _mismatch(entry: Entry, error: RcpError) -> RcpError:
+    """Return the error for a result that does not match its type."""
+    entry.owner.fault(f"result of {entry.path}: {error.message}")
+    return DeviceRejected(
+        f"the robot finished, but its result does not match its type: {error.message}",
+        remedy="Correct the backend or the type that it declares.",
+    )
 
 
 def _failed(command: Command, error: RcpError, moment: int) -> Record:

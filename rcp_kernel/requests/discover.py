@@ -6,10 +6,10 @@ from collections.abc import Generator
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.requests.catalogue import CataloguePage
 from rcp_kernel.requests.discovery import Discovery
+from rcp_kernel.requests.discovery_page import DiscoveryPage
+from rcp_kernel.requests.object_list import expected
 from rcp_kernel.requests.pages import room
-from rcp_kernel.requests.parts import expected
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request
 
@@ -28,7 +28,7 @@ class DiscoverHandler:
     ) -> Generator[None, None, Reply]:
         """Describe the resources of a pattern that a session may see."""
         page, longest = (
-            CataloguePage(expected(session, request)),
+            DiscoveryPage(expected(session, request)),
             room(self._settings.limits.message),
         )
         yield from self._discovery.answer(session.rights, session.tenant, request, page, longest)

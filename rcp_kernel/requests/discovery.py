@@ -14,7 +14,7 @@ from rcp_kernel.errors import BadRequest
 from rcp_kernel.features.description import Describe
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
-from rcp_kernel.requests.catalogue import CataloguePage, Description
+from rcp_kernel.requests.discovery_page import Description, DiscoveryPage
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
@@ -42,6 +42,8 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
     schemas: bool = True
     """Whether schemas are written out; their ids always are."""
+    offers: bool = False
+    """Whether operations that the caller may not use are listed too, apart from those it may."""
 
 
 _QUERY = value_type(Query | None)
@@ -75,7 +77,7 @@ class Discovery:
         rights: Rights,
         tenant: str | None,
         request: Request,
-        page: CataloguePage,
+        page: DiscoveryPage,
         longest: int,
     ) -> Generator[None]:
         """Carry out a `discover` request in steps: fill a page with at most `longest` bytes.
@@ -93,7 +95,7 @@ class Discovery:
         page.complete = not self._sights.growing(rights, pattern)
         for entry, mask in self._visited(rights, pattern, query):
             if mask:
-                facts = self._facts(rights, entry, mask, schemas=query.schemas)
+                facts = self._facts(rights, entry, mask, query)
                 leave = () if query.schemas else _SCHEMAS
                 full = len(page) == query.limit
                 if full or not page.add(self._description(entry), leave, facts, longest):
@@ -117,7 +119,7 @@ class Discovery:
             if len(page) == query.limit:
                 whole["cursor"] = cursor_of(page[-1]["path"])
                 break
-            facts = self._facts(rights, entry, mask, schemas=query.schemas)
+            facts = self._facts(rights, entry, mask, query)
             page.append(self._described(entry, schemas=query.schemas) | facts)
         return {"resources": page, "generation": generation, **whole}
 
@@ -139,15 +141,21 @@ class Discovery:
                 mask = 0
             yield entry, mask
 
-    def _facts(self, rights: Rights, entry: Entry, mask: int, *, schemas: bool) -> dict[str, Any]:
+    def _facts(self, rights: Rights, entry: Entry, mask: int, query: Query) -> dict[str, Any]:
         facts: dict[str, Any] = {
             "operations": operation_names(Operation(entry.operations & mask)),
             "state": _state(entry),
         }
         if entry.operations & mask & _COMMANDED:
-            facts |= self._describe(rights, entry, schemas=schemas)
+            facts |= self._describe(rights, entry, schemas=query.schemas)
+        if query.offers:
+            facts["offers"] = operation_names(entry.operations)
         if frames := self._frames.known(rights, entry):
             facts["frames"] = frames
+            if query.schemas and entry.operations & mask & Operation.EXECUTE:
+                own = facts.get("command_schema", entry.input_type.schema)
+                if (wider := self._frames.command_schema(entry, frames, own)) is not None:
+                    facts["command_schema"] = wider
         return facts
 
     def _description(self, entry: Entry) -> Description:
@@ -192,7 +200,7 @@ def _is_part(entry: Entry, profile: str) -> bool:
 
 
 def _state(entry: Entry) -> str:
-    if entry.owner.backend is None:
+    if entry.unit.link is None:
         return "down"
     if entry.kind in (Kind.ACTION, Kind.SERVICE):
         return "ready"
@@ -229,6 +237,10 @@ def _describe(entry: Entry) -> dict[str, Any]:
         facts["unit"] = unit
     names = ("deadline", "timeout", "policy", "max_age", "valid_for", "atomic", "native")
     facts |= {n: v for n in names if (v := getattr(resource, n)) is not None}
+    if resource.moves is not None:
+        facts["moves"] = resource.moves
+    if resource.energises:
+        facts["energises"] = True
     if resource.safe is not None:
         facts["safe"] = to_plain(resource.safe)
     if resource.meta:

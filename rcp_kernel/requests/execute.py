@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.held import HeldRequest
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
+from rcp_kernel.contract.queued_request import QueuedRequest
 from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
@@ -119,7 +119,7 @@ class ExecuteHandler:
         action = self._actions.get(request.path or "")
         if action is None:
             return self._execute_soon(session, request, answer)
-        since = request.since if isinstance(request, HeldRequest) else None
+        since = request.since if isinstance(request, QueuedRequest) else None
         waiting = action.waiting.enter(session, since)
         return self._execute_checked(session, request, answer, action, waiting)
 
@@ -284,7 +284,7 @@ class ExecuteHandler:
         self._inflight.later(
             session,
             request,
-            self._replies.held_estop(answer),
+            self._replies.estop_when_stored(answer),
             work,
             done,
             entry.resource.timeout or 6.0,
@@ -306,7 +306,7 @@ class ExecuteHandler:
         started = perf_counter()
         reply = self._served(service, session, request, entry, value)
         self._counts.conclude(session, reply, started)
-        self._replies.held(answer, request)(reply)
+        self._replies.when_stored(answer, request)(reply)
 
     def _served(
         self, service: Service, session: Session, request: Request, entry: Entry, value: Any

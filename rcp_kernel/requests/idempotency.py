@@ -24,7 +24,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, Request, encode_reply, failure
 from rcp_store.store import Store
 
-__all__ = ["Keys", "Outcome"]
+__all__ = ["Keys", "Outcome", "committed"]
 
 log = structlog.get_logger("rcp.store")
 _KEPT = 20_000
@@ -127,10 +127,7 @@ class Keys:
 
     async def committed(self) -> None:
         """Wait until the keys noted so far are kept."""
-        if not self._store.idle:
-            done = self._loop.create_future()
-            self._store.settled(lambda: done.done() or done.set_result(None))
-            await done
+        await committed(self._store)
 
     def _drop(self, name: str) -> None:
         self._bytes -= self._known.pop(name).size
@@ -159,6 +156,14 @@ class Keys:
                 seen.outcome = self._loop.create_future()
                 seen.outcome.set_result(reply)
         self._bound()
+
+
+async def committed(store: Store) -> None:
+    """Wait until all that was put into a store so far is kept."""
+    if not store.idle:
+        done = asyncio.get_running_loop().create_future()
+        store.settled(lambda: done.done() or done.set_result(None))
+        await done
 
 
 def _name(session: Session, key: str, path: str) -> str:

@@ -16,6 +16,7 @@ from rcp_kernel.clock import Clock
 from rcp_kernel.contract.metrics import Histogram
 from rcp_kernel.requests.command_rows import TABLE, as_row, cut_off, from_rows
 from rcp_kernel.requests.finished import Finished
+from rcp_kernel.requests.idempotency import committed
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.sessions.command import Command, CommandListener, Record
@@ -54,7 +55,10 @@ class CommandJournal:
         replies: ReplyGate,
         clock: Clock,
     ) -> None:
-        """Load the commands of earlier runs; interrupted ones become `failed`."""
+        """Load the commands of earlier runs.
+
+        Interrupted ones become `failed`, but for those that go on without this gateway.
+        """
         self._store = store
         self._inflight = inflight
         self._requests = counts
@@ -74,6 +78,9 @@ class CommandJournal:
 
     def _load(self) -> None:
         for command in from_rows(self._store.load(TABLE).values()):
+            if not command.final and command.continuation is not None:
+                self.running[command.id] = command
+                continue
             if not command.final:
                 cut_off(command, self._now())
                 self.keep(command)
@@ -128,6 +135,10 @@ class CommandJournal:
             return
         self._store.put(TABLE, command.id, row)
 
+    async def committed(self) -> None:
+        """Wait until the commands are stored as they are now."""
+        await committed(self._store)
+
     def _forget(self, command: Command) -> None:
         self._store.put(TABLE, command.id, None)
 
@@ -150,7 +161,7 @@ class CommandJournal:
         key = self._inflight.place(session, request)
         session.inflight.add(key)
         if self._replies.demands:
-            answer = self._replies.held(answer, request)
+            answer = self._replies.when_stored(answer, request)
         if session.connection is not None or not session.stateless:
             session.commands[command.id] = command
             if len(session.commands) > _FOLLOWED:

@@ -55,9 +55,12 @@ class LongBodies:
         except RcpError as error:
             outcome = error
         yield
-        told = yield from hashing(bytes(request.body))
+        recorded = yield from hashing(bytes(request.body))
         return Prepared(
-            **msgspec.structs.asdict(request), type_of_body=type_, outcome=outcome, told=told
+            **msgspec.structs.asdict(request),
+            type_of_body=type_,
+            outcome=outcome,
+            recorded=recorded,
         )
 
 

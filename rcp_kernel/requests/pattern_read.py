@@ -11,7 +11,7 @@ from typing import Any
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import DeadlineExceeded
-from rcp_kernel.requests.parts import Parts
+from rcp_kernel.requests.object_list import ObjectList
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample, project
 from rcp_kernel.wire import NO_BODY, error_body
@@ -33,7 +33,7 @@ class PatternRead:
         at_hand: Callable[[Entry], Sample | None],
         fetch: Callable[[Entry], Coroutine[Any, Any, Sample]],
         shown: Callable[[Entry, Sample], Sample],
-        page: Parts,
+        page: ObjectList,
         longest: int,
     ) -> None:
         self._left = iter(entries)
@@ -46,7 +46,7 @@ class PatternRead:
         self._longest = longest
         self._asked: deque[tuple[Entry, Sample | asyncio.Task[Sample]]] = deque()
 
-    async def run(self, turns: Turns, owner: Hashable, patience: float) -> Parts:
+    async def run(self, turns: Turns, owner: Hashable, patience: float) -> ObjectList:
         """Return the page, with at least one item if there is one.
 
         It ends after `patience` seconds: values requested but not received by then are reported as

@@ -27,8 +27,8 @@ from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.object_list import ObjectList, expected, is_listing, listed
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
-from rcp_kernel.requests.parts import Parts, expected, is_listing, listed
 from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.counts import RequestCounts
@@ -114,7 +114,7 @@ class ReadHandler:
             and entry.live
             and (sample := entry.latest) is not None
             and not request.body
-            and entry.owner.backend is not None
+            and entry.unit.link is not None
         ):
             if entry.value_type.grows and self._turns.over:
                 self._read_later(session, request, entry, answer, ReadOptions())
@@ -173,7 +173,7 @@ class ReadHandler:
             or (sample := entry.latest) is None
             or request.body
             or request.custom is not None
-            or entry.owner.backend is None
+            or entry.unit.link is None
             or (entry.value_type.grows and self._turns.over)
         ):
             return None
@@ -311,9 +311,9 @@ class ReadHandler:
         return self._fetch(entry, entry.latest)
 
     async def _fetch(self, entry: Entry, seen: Sample | None) -> Sample:
-        backend = entry.owner.backend
+        backend = entry.unit.link
         if backend is None:
-            raise entry.owner.unavailable()
+            raise entry.unit.unavailable()
         started = perf_counter()
         try:
             value = await backend.read(entry.name)
@@ -345,11 +345,11 @@ class ReadHandler:
             at_hand=partial(_at_hand, options=options),
             fetch=self.fetch,
             shown=partial(self._in_frame, session, options),
-            page=Parts(expected(session, request)),
+            page=ObjectList(expected(session, request)),
             longest=room(self._settings.limits.message),
         )
 
-        def done(items: Parts) -> Reply:
+        def done(items: ObjectList) -> Reply:
             cut = more or len(items) < len(entries)
             return Reply(
                 type="read",
@@ -398,7 +398,7 @@ def _unsearchable(path: str) -> FilterUnsupported:
 
 
 def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
-    if options.fresh or entry.latest is None or entry.owner.backend is None:
+    if options.fresh or entry.latest is None or entry.unit.link is None:
         return None
     if entry.live or entry.listeners:
         return entry.latest

@@ -47,7 +47,7 @@ class ReplyGate:
             return reply
         return unrecorded(reply, "could not be written")
 
-    def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
+    def when_stored(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
         """Return a callback that passes on the replies to a request when they may be sent."""
         if not self.demands:
             return answer
@@ -56,18 +56,18 @@ class ReplyGate:
             limit = min(limit, entry.resource.timeout or limit)
         until = self._loop.time() + limit
         for demand in self.demands:
-            answer = partial(demand.hold, answer, until)
+            answer = partial(demand.send_when_stored, answer, until)
         return answer
 
     def follower(self, answer: Answer) -> Answer:
         """Return a callback that passes on the replies to a further follower of a command."""
         until = self._loop.time() + self._settings.limits.deadline
         for demand in self.demands:
-            answer = partial(demand.hold, answer, until)
+            answer = partial(demand.send_when_stored, answer, until)
         return answer
 
-    def held_estop(self, answer: Answer) -> Answer:
+    def estop_when_stored(self, answer: Answer) -> Answer:
         """Return a callback that passes on the reply to an e-stop, after a short time at most."""
         for demand in self.demands:
-            answer = partial(demand.hold_estop, answer)
+            answer = partial(demand.send_estop_when_stored, answer)
         return answer

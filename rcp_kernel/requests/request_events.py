@@ -51,7 +51,7 @@ class RequestEvents:
                 outcome=fault.get("code", "internal"),
                 message=fault.get("message", reply.message),
             )
-        return self._gate.held(answer, request) if wait else answer
+        return self._gate.when_stored(answer, request) if wait else answer
 
     def unwelcome(self, session: Session, reply: Reply, answer: Answer) -> Answer:
         """Report a refused `hello`, without its contents; return the receiver of its reply."""
@@ -128,7 +128,7 @@ class RequestEvents:
         return done
 
     def looked(
-        self, session: Session, request: Request, path: str, told: Any, touches: list[str]
+        self, session: Session, request: Request, path: str, value: Any, touches: list[str]
     ) -> None:
         """Report a read of a session; without the value, for resources that differ per reader."""
         own = "*" in path or path.startswith("/system/")
@@ -140,5 +140,5 @@ class RequestEvents:
             tenant=tenant_of(path),
             path=path,
             touches=touches,
-            value=None if own else told,
+            value=None if own else value,
         )

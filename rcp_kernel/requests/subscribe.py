@@ -29,8 +29,8 @@ from rcp_kernel.errors import (
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.object_list import is_listing, listed
 from rcp_kernel.requests.pages import MOST, MOST_BYTES, cursor_of
-from rcp_kernel.requests.parts import is_listing, listed
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
@@ -277,7 +277,7 @@ class SubscribeHandler:
         outbox = None if connection is None else connection.outbox
         for subscription in session.subscriptions.values():
             if outbox is not None:
-                outbox.hold()
+                outbox.pause()
             self._links.begin(subscription, self._renew(session, subscription, outbox))
 
     def _renew(self, session: Session, subscription: Subscription, outbox: Outbox | None) -> Work:
@@ -291,7 +291,7 @@ class SubscribeHandler:
             if not number % _STEP:
                 yield
         if outbox is not None:
-            outbox.release()
+            outbox.resume()
         if session.rights is rights:
             yield from self._join(subscription)
 

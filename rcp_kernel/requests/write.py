@@ -78,9 +78,9 @@ class WriteHandler:
         keyed = request.idempotency_key is not None
         first = self._keyed.find(session, request, entry.path) if keyed else None
         if first is not None:
-            held = self._replies.held(answer, request, entry)
+            reply_to = self._replies.when_stored(answer, request, entry)
             timeout = self._inflight.deadline(request, entry)
-            self._keyed.repeat(first, session, request, entry.path, timeout, held)
+            self._keyed.repeat(first, session, request, entry.path, timeout, reply_to)
             return None
         call = Call(session, request, entry, value)
         self._admission.admit(call)
@@ -91,10 +91,12 @@ class WriteHandler:
         if request.dry_run:
             facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
-        held = self._replies.held(answer, request, entry)
+        if entry.owner.has_gateways:  # the dead-man is the robot's own
+            window = None
+        reply_to = self._replies.when_stored(answer, request, entry)
         if keyed:
-            held = self._keyed.note(session, request, entry.path, held)
-        noted = self._request_events.written(session, request, entry, held)
+            reply_to = self._keyed.note(session, request, entry.path, reply_to)
+        noted = self._request_events.written(session, request, entry, reply_to)
         try:
             self._inflight.later(
                 session,

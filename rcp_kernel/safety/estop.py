@@ -8,10 +8,11 @@ running or queued commands are ended after that. None of them resumes when the l
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Protocol
 
 import msgspec
+import structlog
 from msgspec import Meta
 
 from rcp_kernel.access.acl import Rights
@@ -20,19 +21,20 @@ from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import Stop, StopController
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Owner, StopGroup
-from rcp_kernel.tree.latches import GATEWAY, Latches, tenant_key
+from rcp_kernel.tree.latches import GATEWAY, Latch, Latches, tenant_key
 from rcp_kernel.tree.scope import Scope
 from rcp_kernel.wire import Request
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 
+log = structlog.get_logger("rcp.safety")
 HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it keeps trying after that
 LONGEST_WAIT = 60.0  # s, where the request's `deadline` allows as much
 _Robots = dict[StopGroup, None]
@@ -70,7 +72,7 @@ class EstopRecord(Protocol):
         self,
         session: Session,
         request: Request,
-        asked: EstopRequest,
+        body: EstopRequest,
         keys: dict[str, str | None],
         robots: list[StopGroup],
         /,
@@ -176,9 +178,11 @@ class Estop:
         """
         keys, robots = self.check(session, request)
         if request.reset:
+            held = {robot: robot.latch for robot in robots}
             freed = self._reset(keys, robots)
             self._record(session, sent, request, keys, freed)
-            return self._state_now(session)
+            asked = {robot: held[robot] for robot in freed if robot.owner.has_gateways}
+            return self._released(session, asked) if asked else self._state_now(session)
         latches, by = self._latches, session.principal.name
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
@@ -358,6 +362,44 @@ class Estop:
 
     async def _state_now(self, session: Session) -> EstopState:
         return self.state(session)
+
+    async def _released(
+        self, session: Session, robots: Mapping[StopGroup, Latch | None]
+    ) -> EstopState:
+        """Ask the gateways of robots to reset their e-stops too.
+
+        :raises DeviceRejected: one refuses or does not answer; it is latched here again.
+        """
+        # All are heard to the end, even if the request ends before.
+        asking = [self._loop.create_task(self._release(*one)) for one in robots.items()]
+        found = await asyncio.shield(asyncio.gather(*asking))
+        seen = self._visible(session)
+        refused = {r.name: why for r, why in zip(robots, found, strict=True) if why and r in seen}
+        if any(found):
+            named = ", ".join(f"{name} ({why})" for name, why in refused.items())
+            raise DeviceRejected(
+                f"still latched, because their own gateways are: {named or 'robots of others'}",
+                path=ESTOP,
+                remedy="Reset the e-stop at the robot, then here again.",
+                details={"robots": refused},
+            )
+        return self.state(session)
+
+    async def _release(self, robot: StopGroup, latch: Latch | None) -> str | None:
+        """Ask one robot; return why it is still latched."""
+        try:
+            async with asyncio.timeout(HALT_WAIT):
+                await robot.reset_own()
+        except Exception as error:
+            why = str(error) or "no answer"
+            log.warning("estop_not_reset", backend=robot.name, error=why)
+            by, reason = ("the gateway", None) if latch is None else (latch.by, latch.reason)
+            for key in _keys([robot]):
+                self._latches.set(key, by, reason)
+            robot.count_stop()
+            self._stops.begin([robot])
+            return why
+        return None
 
     async def _halted(
         self, session: Session, stops: Sequence[Stop], deadline: float | None

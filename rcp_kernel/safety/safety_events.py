@@ -61,7 +61,7 @@ class SafetyEvents:
         self,
         session: Session,
         request: Request,
-        asked: EstopRequest,
+        body: EstopRequest,
         keys: dict[str, str | None],
         robots: list[StopGroup],
     ) -> None:
@@ -75,9 +75,9 @@ class SafetyEvents:
                 request=request,
                 tenant=tenant,
                 path=ESTOP,
-                reset=asked.reset,
-                scope=asked.scope,
+                reset=body.reset,
+                scope=body.scope,
                 latches=sorted(key for key, of in keys.items() if of in (None, tenant)),
                 robots=[robot.name for robot in robots if robot.tenant == tenant],
-                reason=asked.reason,
+                reason=body.reason,
             )

@@ -12,6 +12,7 @@ import structlog
 
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.identity import Grants
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Cancelled,
@@ -35,6 +36,7 @@ __all__ = [
     "Command",
     "CommandListener",
     "CommandTable",
+    "Continuation",
     "LinkLost",
     "Record",
     "Work",
@@ -136,6 +138,19 @@ class _Listed(Body):
         return data
 
 
+class Continuation(msgspec.Struct, frozen=True):
+    """What a later run needs to go on with a command: see `Backend.has_gateways`."""
+
+    backend: str
+    """The name of the backend whose robot carries it out."""
+    until: int
+    """Its deadline, ns since the UNIX epoch."""
+    grants: Grants
+    """Of its principal, when it was sent."""
+    idempotency_key: str | None = None
+    """The client's."""
+
+
 class Command(msgspec.Struct, eq=False, weakref=True):
     """One execute, from request to its one final status."""
 
@@ -177,6 +192,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     """Whether a step of it is missing in the record, so that its success is not confirmed."""
     deadline: int | None = None
     """The slot of its deadline."""
+    continuation: Continuation | None = None
+    """Of a command that goes on without this gateway."""
     _listed: _Listed | None = None
     _names: frozenset[str] | None = None
     """What is named once it has ended: nothing changes after that."""

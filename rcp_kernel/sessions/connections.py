@@ -42,7 +42,7 @@ from rcp_protocol.structure import LONG, check_structure
 
 __all__ = ["Connection", "ConnectionParts"]
 
-_HELD = 256  # messages that wait for a `hello`
+_BUFFERED = 256  # messages that wait for a `hello`
 
 
 _HELLO = value_type(Hello)
@@ -80,8 +80,8 @@ class Connection:
 
     __slots__ = (
         "_at_once",
+        "_buffer",
         "_handle",
-        "_held",
         "_identifying",
         "_parts",
         "_settings",
@@ -126,7 +126,7 @@ class Connection:
         self.released: Callable[[deque[bytes]], None] = self._receive_all
         """Handles messages received while `hello` waited; a transport with its own turns
         replaces it."""
-        self._held: deque[bytes] | None = None
+        self._buffer: deque[bytes] | None = None
         """Unhandled messages since a `hello` or a long message."""
         self._identifying: asyncio.Task[None] | None = None
         session.connection = self
@@ -157,9 +157,9 @@ class Connection:
         return self._parts.identities.longest(self.session.principal)
 
     @property
-    def holds(self) -> bool:
-        """Whether a `hello` or a long message is not handled yet, and everything else waits."""
-        return self._held is not None
+    def buffering(self) -> bool:
+        """Whether a `hello` or a long message is not handled yet, and later messages wait."""
+        return self._buffer is not None
 
     def receive(self, data: bytes) -> None:
         """Handle one whole message from the client; every reply goes through the outbox.
@@ -168,8 +168,8 @@ class Connection:
         """
         if self.closed:
             return
-        if self._held is not None:
-            self._hold(data)
+        if self._buffer is not None:
+            self._put_off(data)
             return
         try:
             if len(data) > LONG:
@@ -198,15 +198,15 @@ class Connection:
         check_size(data, self.limit)
         if len(data) > self._settings.limits.unproved:
             self.session.check_pace()
-        held = self._held = deque()
-        work = self._unfold(data, held)
+        buffer = self._buffer = deque()
+        work = self._unfold(data, buffer)
         try:
             self._parts.turns.run(self.session.principal.identity, work, len(data))
         except RcpError:
-            self._held = None
+            self._buffer = None
             raise
 
-    def _unfold(self, data: bytes, held: deque[bytes]) -> Work:
+    def _unfold(self, data: bytes, buffer: deque[bytes]) -> Work:
         """Handle a long message in steps: count its values, decode the envelope, then the rest."""
         try:
             yield from check_structure(data, self.encoding, self._settings.limits.values)
@@ -215,7 +215,7 @@ class Connection:
             if not self.closed:
                 request = yield from self._parts.prepare(self.session, request)
             if not self.closed:
-                self._held = None  # a `hello` may start to hold messages itself
+                self._buffer = None  # a `hello` may start to buffer messages itself
                 if request.type == "hello":
                     self._hello(request)
                 else:
@@ -224,12 +224,12 @@ class Connection:
             self._refuse(data, error)
         except Exception as error:
             self.stumbled(data, error)
-        if self._held is held:
-            self._held = None
-        if self._held is None:
-            self.released(held)
+        if self._buffer is buffer:
+            self._buffer = None
+        if self._buffer is None:
+            self.released(buffer)
         else:
-            self._held.extend(held)
+            self._buffer.extend(buffer)
 
     def _refuse(self, data: bytes, error: RcpError) -> None:
         type_, id_ = peek_header(data, self.encoding)
@@ -304,7 +304,7 @@ class Connection:
             if token is not None:
                 principal = self._parts.identities.known(token, self.peer)
                 if principal is None:
-                    self._held = deque()
+                    self._buffer = deque()
                     self._identifying = self._parts.loop.create_task(
                         self._identify(request, hello, token)
                     )
@@ -334,18 +334,18 @@ class Connection:
                 self._greet(request, hello, principal)
         except Exception as error:
             self._unwelcome(request, error)
-        held, self._held = self._held or deque(), None
-        self.released(held)
+        buffer, self._buffer = self._buffer or deque(), None
+        self.released(buffer)
 
     def _receive_all(self, messages: deque[bytes]) -> None:
         for data in messages:
             self.receive(data)
 
-    def _hold(self, data: bytes) -> None:
-        held = self._held
-        assert held is not None
-        if len(held) < _HELD and sum(map(len, held)) + len(data) <= self.limit:
-            held.append(data)
+    def _put_off(self, data: bytes) -> None:
+        buffer = self._buffer
+        assert buffer is not None
+        if len(buffer) < _BUFFERED and sum(map(len, buffer)) + len(data) <= self.limit:
+            buffer.append(data)
             return
         type_, id_ = peek_header(data, self.encoding)
         self._parts.counts.count(self.session.transport, type_, QueueFull.code)

@@ -9,6 +9,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable
 from contextlib import AsyncExitStack
+from contextvars import Context
 
 import structlog
 
@@ -57,7 +58,10 @@ class DemandTracker:
             if rate == 0.0:
                 return
             watch = self._watches[entry.path] = _Watch(entry)
-            task = self._loop.create_task(watch.run(), name=f"watch {entry.path}")
+            # In no context: it is for all subscribers, and outlives the first one's request.
+            task = self._loop.create_task(
+                watch.run(), name=f"watch {entry.path}", context=Context()
+            )
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
             task.add_done_callback(lambda _: self._watch_ended(entry.path, watch))

@@ -32,7 +32,7 @@ class FilteredPathSubscription(PathSubscription):
 
     judges = True
 
-    __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_monotonic", "_where")
+    __slots__ = ("_armed", "_change", "_due", "_interval", "_monotonic", "_waiting", "_where")
 
     def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
         super().__init__(subscription, entry, outbox)
@@ -43,9 +43,9 @@ class FilteredPathSubscription(PathSubscription):
         self._interval = min(1.0 / options.rate, _LONGEST) if options.rate else 0.0
         self._monotonic = entry.clock.monotonic
         self._due = 0.0
-        self._held: Sample | None = None
+        self._waiting: Sample | None = None
         self._armed = False
-        """Whether a timer is set for the held sample."""
+        """Whether a timer is set for the waiting sample."""
 
     def offer(self, sample: Sample) -> None:
         """Queue a sample that passes every filter; hold it back while the rate requires this."""
@@ -55,10 +55,10 @@ class FilteredPathSubscription(PathSubscription):
             wait = self._due - self._monotonic()
             # A tenth of the period is tolerated, because a source at the requested rate has jitter.
             if wait > self._interval * 0.1:
-                self._held = sample
+                self._waiting = sample
                 self._arm(wait)
                 return
-            self._held = None
+            self._waiting = None
         self._emit(sample)
 
     def _arm(self, wait: float) -> None:
@@ -68,14 +68,14 @@ class FilteredPathSubscription(PathSubscription):
 
     def _release(self) -> None:
         self._armed = False
-        if self._held is None or self.outbox is None:
+        if self._waiting is None or self.outbox is None:
             return
-        # A sample may have been sent early by the tolerance: the held one waits for its own period.
+        # A sample may have been sent early by the tolerance: the waiting one waits for its own period.
         wait = self._due - self._monotonic()
         if wait > self._interval * 0.1:
             self._arm(wait)
             return
-        sample, self._held = self._held, None
+        sample, self._waiting = self._waiting, None
         self._emit(sample)
 
     def _emit(self, sample: Sample) -> None:
@@ -121,9 +121,9 @@ class FilteredPathSubscription(PathSubscription):
         self.admit(sample)
 
     def leave(self) -> None:
-        """Drop queued and held samples."""
+        """Drop queued and waiting samples."""
         super().leave()
-        self._held = None
+        self._waiting = None
 
 
 class VisibilityFilteredSubscription(FilteredPathSubscription):

@@ -80,7 +80,7 @@ class Hub:
         subscription.feeds[entry.path] = feed
         if subscription.outbox is None:
             feed.outbox = None
-            self.hold(feed)
+            self.retain(feed)
         else:
             feed.outbox = subscription.outbox
             self.relink(feed)
@@ -113,12 +113,12 @@ class Hub:
         if entry.path not in self.registry.entries:
             return
         if feed.subscription.outbox is None:
-            self.hold(feed)
+            self.retain(feed)
             return
         self.relink(feed)
         self.first(feed, entry.seq)
 
-    def hold(self, feed: PathSubscription) -> None:
+    def retain(self, feed: PathSubscription) -> None:
         """Keep the history of a feed's path while its client is disconnected."""
         if not feed.kept:
             feed.kept = True
@@ -225,7 +225,7 @@ class Hub:
                 if known.outbox is None:
                     if returned:
                         known.kept = False  # with the removed entry
-                        self.hold(known)
+                        self.retain(known)
                 elif known not in path_subscriptions_of(entry):
                     self.relink(known)
                     notice(

@@ -151,7 +151,7 @@ class Links:
             return
         feed.leave()
         if feed.entry.path in self._hub.registry.entries and not feed.paused:
-            self._hub.hold(feed)  # before the feed is unlinked, so that its source keeps running
+            self._hub.retain(feed)  # before the feed is unlinked, so that its source keeps running
         self._hub.unlink(feed)
 
     def attach(

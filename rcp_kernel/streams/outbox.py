@@ -85,29 +85,29 @@ class Flushable(Protocol):
 class FlushScheduler:
     """One callback per loop iteration for everything that has data to send."""
 
-    __slots__ = ("_dirty", "_held", "_loop")
+    __slots__ = ("_dirty", "_gathering", "_loop")
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._dirty: list[Flushable] = []
-        self._held = False
+        self._gathering = False
 
     def mark(self, one: Flushable) -> None:
         """Flush an outbox or fan-out in the next tick; it must not be marked already."""
-        if not self._dirty and not self._held:
+        if not self._dirty and not self._gathering:
             self._loop.call_soon(self._tick)
         self._dirty.append(one)
 
     def gather(self, function: Callable[..., object], *args: Any) -> None:
         """Call a function, then tick: what it has published is sent in the same loop iteration."""
-        if self._held or self._dirty:  # a tick is scheduled anyway
+        if self._gathering or self._dirty:  # a tick is scheduled anyway
             function(*args)
             return
-        self._held = True
+        self._gathering = True
         try:
             function(*args)
         finally:
-            self._held = False
+            self._gathering = False
             self._tick()
 
     def _tick(self) -> None:
@@ -146,10 +146,10 @@ class Outbox:
         "encoding",
         "feedback",
         "framing",
-        "held",
         "high_water",
         "on_flush",
         "parked",
+        "paused",
         "pending",
         "prioritised",
         "takes_long",
@@ -194,7 +194,7 @@ class Outbox:
         """The newest feedback of each running command, by command id."""
         self.pending: list[PendingPath] = []
         """Feeds with queued samples."""
-        self.held = 0
+        self.paused = 0
         """Number of subscriptions being checked for paths that the client may no longer see: no
         update is collected meanwhile. Changed by `hold` and `release`."""
         self.prioritised = False
@@ -258,16 +258,16 @@ class Outbox:
     @property
     def more(self) -> bool:
         """Whether there is data to collect."""
-        return bool(self.control or self.feedback or (self.pending and not self.held))
+        return bool(self.control or self.feedback or (self.pending and not self.paused))
 
-    def hold(self) -> None:
-        """Collect no updates until `release`; they stay queued, and conflate."""
-        self.held += 1
+    def pause(self) -> None:
+        """Collect no updates until `resume`; they stay queued, and conflate."""
+        self.paused += 1
 
-    def release(self) -> None:
-        """Collect updates again after the last `hold` has ended."""
-        self.held -= 1
-        if not self.held and self.pending:
+    def resume(self) -> None:
+        """Collect updates again after the last `pause` has ended."""
+        self.paused -= 1
+        if not self.paused and self.pending:
             self.mark()
 
     def again(self) -> None:
@@ -341,7 +341,7 @@ class Outbox:
             else:
                 out = [frame(len(data), text) + data for data in out]
         pending = self.pending
-        if not pending or self.control or self.feedback or self.held:
+        if not pending or self.control or self.feedback or self.paused:
             return out
         if big is None and self.backlog.full:
             big = SHARE  # long updates stay queued, and conflate, until other clients have had their turn

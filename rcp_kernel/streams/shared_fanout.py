@@ -133,7 +133,7 @@ class SharedFanout:
                 or outbox.pending
                 or outbox.dirty
                 or outbox.feedback
-                or outbox.held
+                or outbox.paused
             ):
                 member.mark()
                 continue

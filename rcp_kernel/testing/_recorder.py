@@ -82,10 +82,10 @@ class Recorder:
         """Pass on."""
         self._host.call_soon(function, *args)
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
         """Pass on."""
         self._check("report")
-        self._host.report(detail, down=down)
+        self._host.report(detail, down=down, robot=robot)
 
     def link_restored(self, robot: str | None = None) -> None:
         """Pass on."""

@@ -11,17 +11,18 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any, Literal, Protocol
 
-from rcp_kernel.clock import Clock
-from rcp_kernel.errors import RcpError
+from rcp_kernel.clock import Clock, now
+from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
 from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Sample, encoded_of
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
 Availability = Literal["starting", "ready", "degraded", "down"]
+_BAD = ("ready", "degraded", "starting", "down")
 _IDLE_HISTORY = 16  # samples stored of a resource without subscribers
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
@@ -36,6 +37,8 @@ class Owner(Protocol):
 
     samples: int
     latency: float | None
+    has_gateways: bool
+    """Whether each of its robots has a gateway of its own: see `Backend.has_gateways`."""
     entries: dict[str, Entry]
     """Its resources, by the backend's own names."""
 
@@ -115,6 +118,7 @@ class Entry:
         "live",
         "moves",
         "name",
+        "numbered",
         "operations",
         "output_type",
         "owner",
@@ -170,6 +174,8 @@ class Entry:
         self.label = f"{noun} '{resource.name.rpartition('/')[2]}'"
         self.latest: Sample | None = None
         self.seq = 0
+        self.numbered = False
+        """Whether its samples have the numbers of their source: `Encoded`."""
         self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
         self.listeners: list[Listener] = []
         self.sustained = 0.0
@@ -188,15 +194,24 @@ class Entry:
 
     @property
     def stale(self) -> bool:
-        """Whether the latest value is overdue for an update, or its backend is unavailable."""
-        if self.latest is None or self.owner.backend is None:
+        """Whether the latest value is overdue for an update, or its robot is unavailable."""
+        if self.latest is None or self.unit.link is None:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
-        self.seq += 1
+        if (encoded := encoded_of(value)) is not None:
+            if self.latest is not None and encoded.seq <= self.seq:
+                return self.latest
+            self.numbered = True
+            self.seq, timestamp = encoded.seq, encoded.timestamp
+        elif self.numbered:  # its source is to publish it, with a number
+            self.latest = Sample(self, value, timestamp or received, received, self.seq)
+            return self.latest
+        else:
+            self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
         latest = self.latest
         if latest is not None and latest.bodies:  # they are made again on use
@@ -226,7 +241,7 @@ class Entry:
 
     def adopt(self, old: Entry) -> None:
         """Go on where an entry of the same path left off: number, samples and listeners."""
-        self.seq = old.seq
+        self.seq, self.numbered = old.seq, old.numbered
         self.listeners = old.listeners
         self.sustained = old.sustained
         self.written = old.written
@@ -244,16 +259,20 @@ class StopGroup:
         "_stopped",
         "_stops",
         "anchor",
+        "detail",
         "facts",
         "frames",
         "identity",
         "keys",
+        "link",
         "lost",
         "name",
         "own",
         "owner",
         "retired",
         "robot",
+        "since",
+        "state",
         "whole",
     )
 
@@ -274,6 +293,15 @@ class StopGroup:
         self.lost: str | None = None
         """The path of a command that ended with the link, or with an earlier gateway, and that the
         robot may still carry out."""
+        self.link: Backend | None = None
+        """The open backend, or None while there is none or this robot is down; set by the owner, as
+        every request looks at it. Stops are sent regardless, by `backend`."""
+        self.state: Availability = "ready"
+        """What its backend reports of it alone."""
+        self.detail: str | None = None
+        """Why it is not ready."""
+        self.since = now()
+        """When that changed, ns."""
         self.facts = RobotFacts()
         """What its backend says of it."""
         self.anchor: Anchor | None = None
@@ -337,6 +365,23 @@ class StopGroup:
         """The open backend, or None."""
         return self.owner.backend
 
+    @property
+    def availability(self) -> Availability:
+        """Whether it can be used: what is said of its backend, or of it alone if that is worse."""
+        whole, own = self.owner.availability, self.state
+        return own if _BAD.index(own) > _BAD.index(whole) else whole
+
+    def unavailable(self) -> RcpError:
+        """Return the error that says why it cannot be used now."""
+        if self.owner.backend is None or self.state != "down":
+            return self.owner.unavailable()
+        why = f": {self.detail}" if self.detail else ""
+        return AdapterUnavailable(
+            f"robot '{self.robot}' is not connected (down){why}",
+            origin=self.name,
+            retry_after=1.0,
+        )
+
     def count_stop(self) -> None:
         """Let nothing that was admitted until now reach it."""
         self._stops += 1
@@ -367,6 +412,13 @@ class StopGroup:
         """
         backend = self._open()
         await (backend.halt() if self.robot is None else backend.halt_robot(self.robot))
+
+    async def reset_own(self) -> None:
+        """Ask its own gateway to reset its e-stop: see `Backend.reset_estop`.
+
+        :raises RcpError: it refuses, or cannot be reached.
+        """
+        await self._open().reset_estop(self.robot)
 
     async def hold(self) -> None:
         """Bring it to rest without an e-stop.

@@ -14,6 +14,7 @@ from msgspec import Meta
 from playwright.async_api import Browser
 
 from browser.watched import Watched, signed_in
+from configuration import backend, key, listener, role, rule, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
@@ -25,26 +26,17 @@ from rcp_kernel.values import to_plain
 __all__ = ["Machines", "key_of", "machines", "person"]
 
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner", "gil": "guest"}
-_CONFIG = """
-[transports.asgi]
-port = {port}
-[plugins.dashboard]
-[safety]
-approval_ttl = {ttl}
-[[backends]]
-use = "machine"
-name = "one"
-tenant = "alpha"
-[[backends]]
-use = "machine"
-name = "two"
-tenant = "beta"
-[roles.learner]
-allow = [{{ operations = ["*"], paths = ["/**", "/system/commands", "/system/plans", "/system/status"] }}]
-approve = ["/action/**", "/param/**"]
-[roles.guest]
-allow = [{{ operations = ["read", "subscribe"], paths = ["/tenant/beta/**", "/system/status"] }}]
-"""
+_CONFIG = (
+    table("plugins.dashboard")
+    + backend("one", use="machine")
+    + backend("two", "beta", use="machine")
+    + role(
+        "learner",
+        rule("*", "/**", "/system/commands", "/system/plans", "/system/status"),
+        approve=["/action/**", "/param/**"],
+    )
+    + role("guest", rule("read subscribe", "/tenant/beta/**", "/system/status"))
+)
 _DEGREES = Annotated[float, Meta(ge=-180, le=180)]
 
 
@@ -173,12 +165,10 @@ async def machines(
             machine.come()
         yield machine
 
-    keys = "".join(
-        f'[[keys]]\nname = "{name}"\nrole = "{role}"\nkey = "{key_of(name)}"\n'
-        for name, role in PEOPLE.items()
-    )
+    people = "".join(key(name, key_of(name), role=role) for name, role in PEOPLE.items())
     configure("error", "json")
-    config = parse(_CONFIG.format(ttl=ttl, port=port) + keys, "test")
+    text = listener(port) + table("safety", approval_ttl=ttl) + _CONFIG + people
+    config = parse(text, "test")
     async with serve(config, BackendKind("machine", Nothing, opened)) as served:
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)
         yield made

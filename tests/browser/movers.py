@@ -12,6 +12,7 @@ import msgspec
 from playwright.async_api import Browser
 
 from browser.watched import Watched, signed_in
+from configuration import backend, key, listener, role, rule, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceTimeout
@@ -22,26 +23,18 @@ from rcp_kernel.types import Twist
 
 __all__ = ["Mover", "Movers", "key_of", "movers", "person"]
 
-PEOPLE = {
-    "ada": 'role = "admin"',
-    "otto": 'role = "operator"',
-    "local": 'role = "local"\ntenants = ["alpha", "beta"]',
-    "half": 'roles = { alpha = "lead", beta = "operator" }',
+PEOPLE: dict[str, dict[str, Any]] = {
+    "ada": {"role": "admin"},
+    "otto": {"role": "operator"},
+    "local": {"role": "local", "tenants": ["alpha", "beta"]},
+    "half": {"roles": {"alpha": "lead", "beta": "operator"}},
 }
-_CONFIG = """
-[transports.asgi]
-port = 0
-[plugins.dashboard]
-[safety]
-groups = { cell = ["/tenant/alpha", "/tenant/beta/left"] }
-[roles.local]
-allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
-stop_all = false
-[roles.lead]
-allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
-reset = true
-"""
-_BACKEND = '[[backends]]\nuse = "mover"\nname = "{name}"\ntenant = "{tenant}"\nparts = [{parts}]\n'
+_CONFIG = listener() + table("plugins.dashboard")
+_SAFETY = (
+    table("safety", groups={"cell": ["/tenant/alpha", "/tenant/beta/left"]})
+    + role("local", rule("*", "/**", "/system/**"), stop_all=False)
+    + role("lead", rule("*", "/**", "/system/**"), reset=True)
+)
 ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "near": ("alpha", ()),
     "far": ("gamma", ()),
@@ -159,19 +152,13 @@ async def movers(many: int = 0) -> AsyncGenerator[Movers]:
             there.set()
         yield mover
 
-    text = _CONFIG if not many else _CONFIG.partition("[safety]")[0]
+    text = _CONFIG if many else _CONFIG + _SAFETY
     for name, (tenant, parts) in robots.items():
-        quoted = ", ".join(f'"{part}"' for part in parts)
-        text += _BACKEND.format(name=name, tenant=tenant, parts=quoted)
-        place = name if many else None
-        if place is not None:
-            text += f'robot = "{place}"\n'
-        named[(tenant, parts, place)] = name
+        place = {"robot": name} if many else {}
+        text += backend(name, tenant, use="mover", parts=parts, **place)
+        named[(tenant, parts, place.get("robot"))] = name
     people = {"ada": PEOPLE["ada"]} if many else PEOPLE
-    text += "".join(
-        f'[[keys]]\nname = "{name}"\nkey = "{key_of(name)}"\n{role}\n'
-        for name, role in people.items()
-    )
+    text += "".join(key(name, key_of(name), **held) for name, held in people.items())
     recent = configure("error", "json")
     kind = BackendKind("mover", Parts, opened)
     async with serve(parse(text, "test"), kind, recent=recent) as served:

@@ -17,6 +17,7 @@ from playwright.async_api import Browser, expect
 from browser.proxy import below
 from browser.watched import Watched, log_in, watched
 from certs import Authority
+from configuration import backend, key, listener, table, tls
 from docs.demo import Demo, demo
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
@@ -52,26 +53,11 @@ SEEN = {
 """What of its own each page has to show."""
 POSING = {"plot": 10_000, "scene": 5000, "camera": 3000} if "RCP_SCREENSHOTS" in os.environ else {}
 """ms until a page has something to show to those who look at the screenshots."""
-GATEWAY = """
-[transports.asgi]
-port = 0
-{asgi}
-[plugins.dashboard]
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[[backends]]
-use = "sim"
-name = "rover-beta"
-tenant = "beta"
-[[keys]]
-name = "looks-at-beta"
-role = "viewer"
-tenants = ["beta"]
-key = "a-key-that-may-only-look"
-{more}
-"""
+ROBOTS = (
+    backend("rover", use="sim")
+    + backend("rover-beta", "beta", use="sim")
+    + key("looks-at-beta", "a-key-that-may-only-look", role="viewer", tenants=["beta"])
+)
 
 
 @pytest.fixture
@@ -87,7 +73,8 @@ async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
 async def gateway(asgi: str = "", more: str = "") -> AsyncGenerator[str]:
     """Run a gateway with two rovers in this process; yield its address."""
     configure("error", "json")
-    async with serve(parse(GATEWAY.format(asgi=asgi, more=more), "test")) as served:
+    text = listener() + asgi + table("plugins.dashboard") + ROBOTS + more
+    async with serve(parse(text, "test")) as served:
         yield next(facts["url"] for facts in served.server.status.transports if "url" in facts)
 
 
@@ -144,9 +131,8 @@ async def test_where_the_gateway_knows_of_the_prefix_it_works_too(browser: Brows
 
 async def test_over_tls_it_works_the_same(browser: Browser, tmp_path: Path) -> None:
     server = Authority(tmp_path).server()
-    tls = f'[transports.asgi.tls]\ncertificate = "{server.cert}"\nkey = "{server.key}"\n'
     async with (
-        gateway(asgi=tls) as url,
+        gateway(asgi=tls(server)) as url,
         watched(browser, url, ignore_https_errors=True) as tab,
     ):
         assert url.startswith("https://")

@@ -11,6 +11,7 @@ import pytest
 from playwright.async_api import Browser, Page, expect
 
 from browser.watched import Watched, signed_in
+from configuration import backend, key, listener, role, rule, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.testing import serve
@@ -18,23 +19,17 @@ from rcp_kernel.testing import serve
 pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 expect.set_options(timeout=60_000)  # ms
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
-GATEWAY = """
-[transports.asgi]
-port = 0
-[plugins.dashboard]
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[roles.learner]
-allow = [
-    { operations = ["*"], paths = ["/**", "/system/leases", "/system/commands", "/system/status"] },
-]
-approve = ["/action/dock", "/param/speed_limit"]
-priority = 10
-""" + "".join(
-    f'[[keys]]\nname = "{name}"\nrole = "{role}"\nkey = "key-of-{name}-which-is-long"\n'
-    for name, role in PEOPLE.items()
+GATEWAY = (
+    listener()
+    + table("plugins.dashboard")
+    + backend("rover", use="sim")
+    + role(
+        "learner",
+        rule("*", "/**", "/system/leases", "/system/commands", "/system/status"),
+        approve=["/action/dock", "/param/speed_limit"],
+        priority=10,
+    )
+    + "".join(key(n, f"key-of-{n}-which-is-long", role=held) for n, held in PEOPLE.items())
 )
 
 

@@ -14,6 +14,7 @@ from browser.driving import KEYS, PAD, STICK, Hand, set_going
 from browser.input_helpers import UNSEEN, drives, push, shift, stands, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
+from configuration import backend, key, listener, role, rule, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.testing import serve
@@ -21,24 +22,13 @@ from rcp_kernel.testing import serve
 pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 expect.set_options(timeout=60_000)  # ms
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
-GATEWAY = """
-[transports.asgi]
-port = 0
-[plugins.dashboard]
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[[backends]]
-use = "sim"
-name = "other"
-tenant = "beta"
-[roles.learner]
-allow = [{ operations = ["*"], paths = ["/**", "/system/leases", "/system/estop"] }]
-priority = 10
-""" + "".join(
-    f'[[keys]]\nname = "{name}"\nrole = "{role}"\nkey = "key-of-{name}-which-is-long"\n'
-    for name, role in PEOPLE.items()
+GATEWAY = (
+    listener()
+    + table("plugins.dashboard")
+    + backend("rover", use="sim")
+    + backend("other", "beta", use="sim")
+    + role("learner", rule("*", "/**", "/system/leases", "/system/estop"), priority=10)
+    + "".join(key(n, f"key-of-{n}-which-is-long", role=held) for n, held in PEOPLE.items())
 )
 ODOMETRY = "/tenant/alpha/sensor/odometry"
 CMD_VEL = "/tenant/alpha/actuator/cmd_vel"

@@ -14,6 +14,7 @@ import pytest
 from playwright.async_api import Browser, Locator, expect
 
 from browser.watched import Watched, log_in, watched
+from configuration import backend, key, listener, table
 from serving import serving
 
 if importlib.util.find_spec("rclpy") is None:
@@ -25,22 +26,6 @@ from browser.meshes import HUES, PACKAGE, PLACES, visuals, write
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s
 _KEY = "operator-of-the-eyes"
-_CONFIG = """
-[transports.asgi]
-port = 0
-[plugins.dashboard]
-[[backends]]
-use = "ros2"
-name = "eyes"
-tenant = "alpha"
-domain_id = {domain}
-expose = ["/**"]
-assets.paths.{package} = "{folder}"
-[[keys]]
-name = "eyes-operator"
-role = "operator"
-key = "{key}"
-"""
 _HUES = """
 async ([png, x, y, half]) => {
   const bytes = Uint8Array.from(atob(png), (letter) => letter.charCodeAt(0));
@@ -80,7 +65,13 @@ def url(eyes: Eyes, domain: int, tmp_path_factory: pytest.TempPathFactory) -> Ge
     """Run a gateway in front of it."""
     folder = tmp_path_factory.mktemp("eyes")
     write(folder)
-    text = _CONFIG.format(domain=domain, key=_KEY, package=PACKAGE, folder=folder)
+    assets = {"paths": {PACKAGE: folder}}
+    text = (
+        listener()
+        + table("plugins.dashboard")
+        + backend("eyes", use="ros2", domain_id=domain, expose=["/**"], assets=assets)
+        + key("eyes-operator", _KEY, role="operator")
+    )
     with serving(folder / "rcp.toml", text) as found:
         yield found
 

@@ -7,6 +7,7 @@ from playwright.async_api import Browser
 
 from browser.elsewhere import ATTEMPTS
 from certs import Authority
+from configuration import tls
 from transports.robot import site
 
 pytestmark = pytest.mark.anyio
@@ -17,10 +18,9 @@ async def test_pages_over_tls_are_told_apart_by_their_scheme_too(
     browser: Browser, tmp_path: Path
 ) -> None:
     server = Authority(tmp_path).server()
-    tls = f'[transports.asgi.tls]\ncertificate = "{server.cert}"\nkey = "{server.key}"\n'
     context = await browser.new_context(ignore_https_errors=True)  # it does not know the CA
     page = await context.new_page()
-    async with site(asgi=tls, more=ANYBODY) as gateway, site(more=ANYBODY) as plain:
+    async with site(asgi=tls(server), more=ANYBODY) as gateway, site(more=ANYBODY) as plain:
         gateway.robot.release.set()
         urls = [gateway.url, gateway.ws.replace("ws:", "wss:")]
         await page.goto(gateway.url)

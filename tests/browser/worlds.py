@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from configuration import backend, key, listener, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
@@ -32,26 +33,6 @@ __all__ = [
 KEY = "a-key-of-the-one-who-looks-all-day"
 OTHER = "a-key-of-somebody-else-on-a-tablet"
 SPARE = "a-key-that-is-taken-out-of-service"
-_CONFIG = """
-[transports.asgi]
-port = {port}
-[plugins.dashboard]
-{plugin}
-[anonymous]
-role = []
-[[keys]]
-name = "wall"
-role = "{role}"
-key = "{key}"
-[[keys]]
-name = "tablet"
-role = "admin"
-key = "{other}"
-{keys}
-{more}
-"""
-_ROBOT = '[[backends]]\nuse = "teller"\nname = "{name}"\nwho = "{name}"\ntenant = "{tenant}"\n'
-_MORE = '[[keys]]\nname = "spare"\nrole = "operator"\nkey = "{spare}"\n'
 
 
 class Who(msgspec.Struct):
@@ -101,7 +82,7 @@ async def world(
     spare: bool = False,
     more: str = "",
     plugin: str = "",
-    key: str = KEY,
+    secret: str = KEY,
 ) -> AsyncGenerator[World]:
     """Run a gateway while entered; `robots` are their tenants and what they declare, by name."""
     made, there = World(""), asyncio.Event()
@@ -115,16 +96,17 @@ async def world(
         yield teller
 
     configure("critical", "json")
-    text = _CONFIG.format(
-        port=port,
-        role=role,
-        key=key,
-        other=OTHER,
-        plugin=plugin,
-        keys=_MORE.format(spare=SPARE) if spare else "",
-        more=more,
+    text = (
+        listener(port)
+        + table("plugins.dashboard")
+        + plugin
+        + table("anonymous", role=[])
+        + key("wall", secret, role=role)
+        + key("tablet", OTHER, role="admin")
+        + (key("spare", SPARE, role="operator") if spare else "")
+        + more
+        + "".join(backend(n, tenant, use="teller", who=n) for n, (tenant, _) in robots.items())
     )
-    text += "".join(_ROBOT.format(name=n, tenant=tenant) for n, (tenant, _) in robots.items())
     async with serve(parse(text, "test"), BackendKind("teller", Who, opened)) as served:
         made.served = served
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from configuration import backend, key, listener, table
 from conformance.wires import HttpClient, WebSocketClient
 from rcp_kernel.clock import Clock as GatewayClock
 from rcp_kernel.config.file import parse
@@ -28,25 +29,13 @@ from rcp_kernel.values import Encoding
 pytestmark = pytest.mark.anyio
 RATE, LEAST, MOST, LONGEST = 1.0, -2.0, 2.0, 30.0
 AGENT, OPERATOR = "agent-agent-agent", "operator-operator"
-CONFIG = f"""
-[transports]
-asgi = {{ port = 0 }}
-sse = false
-
-[[backends]]
-use = "recorder"
-tenant = "alpha"
-
-[[keys]]
-name = "agent"
-role = "agent"
-key = "{AGENT}"
-
-[[keys]]
-name = "operator"
-role = "operator"
-key = "{OPERATOR}"
-
+CONFIG = (
+    table("transports", sse=False)
+    + listener()
+    + backend(use="recorder")
+    + key("agent", AGENT)
+    + key("operator", OPERATOR)
+    + f"""
 [[envelopes]]
 name = "speed"
 paths = ["/actuator/drive"]
@@ -72,6 +61,7 @@ paths = ["/action/line"]
 fence = {{ point = ["v.x", "v.y"], inside = {{ hall = [[-2, -2], [2, -2], [2, 2], [-2, 2]] }}, outside = {{ pit = [[0, 0], [1, 0], [1, 1], [0, 1]] }} }}
 roles = ["agent"]
 """
+)
 
 
 class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

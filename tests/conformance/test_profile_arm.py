@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
@@ -32,7 +33,7 @@ class Arm(BaseBackend):
     """Of a joint's position, from what is commanded to what the device does."""
 
     def __init__(self) -> None:
-        self.joints = dict.fromkeys(JOINTS, 0.3)
+        self.joints: dict[str, float] = dict.fromkeys(JOINTS, 0.3)
         self.width = 0.08
         self.moves = False
 
@@ -103,6 +104,26 @@ class Blind(Arm):
         return value
 
 
+class InParts(Arm):
+    """Tells its joints one at a time, as robots with several drivers do."""
+
+    told = itertools.cycle(("claw", *JOINTS))
+
+    async def read(self, name: str) -> Any:
+        value = await super().read(name)
+        if name != "sensor/joint_states":
+            return value
+        positions = self.positions() | {"claw": 0.01}
+        one = next(self.told)
+        return msgspec.structs.replace(value, name=[one], position=[positions[one]], velocity=[])
+
+
+class Mute(InParts):
+    """Never tells one of its joints."""
+
+    told = itertools.cycle(("claw", "elbow"))
+
+
 class Impatient(Arm):
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         if name == "action/follow_trajectory":
@@ -166,6 +187,7 @@ class TestArm(ProfileSuite):
     [
         (Degrees, "test_joints_go_where_they_are_sent_and_others_stay", "joints at"),
         (Blind, "test_joint_states_are_told_as_they_are", "sensor/joint_states is"),
+        (Mute, "test_joint_states_are_told_as_they_are", "has no shoulder"),
         (Impatient, "test_a_trajectory_passes_its_waypoints_in_order", "the first waypoint"),
         (Inches, "test_the_gripper_opens_and_closes", "the opening is"),
         (Crooked, "test_the_tools_pose_is_told_as_it_is", "sensor/tool_pose is"),
@@ -180,6 +202,13 @@ async def test_a_flaw_is_found(flaw: type[Arm], test: str, says: str) -> None:
 
     with pytest.raises(AssertionError, match=says):
         await prove(Suite(), test)
+
+
+async def test_joints_may_be_told_in_several_samples() -> None:
+    class Suite(TestArm):
+        kind = kind_of(InParts)
+
+    await prove(Suite(), "test_joint_states_are_told_as_they_are")
 
 
 class Left(Arm):

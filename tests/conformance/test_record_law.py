@@ -17,6 +17,7 @@ import structlog
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from configuration import backend, configuration, key, role, rule, table
 from kernel.world import BOUND, Client, Robot, World, settled, world_of
 from rcp_kernel.model import Pattern, Resource
 from rcp_kernel.spi import Host, Progress
@@ -36,47 +37,13 @@ DENIES = (
     "/tenant/beta/**",
     "/**/limit",
 )
-CONFIG = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[audit]
-denials = 1000
-
-[[backends]]
-use = "robot"
-name = "robot"
-tenant = "alpha"
-
-[[backends]]
-use = "robot"
-name = "dark"
-robot = "dark"
-tenant = "alpha"
-
-[[backends]]
-use = "robot"
-name = "other"
-tenant = "beta"
-
-[[keys]]
-name = "actor"
-roles = {{ alpha = "admin", beta = "admin" }}
-key = "acts-in-all-tenants"
-
-[roles.reader]
-allow = [{{ operations = ["*"], paths = ["/**", "/system/**"] }}]
-deny = [{deny}]
-may_approve = true
-
-[[keys]]
-name = "reader"
-roles = {held}
-key = "reader-reader-reader"
-"""
+CONFIG = configuration(
+    table("audit", denials=1000),
+    backend("robot"),
+    backend("dark", robot="dark"),
+    backend("other", "beta"),
+    key("actor", "acts-in-all-tenants", roles={"alpha": "admin", "beta": "admin"}),
+)
 
 
 class Dumb(Robot):
@@ -150,10 +117,13 @@ class Law:
 
     @property
     def config(self) -> str:
-        quoted = ", ".join(f'"{path}"' for path in self.denied)
-        rule = f'{{ operations = ["*"], paths = [{quoted}] }}' if self.denied else ""
-        held = "{ " + ", ".join(f'{tenant} = "reader"' for tenant in self.tenants) + " }"
-        return CONFIG.format(deny=rule, held=held)
+        deny = [rule("*", *self.denied)] if self.denied else []
+        held = dict.fromkeys(self.tenants, "reader")
+        return (
+            CONFIG
+            + role("reader", rule("*", "/**", "/system/**"), deny=deny, may_approve=True)
+            + key("reader", "reader-reader-reader", roles=held)
+        )
 
     def hides(self, path: str) -> bool:
         tenant = path.split("/")[2]

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from configuration import backend, listener
 from conformance.wires import BASE, HttpClient, SseClient, WebSocketClient, address, bearer
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, parse
 from rcp_kernel.config.role import Role, Rule
@@ -26,22 +27,12 @@ from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio
 TOKEN = "somebody-somebody"
-CONFIG = """
-anonymous = false
-
-[transports]
-asgi = { port = 0 }
-
-[[backends]]
-use = "garden"
-tenant = "alpha"
-name = "one"
-
-[[backends]]
-use = "garden"
-tenant = "beta"
-name = "two"
-"""
+CONFIG = (
+    "anonymous = false\n"
+    + listener()
+    + backend("one", use="garden")
+    + backend("two", "beta", use="garden")
+)
 OPS = ("discover", "read", "write", "execute", "subscribe")
 TRUE, FALSE, UNKNOWN = "sensor.truth == 1", "sensor.truth == 2", "sensor.nowhere > 1"
 STATE = {None: True, TRUE: True, FALSE: False, UNKNOWN: None}

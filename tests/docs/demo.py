@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 BIN = Path(sys.executable).parent
-_START = 60.0  # s
+_START = 180.0  # s
 
 
 @dataclass(frozen=True)

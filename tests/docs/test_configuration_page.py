@@ -14,6 +14,7 @@ from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
 from rcp_audit import AuditConfig
 from rcp_dashboard import DashboardConfig
+from rcp_hubs.config import HubConfig
 from rcp_jwt.config import JwtConfig
 from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.file import (
@@ -43,6 +44,7 @@ _TABLES = [
     ("`[[certificates]]`", CertificateConfig),
     ("`[[keys]]`", KeyConfig),
     ("`[[jwt]]`", JwtConfig),
+    ("`[[hubs]]`", HubConfig),
     ("`[anonymous]`", Anonymous),
     ("Bounds", Bound),
     ("Fences", Fence),

@@ -17,7 +17,7 @@ from docs.pages import DOCS, ROOT, section
 from rcp_client.cli import rcpctl
 
 _SHELL = r"^```sh\n(.*?)^```"
-_DRONE = 30.0  # s until it can be armed on a busy machine
+_DRONE = 120.0  # s until it can be armed on a busy machine
 _PYTHON = r"^```python\n(.*?)^```"
 
 

@@ -25,6 +25,7 @@ import msgspec
 
 import rcp_audit
 import rcp_leases
+from configuration import backend, configuration, key, table
 from rcp_kernel.app.features import active
 from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.server import Prepared, Server, running
@@ -38,40 +39,13 @@ from rcp_store.file import open_read_only
 from rcp_store.latch_file import LatchFile
 from rcpd.examination import examined
 
-CONFIG = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "robot"
-tenant = "alpha"
-
-[[backends]]
-use = "robot"
-name = "leased"
-tenant = "beta"
-
-[[backends]]
-use = "robot"
-name = "stopped"
-tenant = "gamma"
-
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-operator"
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-
-[store]
-path = "{path}"
-"""
+CONFIG = configuration(
+    backend(),
+    backend("leased", "beta"),
+    backend("stopped", "gamma"),
+    key("operator", "operator-operator"),
+    key("admin", "admin-admin-admin"),
+)
 IN_FLIGHT = 6  # requests of each client
 SCOPES = 24  # that leases are taken on
 TTL = 1.0  # s of a lease
@@ -141,7 +115,7 @@ def prepared(folder: Path) -> Prepared:
         missing=[],
         is_missing=lambda _group, _name: None,
     )
-    config = parse(CONFIG.format(path=folder / "store.db"), "crash")
+    config = parse(CONFIG + table("store", path=folder / "store.db"), "crash")
     kinds = [*rcp_audit.rcp_features(), *rcp_leases.rcp_features()]
     features = active(config, {kind.name: kind for kind in kinds}, "crash")
     return Prepared(config, plugins, tuple(NoOptions() for _ in config.backends), {}, {}, features)

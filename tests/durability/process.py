@@ -12,34 +12,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from configuration import backend, key, listener, table
+
 RCPD = Path(sys.executable).with_name("rcpd")
 BOUND = 30.0  # s any wait of a test may take, on a machine that is busy otherwise
 ADMIN = "admin-admin-admin"
-CONFIG = """
-[transports.asgi]
-port = 0
-
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "{admin}"
-
-[store]
-path = "{path}"
-"""
+CONFIG = listener() + backend("rover", use="sim") + key("admin", ADMIN)
 
 
 class Served:
     """One life of a gateway."""
 
-    def __init__(self, folder: Path, store: Path) -> None:
+    def __init__(self, folder: Path, store: Path, text: str = CONFIG) -> None:
         self.config = folder / "rcp.toml"
-        self.config.write_text(CONFIG.format(admin=ADMIN, path=store))
+        self.config.write_text(text + table("store", path=store))
         self.said = folder / f"stderr-{time.monotonic_ns()}"
         with self.said.open("w") as stderr:
             self._process = subprocess.Popen([RCPD, "serve", self.config], stderr=stderr)

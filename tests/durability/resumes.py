@@ -2,7 +2,7 @@
 
 Each life of the gateway is a fork of this process, as in crash.py, and ends by SIGKILL while a burst
 of requests is under way. In between the client is cut off as a killed one is, and comes back too.
-By hand: `python tests/durability/resumes.py FOLDER CYCLES SEED`.
+By hand: `PYTHONPATH=tests python tests/durability/resumes.py FOLDER CYCLES SEED`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import uvloop
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from configuration import backend, key, listener, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
@@ -32,20 +33,7 @@ from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import quantity
 
 KEY = "operator-operator"
-CONFIG = """
-[transports.asgi]
-port = 0
-[transports.ws]
-[[backends]]
-use = "robot"
-tenant = "alpha"
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-operator"
-[store]
-path = "{path}"
-"""
+CONFIG = listener() + backend() + key("operator", KEY)
 CUTS = 4  # of the client, in each life of the gateway
 BURST = 400  # commands under way when the connection is cut: more than `backlog`
 BOUND = 10.0  # s that an answer may take
@@ -86,7 +74,7 @@ def live(folder: Path, ready: int) -> None:
 
     async def main() -> None:
         kind = BackendKind("robot", msgspec.Struct, open_robot)
-        config = CONFIG.format(path=folder / "store.db")
+        config = CONFIG + table("store", path=folder / "store.db")
         async with serve(parse(config, "resumes"), kind) as served:
             port = next(f["port"] for f in served.server.status.transports if "port" in f)
             os.write(ready, f"{port}\n".encode())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: 
     script = Path(__file__).with_name("crash.py")
     done = subprocess.run(
         [sys.executable, str(script), str(tmp_path), str(KILLS), "1"],
+        env={**os.environ, "PYTHONPATH": str(script.parents[1])},
         capture_output=True,
         text=True,
         timeout=540,

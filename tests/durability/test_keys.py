@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -41,6 +42,7 @@ def test_it_runs_once_at_most_wherever_the_gateway_is_killed(kind: str, tmp_path
     script = Path(__file__).with_name("keys.py")
     done = subprocess.run(
         [sys.executable, str(script), str(tmp_path), kind],
+        env={**os.environ, "PYTHONPATH": str(script.parents[1])},
         capture_output=True,
         text=True,
         timeout=300,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ def test_who_comes_back_is_answered_however_often_the_gateway_or_client_is_kille
     script = Path(__file__).with_name("resumes.py")
     done = subprocess.run(
         [sys.executable, str(script), str(tmp_path), str(CYCLES), "1"],
+        env={**os.environ, "PYTHONPATH": str(script.parents[1])},
         capture_output=True,
         text=True,
         timeout=300,

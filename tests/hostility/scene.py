@@ -40,6 +40,7 @@ def served(folder: Path) -> Generator[str]:
         (folder / "log").open("w") as log,
         subprocess.Popen(
             [sys.executable, _HERE / "world.py", folder],
+            env={**os.environ, "PYTHONPATH": str(_HERE.parent)},
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,

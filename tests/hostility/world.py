@@ -18,6 +18,7 @@ from typing import Any
 import msgspec
 import uvloop
 
+from configuration import key, listener, role, rule, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Prepared, prepare, running
 from rcp_kernel.config.file import BackendConfig, parse
@@ -32,42 +33,26 @@ TEXTS, LONG = 1000, 16_000  # values of a pattern, and characters of each
 JOINTS = 50  # elements of a value in conditions
 POSES = 50.0  # Hz
 _POSE = PoseStamped(Point(1.0, 2.0, 0.0), Quaternion(), "map", "2026-05-29T14:12:04Z")
-CONFIG = """
-name = "attacked"
-log = {{ level = "error" }}
-store = {{ path = "{folder}/store.db" }}
-[transports.asgi]
-port = 0
-[plugins.mcp]
-[plugins.a2a]
-[tenants.alpha]
-[tenants.beta]
-[anonymous]
-role = "viewer"
-tenants = ["alpha"]
-[roles.asking]
-allow = [{{ operations = ["*"], paths = ["/**"] }},
-         {{ operations = ["*"], paths = ["/system/plans", "/system/approvals"] }}]
-approve = ["/action/ask"]
-[[keys]]
-name = "operator"
-role = ["operator", "asking"]
-tenants = ["alpha"]
-key = "operator-of-the-attack"
-[[keys]]
-name = "auditor"
-role = "admin"
-key = "auditor-of-the-attack"
-[[keys]]
-name = "surveyor"
-role = "viewer"
-tenants = ["beta"]
-key = "surveyor-of-the-attack"
-[[keys]]
-name = "guard"
-role = "admin"
-key = "guard-against-attack"
-"""
+CONFIG = (
+    'name = "attacked"\n'
+    + table("log", level="error")
+    + listener()
+    + table("plugins.mcp")
+    + table("plugins.a2a")
+    + table("tenants.alpha")
+    + table("tenants.beta")
+    + table("anonymous", role="viewer", tenants=["alpha"])
+    + role(
+        "asking",
+        rule("*", "/**"),
+        rule("*", "/system/plans", "/system/approvals"),
+        approve=["/action/ask"],
+    )
+    + key("operator", "operator-of-the-attack", role=["operator", "asking"], tenants=["alpha"])
+    + key("auditor", "auditor-of-the-attack", role="admin")
+    + key("surveyor", "surveyor-of-the-attack", role="viewer", tenants=["beta"])
+    + key("guard", "guard-against-attack", role="admin")
+)
 
 
 class NoOptions(msgspec.Struct):
@@ -185,7 +170,7 @@ async def _wide(_config: NoOptions, host: Host) -> AsyncGenerator[BaseBackend]:
 
 async def _serve(folder: Path) -> None:
     configure("error")
-    bare = prepare(parse(CONFIG.format(folder=folder), "attacked"), "attacked")
+    bare = prepare(parse(CONFIG + table("store", path=folder / "store.db"), "attacked"), "attacked")
     backends = (
         BackendConfig(use="main", name="main", tenant="alpha"),
         BackendConfig(use="spare", name="spare", tenant="alpha", robot="spare"),

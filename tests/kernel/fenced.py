@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from configuration import key, role, rule
 from kernel.world import CONFIG as PLAIN
 from kernel.world import Client, Robot, World, prepared, world_of
 from rcp_kernel.app.reload import apply
@@ -20,25 +21,10 @@ from rcp_kernel.types import Int64, Pose, Real, Twist, quantity
 
 CONFIG = (
     PLAIN
-    + """
-[[keys]]
-name = "agent"
-role = "agent"
-key = "agent-agent-agent"
-
-[[keys]]
-name = "both"
-role = ["operator", "agent"]
-key = "both-both-both-both"
-
-[roles.blind]
-allow = [{ operations = ["write", "execute"], paths = ["/actuator/**", "/action/**"] }]
-
-[[keys]]
-name = "blind"
-role = "blind"
-key = "blind-blind-blind"
-"""
+    + key("agent", "agent-agent-agent")
+    + key("both", "both-both-both-both", role=["operator", "agent"])
+    + role("blind", rule("write execute", "/actuator/**", "/action/**"))
+    + key("blind", "blind-blind-blind")
 )
 AGENT, OPERATOR, BOTH, BLIND = (
     "agent-agent-agent",

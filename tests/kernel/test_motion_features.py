@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from configuration import key, role, rule
 from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared
 from rcp_conditions import condition
 from rcp_kernel.access.acl import Rights
@@ -173,9 +174,8 @@ async def test_a_feature_whose_guard_is_not_active_hears_nothing() -> None:
 
 
 async def test_a_guard_for_motion_is_asked_before_the_quota() -> None:
-    quota = '\n[roles.few]\nallow = [{ operations = ["execute"], paths = ["/**"] }]\n'
-    quota += "quota = { commands = 1 }\n"
-    quota += '[[keys]]\nname = "few"\nrole = "few"\nkey = "few-few-few-few-few"\n'
+    quota = role("few", rule("execute", "/**"), quota={"commands": 1})
+    quota += key("few", "few-few-few-few-few")
     async with zoned(CONFIG + quota) as world:
         client, zone = world.client("few-few-few-few-few"), world.zone
         client.send(type="execute", path="/action/go", body=2.0)

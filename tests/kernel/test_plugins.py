@@ -11,6 +11,7 @@ from typing import Any
 import pluggy
 import pytest
 
+from configuration import backend, configuration, table
 from rcp_kernel import hookspecs
 from rcp_kernel.app import plugins
 from rcp_kernel.app.server import prepare, running
@@ -18,8 +19,6 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
-
-NO_TRANSPORTS = "transports = {asgi = false, http = false, ws = false, sse = false}\n"
 
 
 def module(**members: Any) -> types.ModuleType:
@@ -86,8 +85,7 @@ def rcp_backends(): return [BackendKind("first", C, lambda config, host: None)]
 
 
 def configured(*names: str) -> str:
-    tables = [f'[[backends]]\nuse = "{n}"\ntenant = "a"\n' for n in names]
-    return NO_TRANSPORTS + "".join(tables)
+    return configuration(*(backend(use=name) for name in names))
 
 
 def test_two_plugins_with_one_name_are_refused(
@@ -155,7 +153,7 @@ async def test_an_adapter_whose_library_is_missing_says_what_to_install_and_stop
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     distributed(monkeypatch, tmp_path, "plugins", "needy", NEEDY, "needy")
-    prepared = prepare(parse(NO_TRANSPORTS + "[plugins.needy]\n", "f"), "f")
+    prepared = prepare(parse(configuration(table("plugins.needy")), "f"), "f")
     async with running(prepared) as server:
         (adapter,) = (a for a in server.status.plain()["adapters"] if a["name"] == "needy")
     assert adapter["state"] == "down"
@@ -175,4 +173,4 @@ def test_nothing_runs_because_it_is_installed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     installed_as(monkeypatch, tmp_path, loud="raise SystemExit('imported')")
-    prepare(parse(NO_TRANSPORTS, "f"), "f")
+    prepare(parse(configuration(), "f"), "f")

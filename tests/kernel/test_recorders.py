@@ -66,13 +66,13 @@ class BlackBox:
         if self.full:
             raise QueueFull("the tape is full")
 
-    def hold(self, send: Answer, until: float, reply: Reply) -> None:
+    def send_when_stored(self, send: Answer, until: float, reply: Reply) -> None:
         self.heard.append(f"holds {reply.status}")
         self.holding.set()
         task = asyncio.ensure_future(self.kept.wait())
         task.add_done_callback(lambda _: send(reply))
 
-    def hold_estop(self, send: Answer, reply: Reply) -> None:
+    def send_estop_when_stored(self, send: Answer, reply: Reply) -> None:
         self.heard.append(f"holds e-stop {reply.status}")
         send(reply)
 

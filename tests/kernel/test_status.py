@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from configuration import backend, key
 from kernel.world import CONFIG, World, world_of
 from steps import finished
 
@@ -83,9 +84,8 @@ async def test_every_metric_of_the_contract_is_there_and_counts(world: World) ->
 
 async def test_a_watched_status_shows_only_the_tenants_one_acts_in() -> None:
     text = CONFIG + (
-        '\n[[backends]]\nuse = "robot"\nname = "secret"\ntenant = "beta"\n'
-        '\n[[keys]]\nname = "a"\nrole = "operator"\nkey = "alpha-only-alpha-only"\n'
-        'tenants = ["alpha"]\n'
+        backend("secret", "beta")
+        + key("a", "alpha-only-alpha-only", role="operator", tenants=["alpha"])
     )
     async with world_of(text) as world:
         client = world.client("alpha-only-alpha-only")

@@ -16,17 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from configuration import listener, table
 from rcpd.notify import notifying
 
 pytestmark = pytest.mark.anyio
-CONFIG = """
-[transports]
-http = false
-ws = false
-sse = false
-[transports.asgi]
-port = 0
-"""
+CONFIG = table("transports", http=False, ws=False, sse=False) + listener()
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from configuration import backend, key, listener, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import parse
@@ -20,35 +21,12 @@ from rcp_kernel.types import Pose, quantity
 
 BOUND = 20.0  # s any wait of a test may take
 KEY = "operator-of-this-test"
-CONFIG = """
-{top}
-[transports.asgi]
-port = {port}
-{asgi}
-[transports.http]
-{http}
-[transports.ws]
-{ws}
-[transports.sse]
-{sse}
-[[backends]]
-use = "robot"
-tenant = "alpha"
-[[backends]]
-use = "robot"
-name = "second"
-tenant = "beta"
-[[keys]]
-name = "op"
-role = "operator"
-key = "operator-of-this-test"
-[[keys]]
-name = "beta-only"
-role = "operator"
-tenants = ["beta"]
-key = "key-of-tenant-beta"
-{more}
-"""
+ROBOTS = (
+    backend()
+    + backend("second", "beta")
+    + key("op", KEY, role="operator")
+    + key("beta-only", "key-of-tenant-beta", role="operator", tenants=["beta"])
+)
 
 
 RESOURCES = (
@@ -139,9 +117,11 @@ async def site(
         return robots[-1]
 
     configure("error", "json")
-    text = CONFIG.format(port=port, top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
+    text = top + listener(port) + asgi
+    for name, fields in {"http": http, "ws": ws, "sse": sse}.items():
+        text += table(f"transports.{name}") + fields
     with TemporaryDirectory() as scratch:
-        text += f'[store]\npath = "{folder or scratch}/store.db"\n'
+        text += ROBOTS + more + table("store", path=f"{folder or scratch}/store.db")
         async with serve(parse(text, "test"), scripted(make)) as served:
             yield Site(served.server, robots)
 

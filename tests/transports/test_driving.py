@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend, key, listener
 from conformance.wires import SseClient, WebSocketClient, address
 from rcp_kernel.app.server import Server
 from rcp_kernel.clock import parse_time
@@ -31,29 +32,12 @@ ATTEMPTS = 3  # at what depends on when this machine lets the gateway run
 DRIVE = "/tenant/alpha/actuator/cmd_vel"
 PERSON, AGENT = "person-person-person", "agent-agent-agent"
 WAYS = ("websocket", "http")
-CONFIG = f"""
-[transports.asgi]
-port = 0
-grace = 0.1
-[transports.ws]
-[transports.http]
-[transports.sse]
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-rate = 200
-noise = 0
-world = "empty"
-[[keys]]
-name = "person"
-role = "operator"
-key = "{PERSON}"
-[[keys]]
-name = "agent"
-role = "agent"
-key = "{AGENT}"
-"""
+CONFIG = (
+    listener(grace=0.1)
+    + backend("rover", use="sim", rate=200, noise=0, world="empty")
+    + key("person", PERSON, role="operator")
+    + key("agent", AGENT)
+)
 DRIVERS = {
     "websocket": """
 import asyncio, sys, rcp_client

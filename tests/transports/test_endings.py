@@ -23,6 +23,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from certs import Authority, Signed
+from configuration import backend, key, listener, table, tls
 from issuer import AUDIENCE, Key
 from issuer import Issuer as Signer
 from rcp_kernel.app.log import configure
@@ -40,32 +41,12 @@ CONTEXT = "/rcp/v1/context"
 FAST = {"linear": {"x": 0.5}}
 ENDED = "subscription_ended"
 KINDS = ["token", "jwt", "certificate"]
-CONFIG = """
+TABLES = """
 anonymous = false
-[transports.asgi]
-port = 0
-[transports.asgi.tls]
-certificate = "{server.cert}"
-key = "{server.key}"
-client_ca = "{ca}"
-client_certificates = "optional"
-[store]
-path = "{folder}/store.db"
-[[backends]]
-use = "robot"
-tenant = "alpha"
-[[backends]]
-use = "robot"
-name = "second"
-tenant = "beta"
 [[certificates]]
 name = "ann"
 subject = "ann"
 role = "operator"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-of-these-tests"
 [[jwt]]
 issuer = "http://127.0.0.1:1"
 audience = "{audience}"
@@ -95,10 +76,15 @@ class Place:
         self.signer.keys["k1"] = Key("k1", "ES256")
         (folder / "issuer.pem").write_text(self.signer.keys["k1"].pem)
         self.config = folder / "rcp.toml"
+        server = self.ca.server()
         self.config.write_text(
-            CONFIG.format(
-                folder=folder, ca=self.ca.file, server=self.ca.server(), audience=AUDIENCE
-            )
+            TABLES.format(folder=folder, audience=AUDIENCE)
+            + listener()
+            + tls(server, client_ca=self.ca.file, client_certificates="optional")
+            + table("store", path=folder / "store.db")
+            + backend()
+            + backend("second", "beta")
+            + key("admin", "admin-of-these-tests")
         )
         self.robots: list[ScriptedRobot] = []
         self.url = ""

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from certs import Authority
+from configuration import tls
 from rcp_asgi.config import AsgiConfig
 from rcp_asgi.connection_limiter import ConnectionLimiter
 from rcp_asgi.proxies import Proxies
@@ -80,8 +81,7 @@ async def test_one_address_cannot_connect_faster_than_it_may() -> None:
 @asyncs
 async def test_over_tls_one_too_many_is_cut_before_the_handshake(tmp_path: Path) -> None:
     server = Authority(tmp_path).server()
-    tls = f'[transports.asgi.tls]\ncertificate = "{server.cert}"\nkey = "{server.key}"\n'
-    async with site(asgi="connections = 1\n" + tls) as gateway, connected(gateway) as first:
+    async with site(asgi="connections = 1\n" + tls(server)) as gateway, connected(gateway) as first:
         async with connected(gateway) as second:
             await second.ended()
         first.writer.close()

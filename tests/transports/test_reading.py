@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
 import rcp_ws.client
+from configuration import backend, configuration, key, listener, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.peer import UNKNOWN
@@ -44,16 +45,8 @@ SPEED = settings(
 )
 OTHERS = "replayed"
 USUAL = rcp_ws.client._TURN
-ROBOT = f"""
-[[backends]]
-use = "robot"
-tenant = "alpha"
-[[keys]]
-name = "op"
-role = "operator"
-key = "{KEY}"
-"""
-WITHOUT_SOCKET = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+ROBOT = backend() + key("op", KEY, role="operator")
+WITHOUT_SOCKET = configuration()
 
 
 def replayed(session: Session, count: int) -> None:
@@ -469,7 +462,7 @@ def run(model: type[Reading], place: Place, examples: int) -> None:
 
 
 def test_a_client_on_a_socket_is_read_from_and_answered_once(place: Place) -> None:
-    sockets = f"[transports.asgi]\nport = 0\n[transports.ws]\nbacklog = {BACKLOG}\n"
+    sockets = listener() + table("transports.ws", backlog=BACKLOG)
     place.serve(sockets + ROBOT)
     run(RealReading, place, 12)
 

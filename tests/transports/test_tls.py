@@ -15,6 +15,7 @@ from structlog.testing import capture_logs
 from websockets.asyncio.client import connect
 
 from certs import Authority, Signed
+from configuration import tls
 from rcp_asgi.config import TlsConfig
 from rcp_asgi.tls import Tls
 from rcp_kernel.app.log import configure
@@ -53,11 +54,6 @@ def ca(tmp_path: Path) -> Authority:
     return Authority(tmp_path)
 
 
-def table(server: Signed, **more: Any) -> str:
-    keys = {"certificate": server.cert, "key": server.key, **more}
-    return "[transports.asgi.tls]\n" + "".join(f'{k} = "{v}"\n' for k, v in keys.items())
-
-
 def trusting(ca: Authority, client: Signed | None = None) -> ssl.SSLContext:
     context = ssl.create_default_context(cafile=ca.file)
     if client is not None:
@@ -66,15 +62,15 @@ def trusting(ca: Authority, client: Signed | None = None) -> ssl.SSLContext:
 
 
 @asynccontextmanager
-async def secured(ca: Authority, *, top: str = "", **tls: Any) -> AsyncGenerator[Site]:
-    async with site(top=top, asgi=table(ca.server(), **tls), more=MAPPED) as gateway:
+async def secured(ca: Authority, *, top: str = "", **fields: Any) -> AsyncGenerator[Site]:
+    async with site(top=top, asgi=tls(ca.server(), **fields), more=MAPPED) as gateway:
         yield gateway
 
 
 @asynccontextmanager
-async def mutual(ca: Authority, kind: str = "required", **tls: Any) -> AsyncGenerator[Site]:
-    tls = {"client_certificates": kind, "client_ca": ca.file, **tls}
-    async with secured(ca, top="anonymous = false", **tls) as gateway:
+async def mutual(ca: Authority, kind: str = "required", **fields: Any) -> AsyncGenerator[Site]:
+    fields = {"client_certificates": kind, "client_ca": ca.file, **fields}
+    async with secured(ca, top="anonymous = false", **fields) as gateway:
         yield gateway
 
 
@@ -151,7 +147,7 @@ async def test_plain_http_on_the_tls_port_is_closed(ca: Authority) -> None:
 
 
 async def test_a_handshake_that_stalls_is_cut(ca: Authority) -> None:
-    asgi = "header_timeout = 0.05\n" + table(ca.server())
+    asgi = "header_timeout = 0.05\n" + tls(ca.server())
     async with site(asgi=asgi) as gateway, connected(gateway) as silent:
         async with connected(gateway) as raw:
             raw.send(b"\x16\x03\x01\x02\x00\x01")
@@ -186,10 +182,10 @@ async def test_a_websocket_that_breaks_the_rules_is_failed_over_tls_too(ca: Auth
 
 async def test_a_key_may_be_encrypted(ca: Authority) -> None:
     sealed = ca.server(password=b"open sesame")
-    good = table(sealed, key_password="open sesame")
+    good = tls(sealed, key_password="open sesame")
     async with site(asgi=good) as gateway, calling(gateway, ca) as http:
         assert (await http.get("/healthz")).status_code == 200
-    for bad in (table(sealed), table(sealed, key_password="wrong")):
+    for bad in (tls(sealed), tls(sealed, key_password="wrong")):
         with pytest.raises(ConfigError, match="key_password"):
             async with site(asgi=bad):
                 pass
@@ -203,13 +199,13 @@ async def test_faults_of_the_files_are_faults_of_the_configuration(
     empty.write_text("")
     mine = {"client_certificates": "required", "client_ca": ca.file}
     for bad, told in [
-        (table(server, key=tmp_path / "none"), r"`key` = .* cannot be read"),
-        (table(server, key=other.key), "cannot be loaded"),
-        (table(server, certificate=empty), "cannot be loaded"),
-        (table(server, client_ca=ca.file), "contradicts"),
-        (table(server, client_certificates="optional"), "needs `client_ca`"),
-        (table(server, client_certificates="optional", client_ca=empty), "`client_ca` ="),
-        (table(server, **mine, crl=empty), "`crl` ="),
+        (tls(server, key=tmp_path / "none"), r"`key` = .* cannot be read"),
+        (tls(server, key=other.key), "cannot be loaded"),
+        (tls(server, certificate=empty), "cannot be loaded"),
+        (tls(server, client_ca=ca.file), "contradicts"),
+        (tls(server, client_certificates="optional"), "needs `client_ca`"),
+        (tls(server, client_certificates="optional", client_ca=empty), "`client_ca` ="),
+        (tls(server, **mine, crl=empty), "`crl` ="),
     ]:
         with pytest.raises(ConfigError, match=told):
             async with site(asgi=bad):

@@ -5,32 +5,36 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
+from typing import Any
 
 import pytest
+
+from configuration import backend, configuration, key, table
 
 pytest.importorskip("zenoh")
 
 from rcp_kernel.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
+from rcp_kernel.testing.wire import ROBOT
+from transports.cable import Cable
 
-_KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
-_OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+_OPERATOR = key("operator", OPERATOR)
 
 
-def _robot(port: int) -> str:
-    return (
-        f'{_OFF}[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\n'
-        f'connect = ["tcp/127.0.0.1:{port}"]\n'
-        f'[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "alpha"\n{_KEYS}'
+def _robot(port: int, use: str = "sim", **fields: Any) -> str:
+    hub = [f"tcp/127.0.0.1:{port}"]
+    return configuration(
+        table("transports.zenoh", gateway="r7", tenant="alpha", connect=hub, **fields),
+        backend("rover", use=use),
+        _OPERATOR,
     )
 
 
 def _hub(port: int, token: str = OPERATOR) -> str:
-    return (
-        f'{_OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "alpha"\n'
-        f'hub = "h1"\nlisten = ["tcp/127.0.0.1:{port}"]\ntoken = "{token}"\n'
-        f"{_KEYS}"
-    )
+    listen = [f"tcp/127.0.0.1:{port}"]
+    fleet = backend("fleet", use="fleet", hub="h1", listen=listen, token=token)
+    return configuration(fleet, _OPERATOR)
 
 
 def _free_port() -> int:
@@ -43,7 +47,7 @@ def _free_port() -> int:
 async def _serving(text: str) -> AsyncGenerator[Served]:
     from rcp_kernel.config.file import parse
 
-    async with serve(parse(text, "test")) as served:
+    async with serve(parse(text, "test"), ROBOT) as served:
         yield served
 
 
@@ -64,14 +68,16 @@ async def _appears(client: MemoryClient, path: str) -> dict[str, object]:
 
 
 @asynccontextmanager
-async def _fleet() -> AsyncGenerator[tuple[Served, Served, MemoryClient]]:
+async def _fleet(
+    use: str = "sim", **fields: Any
+) -> AsyncGenerator[tuple[Served, Served, MemoryClient]]:
     port = _free_port()
     async with AsyncExitStack() as stack:
         hub = await stack.enter_async_context(_serving(_hub(port)))
-        robot = await stack.enter_async_context(_serving(_robot(port)))
+        robot = await stack.enter_async_context(_serving(_robot(port, use, **fields)))
         client = hub.client(OPERATOR)
         stack.push_async_callback(client.close)
-        await _appears(client, "/tenant/alpha/sensor/r7/pose")
+        await _appears(client, "/tenant/alpha/*/r7/**")
         yield hub, robot, client
 
 
@@ -125,10 +131,10 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
         client = hub.client(OPERATOR)
         async with _serving(_robot(port)):
             await _appears(client, "/tenant/alpha/sensor/r7/pose")
-            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
-        await _comes(lambda: hub.supervisor.state == "down", "the backend is down")
+            await _comes(lambda: hub.supervisor.unit("r7").state == "ready", "the robot is ready")
+        await _comes(lambda: hub.supervisor.unit("r7").state == "down", "the robot is down")
         async with _serving(_robot(port)):
-            await _comes(lambda: hub.supervisor.state == "ready", "the backend is ready")
+            await _comes(lambda: hub.supervisor.unit("r7").state == "ready", "the robot is ready")
             read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
             assert read["status"] == "completed", read
         await client.close()
@@ -137,58 +143,18 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
 async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
     port = _free_port()
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):
-        await _comes(lambda: "r7" in str(hub.supervisor.detail), "the refusal is in the status")
+        await _comes(lambda: bool(hub.supervisor.unit("r7").detail), "the refusal is in the status")
         client = hub.client(OPERATOR)
         found = await client.request("discover", path="/tenant/alpha/**", body={"limit": 9})
         assert not [one for one in found["body"]["resources"] if "/r7/" in one["path"]]
         await client.close()
 
 
-class _Cable:
-    """A TCP proxy between a robot and the router, which can be cut."""
-
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._writers: set[asyncio.StreamWriter] = set()
-        self.port = 0
-
-    @asynccontextmanager
-    async def laid(self) -> AsyncGenerator[_Cable]:
-        server = await asyncio.start_server(self._join, "127.0.0.1", 0)
-        self.port = server.sockets[0].getsockname()[1]
-        try:
-            yield self
-        finally:
-            server.close()
-            self.cut()
-
-    def cut(self) -> None:
-        for writer in self._writers:
-            writer.transport.abort()
-        self._writers.clear()
-
-    async def _join(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._port)
-        except OSError:
-            writer.transport.abort()
-            return
-        self._writers |= {writer, far_writer}
-        await asyncio.gather(self._pass(reader, far_writer), self._pass(far_reader, writer))
-
-    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with suppress(OSError):
-            while data := await reader.read(65_536):
-                writer.write(data)
-                await writer.drain()
-        writer.transport.abort()
-
-
 async def test_a_command_outlives_a_cut_link_and_ends_once() -> None:
     port = _free_port()
     async with (
         _serving(_hub(port)) as hub,
-        _Cable(port).laid() as cable,
+        Cable(port).laid() as cable,
         _serving(_robot(cable.port)) as robot,
     ):
         client = hub.client(OPERATOR)
@@ -222,29 +188,48 @@ async def _appears_at(hub: Served, stack: AsyncExitStack) -> None:
     await _appears(client, "/tenant/alpha/sensor/r7/pose")
 
 
-async def test_a_lost_message_ends_the_link() -> None:
-    import zenoh
+async def test_status_shows_each_link() -> None:
+    async with _fleet() as (_, robot, _client):
 
-    from rcp_zenoh.pipe import Pipe
-    from rcp_zenoh.session import configuration, on_loop, opened
+        def link() -> dict[str, Any]:
+            (transport,) = robot.server.kernel.status.transports
+            return transport["links"][0]
 
-    async with opened(configuration("router"), patient=False) as session:
-        reasons: list[str] = []
-        taken: list[bytes | None] = []
-        near = Pipe(session, "test/up", lambda: None, reasons.append)
-        far = Pipe(session, "test/down", lambda: None, reasons.append)
+        await _comes(lambda: "latency" in link(), "the link is measured")
+        assert link()["hub"] == "h1"
+        assert link()["links"] == 1
+        assert link()["lost"] == 0
+        assert link()["received"] > 0
+        assert link()["sent"] > link()["received"]
+        assert abs(link()["clock_offset"]) <= link()["clock_bound"] + 0.001
 
-        def take(sample: zenoh.Sample) -> None:
-            if sample.payload.to_bytes() != b"two":
-                taken.append(far.receive(sample))
 
-        loop = asyncio.get_running_loop()
-        subscriber = session.declare_subscriber("test/up", on_loop(loop, take))
-        near.send(b"one")
-        await _comes(lambda: taken == [b"one"], "the first message has arrived")
-        near.send(b"two")
-        near.send(b"three")
-        await _comes(lambda: bool(reasons), "the loss is noticed")
-        assert taken[1:] == [None]
-        assert reasons == ["messages 2 to 2 were lost on the way"]
-        subscriber.undeclare()
+async def test_a_long_value_arrives() -> None:
+    async with _fleet("wire-robot") as (_, robot, client):
+        for value in ("x" * 1_000_000, "short"):
+            robot.life.host.publish("event/note", value)
+            read = await client.request("read", "/tenant/alpha/event/r7/note")
+            assert read["body"] == value
+
+
+async def test_a_budget_skips_updates_and_delays_no_command() -> None:
+    async with _fleet("wire-robot", budget=20_000) as (_, robot, client):
+        publish = partial(robot.life.host.publish, "event/note")
+        path = "/tenant/alpha/event/r7/note"
+        id_ = await client.subscribe(path, qos={"depth": 100}, initial=False)
+        (transport,) = robot.server.kernel.status.transports
+        row, loop = transport["links"][0], asyncio.get_running_loop()
+        await _comes(lambda: "sent" in row, "the link is measured")
+        before, began = row["sent"], loop.time()
+        update = None
+        for number in range(200):
+            publish(f"{number} {'x' * 1000}")
+            done = await client.request("write", "/tenant/alpha/param/r7/label", body="a")
+            assert done["status"] == "completed", done
+        publish("last")
+        while update is None or update["body"] != "last":
+            update = await client.update(id_)
+        replies = 200 * 400
+        allowed = 20_000 * (loop.time() - began) + 20_000 + replies
+        await _comes(lambda: row["sent"] > before, "the link is measured again")
+        assert row["sent"] - before < allowed

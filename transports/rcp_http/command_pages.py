@@ -7,7 +7,7 @@ from typing import NamedTuple, get_args
 
 from rcp_http.request import HttpRequest, count
 from rcp_kernel.api import Command
-from rcp_kernel.api.pages import LONGEST, Parts, cursor_of, place_of
+from rcp_kernel.api.pages import LONGEST, ObjectList, cursor_of, place_of
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.wire import Status
 
@@ -53,7 +53,7 @@ class Wanted(NamedTuple):
 
 
 def fill(
-    page: Parts, wanted: Wanted, commands: Iterable[Command | None], longest: int
+    page: ObjectList, wanted: Wanted, commands: Iterable[Command | None], longest: int
 ) -> Generator[None, None, str | None]:
     """Fill a page with at most `longest` bytes in steps; return the cursor of the next page.
 

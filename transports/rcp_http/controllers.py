@@ -19,7 +19,7 @@ from rcp_http.openapi_calls import COUNT, CURSOR, ID, PATH, STATUSES, TEXT, UNCH
 from rcp_http.openapi_responses import COMMAND
 from rcp_http.request import count, flag
 from rcp_http.schema_page import written
-from rcp_kernel.api.pages import LONGEST, Parts, room
+from rcp_kernel.api.pages import LONGEST, ObjectList, room
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Kind, Operation, operation_names
 from rcp_kernel.wire import encode_reply
@@ -147,7 +147,7 @@ class Commands(Controller):
     async def commands(self, call: NamedDependency[Call]) -> ASGIApp:
         """Answer with the newest first, without their histories."""
         client_api, session = call.client_api, call.session
-        page, longest = Parts(call.http.encoding), room(client_api.limits.message)
+        page, longest = ObjectList(call.http.encoding), room(client_api.limits.message)
         work = fill(page, Wanted.read(call.http), client_api.commands(session), longest)
         cursor = await client_api.turns.finish(session.principal.identity, work)
         return call.plain(page, "/system/commands", cursor)

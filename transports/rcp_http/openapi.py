@@ -71,18 +71,21 @@ def _describe(resource: Node, paths: Node, schemas: Node, free: int, proved: lis
         for name, schema in resource["schemas"].items()
     }
     item: Node = {}
+    sent = refs.get("input", refs.get("value"))
+    if (own := resource.get("command_schema")) is not None:  # what this caller may send
+        sent = _component("command" + resource["path"].replace("/", "."), own, schemas)
     operations = resource["operations"]
     if "read" in operations:
         item["get"] = _operation(resource, "read", refs.get("value"), READ)
         item["get"]["responses"] |= _PARTS
     if "write" in operations:
         item["put"] = _operation(resource, "write", refs.get("value")) | {
-            "requestBody": _body(refs.get("value"), resource["examples"])
+            "requestBody": _body(sent, resource["examples"])
         }
     if "execute" in operations:
         item["post"] = _operation(resource, "execute", refs.get("output"))
         if "input" in refs:
-            body = _body(refs["input"], resource["examples"])
+            body = _body(sent, resource["examples"])
             body["required"] = not _takes_null(resource["schemas"]["input"])
             item["post"]["requestBody"] = body
         item["post"]["responses"]["202"] = {"$ref": "#/components/responses/202"}

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.api.pages import Written
+from rcp_kernel.api.pages import EncodedBody
 from rcp_kernel.values import Encoding, dump
 
 __all__ = ["written"]
@@ -26,4 +26,4 @@ def written(
         pieces[id_] = Raw(dump(schema, encoding))
         yield
     module = msgspec.json if encoding is Encoding.JSON else msgspec.msgpack
-    return Written(found, encoding, module.encode(pieces))
+    return EncodedBody(found, encoding, module.encode(pieces))

@@ -158,7 +158,7 @@ class WsClient:
         if len(outbox.control) >= self._look_at or outbox.waiting > BACKLOG_SHARE:
             self.flush()
             gate.review()
-        if size > _SHORT and self.connection.holds:
+        if size > _SHORT and self.connection.buffering:
             gate.review()
         if gate.handing and self._over():
             gate.end_turn()
@@ -195,7 +195,7 @@ class WsClient:
         Either it does not read what it requested, and a flush follows, or one of its messages is
         still being handled, and `released` follows.
         """
-        if self.connection.holds:
+        if self.connection.buffering:
             return True
         outbox = self._outbox
         sends = outbox.control or self._outgoing.busy or not self._socket.writable
@@ -223,7 +223,7 @@ class WsClient:
     def _greeting(self, data: bytes) -> None:
         """Accept only `hello` from a client that is not authenticated."""
         type_, id_ = peek_header(data, self._encoding)
-        if type_ != "hello" and not self.connection.holds:
+        if type_ != "hello" and not self.connection.buffering:
             error = Unauthenticated("authentication required")
             self.connection.send(failure(error, type_, id_))
             return

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_kernel.api import GatewayConfig
 from rcp_kernel.client_kinds import TransportKind
 from rcp_kernel.hookspecs import hookimpl
 from rcp_zenoh.config import ZenohConfig
+from rcp_zenoh.tls import check_links
 from rcp_zenoh.transport import open_zenoh
 
 __all__ = ["ZenohConfig", "open_zenoh", "rcp_transports"]
 
 
+def _check(config: ZenohConfig, _gateway: GatewayConfig) -> None:
+    check_links(config.connect, config.tls, "[transports.zenoh]")
+
+
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
     """Provide Zenoh."""
-    return [TransportKind("zenoh", ZenohConfig, open_zenoh, __doc__ or "")]
+    return [TransportKind("zenoh", ZenohConfig, open_zenoh, __doc__ or "", check=_check)]

@@ -1,7 +1,7 @@
 """The key expressions of a fleet.
 
 `rcp/<tenant>/<gateway>/alive` is a token of a robot's gateway; `…/link/<hub>/<link>` is a token of a
-hub for one of its links with it. On a link, `…/in/<hub>/<link>` carries what the hub says, and
+hub for one of its links with it; `<link>` ends in `.json` or `.cbor` if its messages are not MessagePack. On a link, `…/in/<hub>/<link>` carries what the hub says, and
 `…/out/<hub>/<link>` what the gateway says. Access control can thus be by prefix and by hub.
 """
 
@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["LinkKeys", "alive", "links_of", "part"]
+from rcp_kernel.values import Encoding
+
+__all__ = ["LinkKeys", "alive", "encoding_of", "links_of", "part", "revoked"]
 
 _ROOT = "rcp"
 
@@ -35,9 +37,20 @@ def alive(tenant: str, gateway: str = "*") -> str:
     return f"{_ROOT}/{tenant}/{gateway}/alive"
 
 
+def revoked(tenant: str) -> str:
+    """Name where the list of revoked hubs is published."""
+    return f"{_ROOT}/{tenant}/revoked"
+
+
 def links_of(tenant: str, gateway: str) -> LinkKeys:
     """Name the keys of all links of a gateway."""
     return LinkKeys.of(tenant, gateway, "*", "*")
+
+
+def encoding_of(link: str) -> Encoding:
+    """Return the encoding of the messages on a link, MessagePack if its name says none."""
+    name = link.partition(".")[2]
+    return next((one for one in Encoding if one.value == name), Encoding.MSGPACK)
 
 
 def part(key: object, index: int) -> str:

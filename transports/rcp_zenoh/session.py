@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, Literal
 
@@ -13,17 +13,30 @@ import zenoh
 from zenoh.handlers import Callback
 
 from rcp_kernel.errors import NotReady
+from rcp_zenoh.tls import TlsConfig
 
 __all__ = ["configuration", "on_loop", "opened"]
 
 log = structlog.get_logger("rcp.zenoh")
 _PAUSE = 1.0  # s between two attempts to reach a router
+_SESSIONS, _PENDING = 20_000, 2_000  # of a router: robots, and those that come at once
+_QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 4}
+"""Batches of 64 KiB by priority: twice what the windows of a link let through."""
 
 
 def configuration(
-    mode: Literal["client", "router"], *, listen: Sequence[str] = (), connect: Sequence[str] = ()
+    mode: Literal["client", "router"],
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    silence: float = 3.0,
+    tls: TlsConfig | None = None,
+    access: Mapping[str, Any] | None = None,
 ) -> zenoh.Config:
-    """Make a configuration that finds nobody by itself: the endpoints are all there is."""
+    """Make a configuration that finds nobody by itself: the endpoints are all there is.
+
+    A connection ends after a `silence` of so many seconds. `access` are the rules of a router.
+    """
     config = zenoh.Config()
     for key, value in (
         ("mode", mode),
@@ -31,9 +44,22 @@ def configuration(
         ("connect/endpoints", list(connect)),
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
+        ("transport/shared_memory/enabled", False),  # a proxy or another machine has none
+        ("transport/link/tx/lease", round(silence * 1000)),
+        # It would save copies on one machine, where it allows for no more than 350 sessions.
+        ("transport/shared_memory/enabled", False),
+        ("transport/unicast/max_sessions", _SESSIONS),
+        ("transport/unicast/accept_pending", _PENDING),
+        *((f"transport/link/tx/queue/size/{name}", size) for name, size in _QUEUES.items()),
+        *((f"transport/link/tls/{name}", value) for name, value in _settings(tls).items()),
+        *(() if access is None else (("access_control", access),)),
     ):
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def _settings(tls: TlsConfig | None) -> dict[str, object]:
+    return {} if tls is None else tls.settings
 
 
 @asynccontextmanager

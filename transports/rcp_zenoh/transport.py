@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import partial
 from typing import Any
@@ -11,19 +11,34 @@ from typing import Any
 import zenoh
 
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.features import ServiceKey
+from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
-from rcp_zenoh.keys import LinkKeys, alive, links_of, part
+from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
 from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.statistics import Statistics
 
 __all__ = ["open_zenoh"]
+
+_REVOCATIONS: ServiceKey[Callable[[bytes], None]] = ServiceKey("hubs.revocations")
+"""As of the feature `hubs`: takes the list of revoked hubs."""
 
 
 class _Links:
     """The links of all hubs, by hub and link."""
 
-    def __init__(self, config: ZenohConfig, client_api: ClientApi, session: zenoh.Session) -> None:
+    def __init__(
+        self,
+        config: ZenohConfig,
+        client_api: ClientApi,
+        session: zenoh.Session,
+        statistics: Statistics,
+    ) -> None:
         self._config, self._client_api, self._session = config, client_api, session
+        self._statistics = statistics
+        limit = config.budget
+        self._allowance = Allowance() if limit is None else Budget(client_api.loop, limit)
         self._links: dict[tuple[str, str], HubLink] = {}
 
     def token(self, sample: zenoh.Sample) -> None:
@@ -40,7 +55,10 @@ class _Links:
                 self._client_api,
                 self._session,
                 keys.down,
-                config.patience,
+                encoding_of(link),
+                config,
+                self._allowance,
+                self._statistics.of(hub),
                 partial(self._links.pop, (hub, link), None),
             )
 
@@ -59,8 +77,13 @@ class _Links:
 @asynccontextmanager
 async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Join the fleet while entered, also if its routers come later."""
-    facts: dict[str, Any] = {"gateway": config.gateway, "routers": list(config.connect)}
-    serving = client_api.loop.create_task(_serve(config, client_api), name="zenoh")
+    statistics = Statistics()
+    facts: dict[str, Any] = {
+        "gateway": config.gateway,
+        "routers": list(config.connect),
+        "links": statistics.rows,
+    }
+    serving = client_api.loop.create_task(_serve(config, client_api, statistics), name="zenoh")
     try:
         yield facts
     finally:
@@ -69,19 +92,27 @@ async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerat
             await serving
 
 
-async def _serve(config: ZenohConfig, client_api: ClientApi) -> None:
+async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statistics) -> None:
     loop, keys = client_api.loop, links_of(config.tenant, config.gateway)
-    async with opened(configuration("client", connect=config.connect), patient=True) as session:
-        links = _Links(config, client_api, session)
+    zenoh_config = configuration(
+        "client", connect=config.connect, silence=config.silence, tls=config.tls
+    )
+    async with opened(zenoh_config, patient=True) as session:
+        links = _Links(config, client_api, session, statistics)
         # The token of a link comes before its messages; our own comes last, when we can answer.
         tokens = session.liveliness().declare_subscriber(
             keys.token, on_loop(loop, links.token), history=True
         )
         messages = session.declare_subscriber(keys.up, on_loop(loop, links.message))
+        take = client_api.service(_REVOCATIONS)
+        revocations = session.declare_subscriber(
+            revoked(config.tenant),
+            on_loop(loop, lambda sample: take and take(sample.payload.to_bytes())),
+        )
         own = session.liveliness().declare_token(alive(config.tenant, config.gateway))
         try:
             await asyncio.Event().wait()
         finally:
             links.close()
-            for one in (own, messages, tokens):
+            for one in (own, revocations, messages, tokens):
                 one.undeclare()

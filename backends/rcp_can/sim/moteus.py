@@ -41,7 +41,7 @@ class MoteusTwin(Twin):
         super().__init__(node, plant, **options)
         self.mode = int(Mode.STOPPED)
         self.fault = 0
-        self._command = dict(_COMMAND)
+        self.command = dict(_COMMAND)
         self._booted = time.monotonic() - 10.0  # it was running before the first request
 
     def boot(self) -> None:
@@ -66,7 +66,7 @@ class MoteusTwin(Twin):
             return
         writes = [a for a in accesses if a.kind == Kind.WRITE]
         if any(a.register == 0 for a in writes):
-            self._command = dict(_COMMAND)
+            self.command = dict(_COMMAND)
         for access in writes:
             self._written(_NAMES.get(access.register, ""), access.value or 0.0)
         if any(a.register == 0 for a in writes):
@@ -75,8 +75,8 @@ class MoteusTwin(Twin):
             self._answer(identifier >> 8 & 0x7F, accesses, message)
 
     def _written(self, name: str, value: float) -> None:
-        if name in self._command:
-            self._command[name] = value
+        if name in self.command:
+            self.command[name] = value
         elif name == "set_output":
             self.plant.goal += value * TURN - self.plant.position
             self.plant.position = value * TURN
@@ -92,7 +92,7 @@ class MoteusTwin(Twin):
         if not self.enabled:
             return
         self.feed()
-        command, plant = self._command, self.plant
+        command, plant = self.command, self.plant
         velocity = command["command_velocity"]
         if self.mode != Mode.POSITION:
             plant.hold()
@@ -112,7 +112,7 @@ class MoteusTwin(Twin):
 
     def tick(self, now: float) -> None:
         """Check the watchdog: damp to zero velocity until a stop command."""
-        timeout = self._command["watchdog"]
+        timeout = self.command["watchdog"]
         if math.isnan(timeout):
             timeout = _TIMEOUT
         if self.enabled and self.is_quiet(timeout):
@@ -125,7 +125,7 @@ class MoteusTwin(Twin):
         if self.blind and name in ("position", "velocity"):
             return math.nan
         values = {
-            "watchdog": self._command["watchdog"],
+            "watchdog": self.command["watchdog"],
             "mode": float(self.mode),
             "position": plant.position / TURN,
             "velocity": plant.velocity / TURN,

@@ -121,7 +121,7 @@ class Channel:
         return await Link.open(
             settings.address,
             self._codec,
-            settings.token,
+            settings.proof(),
             self._received,
             self._on_lost,
             timeout=settings.connect_timeout,
@@ -149,8 +149,8 @@ class Channel:
             body["segment_size"] = _SEGMENT
         if settings.tenant is not None:
             body["tenant"] = settings.tenant
-        if settings.dial is not None and settings.token is not None:
-            body["token"] = settings.token
+        if settings.dial is not None and (token := settings.proof()) is not None:
+            body["token"] = token
         if session is not None:
             body |= {"session": session, "resume_token": self._resume_token}
             body["resume_from"] = self._seen()
@@ -227,6 +227,10 @@ class Channel:
                     raise ConnectionLost(
                         f"the gateway has been unreachable for {away:.0f} s: {error.message}"
                     ) from error
+            except RcpError as error:
+                if not settings.persistent:
+                    raise
+                self.tell(Notice(code="refused", message=error.message))
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients
             pause = min(pause * 2, settings.longest_pause)
 
@@ -319,12 +323,26 @@ class Channel:
         elif not self.calls.take(message) and message.id is None:
             error = error_of(message)
             if isinstance(error, Unauthenticated):
-                self._end(error)
+                self._expelled(error)
             elif error is not None:
                 self.tell(Notice(code=error.code, message=error.message, path=message.path))
 
+    def _expelled(self, error: Unauthenticated) -> None:
+        if self.settings.persistent and self._link is not None:
+            self._link.close()
+        else:
+            self._end(error)
+
+    def _renew(self) -> None:
+        """Send a new token of the same principal, to keep the session."""
+        token = self.settings.token
+        if callable(token):
+            self.post({"type": "hello", "body": {"token": token()}})
+
     def tell(self, notice: Notice) -> None:
         """Pass a notice to its subscription and to the user's callback."""
+        if notice.code == "session_expiring":
+            self._renew()
         for id_, subscription in list(self.subscriptions.items()):
             if notice.id in (None, id_):
                 subscription.note(notice)

@@ -445,11 +445,15 @@ class Client:
         q: str | None = None,
         profile: str | None = None,
         schemas: bool = True,
+        offers: bool = False,
     ) -> list[ResourceInfo]:
-        """List the matching resources: by path, `kind`, operation, words in `q`, and `profile`."""
+        """List the matching resources: by path, `kind`, operation, words in `q`, and `profile`.
+
+        `offers` adds the operations that this principal may not use.
+        """
         found: list[ResourceInfo] = []
         wanted = {"kind": kind, "op": op, "q": q, "profile": profile, "limit": _PAGE}
-        body = {**kept(wanted), "schemas": schemas}
+        body = {**kept(wanted), "schemas": schemas, **kept({"offers": offers or None})}
         envelope = kept({"type": "discover", "path": pattern, "body": body})
         async for reply in pages(self.channel.ask, envelope):
             found += msgspec.convert(reply.body["resources"], list[ResourceInfo])

@@ -89,6 +89,8 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     path: str
     kind: str
     operations: list[str]
+    offers: list[str] | None = None
+    """All its operations, also those that the caller may not use, if `discover` asked for them."""
     description: str = ""
     schemas: dict[str, dict[str, Any]] = {}
     """JSON Schemas: `value`, or `input`, `output` and `feedback` of an action or service."""
@@ -104,6 +106,10 @@ class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
     max_age: float | None = None
     valid_for: float | None = None
     safe: Any = None
+    moves: bool | None = None
+    """Whether it may move something, if its kind does not tell: actuators and actions may."""
+    energises: bool = False
+    """Whether it arms the robot or applies torque."""
     atomic: str | None = None
     """The group of resources of its robot that can be written as one (`Client.write_all`)."""
     native: str | None = None

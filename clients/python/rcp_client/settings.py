@@ -21,7 +21,8 @@ class Settings:
     """Connection settings of a client; times in s."""
 
     address: Address
-    token: str | None = None
+    token: str | Callable[[], str] | None = None
+    """A function returns a new one for each `hello`, and before the last one expires."""
     tenant: str | None = None
     encoding: Encoding = Encoding.MSGPACK
     deadline: float = 10.0
@@ -38,5 +39,12 @@ class Settings:
     client: str = "rcp-client/python"
     ssl: SSLContext | None = None
     on_notice: Callable[[Notice], None] | None = None
+    persistent: bool = False
+    """Whether a refusal of a session that once began is tried again, as a lost connection is; the
+    notice `refused` tells of it."""
     dial: Dial | None = None
     """Opens connections that are no WebSockets; the token then goes into `hello`."""
+
+    def proof(self) -> str | None:
+        """Return the token to send now."""
+        return self.token() if callable(self.token) else self.token

@@ -33,6 +33,8 @@ class Goal(msgspec.Struct, frozen=True):
     """It fits the schema, and the robot fails or refuses it; not given: nothing can go wrong."""
     long: Any = _UNGIVEN
     """It takes long enough to be cancelled; `good` if not given."""
+    local: bool = False
+    """The gateway may complete it without the device, as it only returns what it has already."""
 
     @property
     def lasting(self) -> Any:

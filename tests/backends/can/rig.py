@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import threading
-import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any, Self
@@ -77,7 +76,7 @@ class RecordingHost:
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         asyncio.get_running_loop().call_soon_threadsafe(function, *args)
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
         self.reports.append(detail)
         self._tell()
 
@@ -237,7 +236,7 @@ class Motor(Rig):
     def jammed(self) -> Generator[None]:
         """Let the bus take no frames while entered: each waits until it does again."""
         gate = threading.Event()
-        bus = self.backend.buses["can0"]._wire._bus
+        bus = self.backend.buses["can0"].wire.interface
         real = bus.send
 
         def send(message: can.Message, timeout: float | None = None) -> None:
@@ -255,16 +254,17 @@ class Motor(Rig):
     def unread(self) -> Generator[None]:
         """Leave received frames in the interface while entered; read them one by one afterwards."""
         gate = threading.Event()
-        wire = self.backend.buses["can0"]._wire
-        real = wire._bus._recv_internal
+        bus = self.backend.buses["can0"].wire.interface
+        real, loop = bus.recv, asyncio.get_running_loop()
 
-        def receive(timeout: float | None = None) -> tuple[can.Message | None, bool]:
+        def receive(timeout: float | None = None) -> can.Message | None:
             gate.wait(20)
-            while wire._inbox and not wire._closing:
-                time.sleep(0.001)  # until the event loop has taken the one before
+            taken = threading.Event()
+            loop.call_soon_threadsafe(taken.set)
+            taken.wait(1)  # until the event loop has taken the one before
             return real(timeout)
 
-        wire._bus._recv_internal = receive
+        bus.recv = receive
         try:
             yield
         finally:

@@ -189,7 +189,7 @@ async def test_warnings_of_the_controller_are_told_with_its_counters() -> None:
 async def test_an_interface_that_breaks_is_opened_anew() -> None:
     name = channel()
     async with opened(table(name)) as rig:
-        rig.backend.buses["can0"]._wire._bus.shutdown()
+        rig.backend.buses["can0"].wire.interface.shutdown()
         await rig.host.published_as("sensor/can/can0/state", state="down")
         await rig.host.published_as("sensor/can/can0/state", state="error_active")
 

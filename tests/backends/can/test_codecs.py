@@ -19,9 +19,9 @@ from rcp_can.codec import Codec, Field, Layout, Packed, Span
 from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile, vesc
 from rcp_can.profiles import moteus_wire as wire
 from rcp_can.profiles.cia402_objects import state_of
-from rcp_can.sdo import Sdo
+from rcp_can.sdo import Sdo, SdoAborted
 from rcp_can.sim import make_twin
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import DeviceTimeout, RcpError
 
 CODECS: dict[str, Codec] = {
     **{f"odrive {name}": layout for name, (_, layout) in odrive.MESSAGES.items()},
@@ -261,3 +261,50 @@ async def test_a_segmented_upload_is_the_bytes_that_were_sent(parts: list[bytes]
         await asyncio.sleep(0)
         sdo.take(can.Message(arbitration_id=0x585, data=frame, is_extended_id=False))
     assert await asking == whole
+
+
+VALUE = struct.pack("<BHBI", 0x43, 0x605A, 0, 2)
+
+
+@pytest.mark.parametrize(
+    "stale",
+    [
+        struct.pack("<BHBI", 0x43, 0x6007, 0, 9),
+        struct.pack("<BHBI", 0x43, 0x605A, 1, 9),
+        struct.pack("<BHBI", 0x60, 0x605A, 0, 0),
+        struct.pack("<BHBI", 0x80, 0x6007, 0, 0x06020000),
+        bytes(8),
+    ],
+    ids=["object", "subindex", "download", "abort", "segment"],
+)
+async def test_a_late_response_to_another_request_is_neither_the_answer_nor_an_end(
+    stale: bytes,
+) -> None:
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    asking = asyncio.ensure_future(sdo.upload(0x605A))
+    for frame in (stale, VALUE):
+        await asyncio.sleep(0)
+        sdo.take(can.Message(arbitration_id=0x585, data=frame, is_extended_id=False))
+    assert await asking == struct.pack("<I", 2)
+
+
+async def test_a_node_that_answers_another_request_alone_is_late_and_the_reason_is_told() -> None:
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    asking = asyncio.ensure_future(sdo.upload(0x6007))
+    await asyncio.sleep(0)
+    sdo.take(can.Message(arbitration_id=0x585, data=VALUE, is_extended_id=False))
+    with pytest.raises(DeviceTimeout, match="0x6007:00, but to another request"):
+        await asking
+
+
+async def test_an_abort_of_the_pending_request_ends_it() -> None:
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    asking = asyncio.ensure_future(sdo.upload(0x605A))
+    await asyncio.sleep(0)
+    abort = struct.pack("<BHBI", 0x80, 0x605A, 0, 0x06020000)
+    sdo.take(can.Message(arbitration_id=0x585, data=abort, is_extended_id=False))
+    with pytest.raises(SdoAborted, match="0x605A:00: the object does not exist"):
+        await asking

@@ -207,7 +207,7 @@ async def test_a_cybergear_is_told_how_long_the_gateway_may_be_silent() -> None:
 async def test_a_moteus_is_told_with_every_set_point() -> None:
     async with bed("moteus", watchdog=0.25) as motor:
         await motor.done("service/m/enable")
-        await motor.until(lambda: motor.twin._command["watchdog"] == pytest.approx(0.25))
+        await motor.until(lambda: motor.twin.command["watchdog"] == pytest.approx(0.25))
 
 
 # Raw frames

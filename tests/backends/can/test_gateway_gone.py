@@ -194,7 +194,7 @@ def turn(twin: Any) -> None:
     twin.enabled = True
     twin.plant.loop, twin.plant.goal = "velocity", 2.0
     if hasattr(twin, "local"):
-        twin.state, twin.local.nmt._state = "enabled", 5
+        twin.state, twin.local.nmt.state = "enabled", "OPERATIONAL"
     elif hasattr(twin, "error"):
         twin.state = 8
     twin.feed()

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 import rcp_can
 from backends.can.rig import PATIENT, Node, Rig, channel, opened
+from configuration import backend, key
 from rcp_can import CanConfig
 from rcp_can.path import Leg, Path
 from rcp_can.sim import Bench, make_twin
@@ -257,30 +258,39 @@ async def test_over_the_gateway_envelopes_limits_and_the_dead_man_hold_for_joint
     name = channel()
     line = can.Bus(name, "virtual", ignore_config=True)
     twins = [make_twin("odrive", 1), make_twin("odrive", 2)]
-    config = f"""
-[[backends]]
-use = "can"
-tenant = "t"
-grace = 5.0
-[backends.buses.can0]
-interface = "virtual"
-channel = "{name}"
-[backends.motors]
-pan = {{ bus = "can0", profile = "odrive", node = 1, position = [-2.0, 2.0], velocity = 2.0 }}
-tilt = {{ bus = "can0", profile = "odrive", node = 2, velocity = 2.0, acceleration = 20.0 }}
-[backends.joint_groups.head]
-joints = ["pan", "tilt"]
-valid_for = 1.0
-[[keys]]
-name = "operator"
-role = "operator"
-key = "{OPERATOR}"
+    config = (
+        backend(
+            tenant="t",
+            use="can",
+            grace=5.0,
+            buses={"can0": {"interface": "virtual", "channel": name}},
+            motors={
+                "pan": {
+                    "bus": "can0",
+                    "profile": "odrive",
+                    "node": 1,
+                    "position": [-2.0, 2.0],
+                    "velocity": 2.0,
+                },
+                "tilt": {
+                    "bus": "can0",
+                    "profile": "odrive",
+                    "node": 2,
+                    "velocity": 2.0,
+                    "acceleration": 20.0,
+                },
+            },
+            joint_groups={"head": {"joints": ["pan", "tilt"], "valid_for": 1.0}},
+        )
+        + key("operator", OPERATOR)
+        + """
 [[envelopes]]
 name = "slow"
 roles = ["operator"]
 paths = ["/tenant/*/action/head/move_joints"]
-bounds = {{ speed = {{ max = 0.9 }}, "positions.tilt" = {{ min = -1.0, max = 1.0, optional = true }} }}
+bounds = { speed = { max = 0.9 }, "positions.tilt" = { min = -1.0, max = 1.0, optional = true } }
 """
+    )
     kind = next(iter(rcp_can.rcp_backends()))
     with Bench(line, twins):
         async with serve(config, kind) as served:

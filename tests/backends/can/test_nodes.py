@@ -155,7 +155,7 @@ async def test_a_local_node_of_canopen_is_known_by_the_eds_that_canopen_writes(
             node.sdo[0x6081].raw = 4321
             assert await rig.backend.read("param/io/profile_velocity") == 4321
             assert await rig.backend.read("param/io/identity/vendor") == 0x1CA
-            with rig.backend._part("param/io/homing_method").watch("param/io/homing_method"):
+            async with rig.backend.watch("param/io/homing_method", None):
                 await rig.host.until(lambda: rig.host.events("param/io/homing_method") == [0])
 
 

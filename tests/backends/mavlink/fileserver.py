@@ -34,21 +34,21 @@ class FileServer:
         raw = bytes(message.payload)
         seq, session, op, size, _, _, offset = _HEAD.unpack_from(raw)
         if self._last is not None and self._last[0] == seq:
-            self._out(self._last[1])
+            self.out(self._last[1])
             return
         self.handled.append(op)
         data = raw[12 : 12 + size]
         if op == 15 and self.bursts:
             self._burst(seq, offset)
             return
-        answer = self._answer(op, offset, data, size)
+        answer = self.answer(op, offset, data, size)
         code = 129 if isinstance(answer, int) else 128
         body = bytes([answer]) if isinstance(answer, int) else answer
         packed = _HEAD.pack((seq + 1) & 0xFFFF, session, code, len(body), op, 0, offset) + body
         self._last = (seq, packed)
-        self._out(packed)
+        self.out(packed)
 
-    def _out(self, packed: bytes) -> None:
+    def out(self, packed: bytes) -> None:
         self.answers += 1
         if not self.lose(self.answers):
             self._send("FILE_TRANSFER_PROTOCOL", 0, 255, 190, packed.ljust(251, b"\0"))
@@ -60,12 +60,12 @@ class FileServer:
             seq, at = (seq + 1) & 0xFFFF, offset + n * PIECE
             piece = content[at : at + PIECE]
             if not piece:
-                self._out(_HEAD.pack(seq, 0, 129, 1, 15, 0, at) + b"\x06")
+                self.out(_HEAD.pack(seq, 0, 129, 1, 15, 0, at) + b"\x06")
                 return
             last = n == BURST - 1
-            self._out(_HEAD.pack(seq, 0, 128, len(piece), 15, last, at) + bytes(piece))
+            self.out(_HEAD.pack(seq, 0, 128, len(piece), 15, last, at) + bytes(piece))
 
-    def _answer(self, op: int, offset: int, data: bytes, size: int) -> bytes | int:
+    def answer(self, op: int, offset: int, data: bytes, size: int) -> bytes | int:
         path = data.decode(errors="replace")
         match op:
             case 1 | 2:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import signal
 import sys
 from collections.abc import AsyncGenerator, Callable
@@ -13,31 +12,11 @@ from typing import Any
 
 import httpx
 
+from configuration import backend, key, listener, table
+
 OPERATOR = "operator-of-the-lone-gateway"
 BOUND = 40.0  # s that any wait may take: the machine may be busy
 _CLOSE = 20.0  # s that it may take to end in order
-CONFIG = """
-[transports.asgi]
-port = 0
-grace = 0.1
-[store]
-path = "{folder}/rcp.db"
-[safety]
-{safety}
-[[backends]]
-use = "mavlink"
-name = "drone"
-tenant = "alpha"
-links = ["udpout:127.0.0.1:{port}"]
-params = []
-silence = 3.0
-feedback_timeout = 4.0
-{options}
-[[keys]]
-name = "operator"
-role = "operator"
-key = "{key}"
-"""
 
 
 class LoneGateway:
@@ -124,10 +103,22 @@ async def lone_gateway(
     folder: Path, port: int, *, safety: str = "", **options: Any
 ) -> AsyncGenerator[LoneGateway]:
     """Run `rcpd serve` while entered; with the same folder it has the same store."""
-    more = "\n".join(f"{name} = {json.dumps(value)}" for name, value in options.items())
     config = folder / "rcp.toml"
     config.write_text(
-        CONFIG.format(folder=folder, safety=safety, port=port, options=more, key=OPERATOR)
+        listener(grace=0.1)
+        + table("store", path=folder / "rcp.db")
+        + table("safety")
+        + safety
+        + backend(
+            "drone",
+            use="mavlink",
+            links=[f"udpout:127.0.0.1:{port}"],
+            params=[],
+            silence=3.0,
+            feedback_timeout=4.0,
+            **options,
+        )
+        + key("operator", OPERATOR)
     )
     rcpd = Path(sys.executable).with_name("rcpd")
     process = await asyncio.create_subprocess_exec(

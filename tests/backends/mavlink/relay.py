@@ -24,8 +24,8 @@ class Relay:
         """What the gateway has sent since the list was cleared, but heartbeats and questions."""
         self.port = 0
         self._gateway: Any = None
-        self._in: Any = None
-        self._out: Any = None
+        self.to_gateway: Any = None
+        self.to_vehicle: Any = None
         self._parser: Any = mav.MAVLink(None)
         self._parser.robust_parsing = True
 
@@ -43,13 +43,13 @@ class Relay:
             return
         self.sent += [m for m in messages if not _asks(m)]
         if all(self.up(m) for m in messages):  # one in each datagram
-            self._out.sendto(data, self.vehicle)
+            self.to_vehicle.sendto(data, self.vehicle)
 
     def from_vehicle(self, data: bytes, _: Any) -> None:
         """Pass on what passes."""
         number = int.from_bytes(data[7:10], "little")
         if not self.cut and self._gateway is not None and self.down(number):
-            self._in.sendto(data, self._gateway)
+            self.to_gateway.sendto(data, self._gateway)
 
 
 def _asks(message: Any) -> bool:
@@ -69,18 +69,18 @@ async def relay(vehicle: tuple[str, int]) -> AsyncGenerator[Relay]:
     """Run a relay to a vehicle's address while entered."""
     loop, found = asyncio.get_running_loop(), Relay(vehicle)
     here = ("127.0.0.1", 0)
-    found._in, _ = await loop.create_datagram_endpoint(
+    found.to_gateway, _ = await loop.create_datagram_endpoint(
         lambda: _Protocol(found.from_gateway), local_addr=here
     )
-    found._out, _ = await loop.create_datagram_endpoint(
+    found.to_vehicle, _ = await loop.create_datagram_endpoint(
         lambda: _Protocol(found.from_vehicle), local_addr=here
     )
-    found.port = found._in.get_extra_info("sockname")[1]
+    found.port = found.to_gateway.get_extra_info("sockname")[1]
     try:
         yield found
     finally:
-        found._in.close()
-        found._out.close()
+        found.to_gateway.close()
+        found.to_vehicle.close()
 
 
 class Commander:
@@ -89,10 +89,10 @@ class Commander:
     def __init__(self, vehicle: tuple[str, int]) -> None:
         self.vehicle = vehicle
         self.mav: Any = mav.MAVLink(self, 254, 190)
-        self._transport: Any = None
+        self.transport: Any = None
 
     def write(self, frame: bytes) -> None:
-        self._transport.sendto(bytes(frame), self.vehicle)
+        self.transport.sendto(bytes(frame), self.vehicle)
 
     def mode(self, number: int) -> None:
         """Change the flight mode."""
@@ -119,10 +119,10 @@ async def commander(vehicle: tuple[str, int]) -> AsyncGenerator[Commander]:
     """Have somebody else at the vehicle while entered."""
     found = Commander(vehicle)
     loop = asyncio.get_running_loop()
-    found._transport, _ = await loop.create_datagram_endpoint(
+    found.transport, _ = await loop.create_datagram_endpoint(
         lambda: _Protocol(lambda *_: None), local_addr=("127.0.0.1", 0)
     )
     try:
         yield found
     finally:
-        found._transport.close()
+        found.transport.close()

@@ -76,7 +76,7 @@ async def test_messages_of_an_own_xml_are_sensors_and_nothing_waits_for_it(tmp_p
         assert value["state"] == "reels"
         assert math.isclose(value["angle"], math.pi / 2)
         assert value["length"] is None
-        assert "HOOK" in found.robot._hub.dialect.by_name
+        assert "HOOK" in found.served.life.backend.hub.dialect.by_name
 
         async def armed() -> bool:
             return (await found.read("sensor/armed")) is False

@@ -85,7 +85,7 @@ async def test_late_pieces_of_a_burst_are_not_taken_for_an_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with serving(timeout=0.1, retries=10) as (found, server):
-        send, late, burst = server._out, list[bytes](), 15
+        send, late, burst = server.out, list[bytes](), 15
 
         def out(packed: bytes) -> None:
             if packed[5] == burst:
@@ -95,7 +95,7 @@ async def test_late_pieces_of_a_burst_are_not_taken_for_an_answer(
                 send(late.pop(0))
             send(packed)
 
-        monkeypatch.setattr(server, "_out", out)
+        monkeypatch.setattr(server, "out", out)
         assert await read(found, "/big.bin") == (BIG, True)
         assert burst in server.handled
 
@@ -119,8 +119,8 @@ async def test_a_file_is_written_and_compared(loss: float) -> None:
 
 async def test_what_is_damaged_on_board_is_not_told_as_written() -> None:
     async with serving() as (found, server):
-        handle = server._answer
-        server._answer = lambda op, *rest: b"\0\0\0\0" if op == 14 else handle(op, *rest)  # type: ignore[method-assign]
+        handle = server.answer
+        server.answer = lambda op, *rest: b"\0\0\0\0" if op == 14 else handle(op, *rest)  # type: ignore[method-assign]
         body = {"path": "/new", "data": base64.b64encode(b"abc").decode()}
         reply = await found.do("service/ftp/write", body)
         assert reply["error"]["code"] == "device_rejected"

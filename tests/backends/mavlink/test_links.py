@@ -15,6 +15,7 @@ import websockets
 
 import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, twin
+from configuration import backend, key, listener
 from rcp_kernel.config.file import parse
 from rcp_kernel.testing import eventually, serve
 from rcp_kernel.testing._serve import OPERATOR, serve_backend
@@ -149,19 +150,16 @@ def test_what_is_no_link_is_refused(text: str) -> None:
 async def test_http_and_websocket_fly_it() -> None:
     async with twin() as running:
         airborne(running.vehicle)
-        text = f"""
-[transports.asgi]
-port = 0
-[[backends]]
-use = "mavlink"
-tenant = "t"
-links = ["udpout:127.0.0.1:{running.ports[0][1]}"]
-params = []
-[[keys]]
-name = "pilot"
-role = "operator"
-key = "the-key-of-the-pilot-0123456789"
-"""
+        text = (
+            listener()
+            + backend(
+                tenant="t",
+                use="mavlink",
+                links=[f"udpout:127.0.0.1:{running.ports[0][1]}"],
+                params=[],
+            )
+            + key("pilot", "the-key-of-the-pilot-0123456789", role="operator")
+        )
         headers = {"Authorization": "Bearer the-key-of-the-pilot-0123456789"}
         async with serve(parse(text, "test"), KIND) as served:
             url = next(f["url"] for f in served.server.status.transports if "url" in f)

@@ -60,7 +60,7 @@ async def alive(found: Station, puppet: Puppet) -> None:
 async def test_garbage_and_pieces_of_frames_are_nothing() -> None:
     puppet, out = Puppet(), Out()
     async with station(puppet, params=[]) as found:
-        (link,) = found.robot._hub.links
+        (link,) = found.served.life.backend.hub.links
         whole = out.packed(attitude(0.5))
         before = found.robot.vehicle.latest.get("ATTITUDE")
         reports = set(found.served.life.backend.robots)
@@ -93,7 +93,7 @@ async def test_frames_that_say_nonsense_are_borne() -> None:
     puppet, out = Puppet(), Out()
     puppet.params = {"RTL_ALT": (1500.0, 4)}
     async with station(puppet, messages=["*"]) as found:
-        (link,) = found.robot._hub.links
+        (link,) = found.served.life.backend.hub.links
         robot = found.robot
         await eventually(lambda: _is(robot.parameters.complete.is_set()), "they are listed")
         for name in ("attitude", "gps", "battery"):
@@ -121,7 +121,7 @@ async def test_what_is_not_signed_with_the_key_changes_nothing_and_is_counted() 
     Signing(key_of("ours")).apply(puppet.out, 0)
     unsigned, foreign = Out(), Out("theirs")
     async with station(puppet, key="ours", params=[]) as found:
-        (link,) = found.robot._hub.links
+        (link,) = found.served.life.backend.hub.links
         count = 0
 
         @settings(max_examples=150)

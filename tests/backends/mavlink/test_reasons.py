@@ -129,8 +129,8 @@ async def test_an_integer_written_to_its_unset_default_is_written() -> None:
         assert (await pilot.read("param/RTL_ALT")) == 1500
         sent: list[Any] = []
         (peer,) = pilot.twin.peers
-        take = peer._param_set
-        peer._handlers["PARAM_SET"] = lambda m: (sent.append(m.param_type), take(m))
+        take = peer.handlers["PARAM_SET"]
+        peer.handlers["PARAM_SET"] = lambda m: (sent.append(m.param_type), take(m))
         reply = await pilot.client.request("write", "/tenant/t/param/FS_OPTIONS", body=16)
         assert reply["body"] == 16
         reply = await pilot.client.request("write", "/tenant/t/param/FS_OPTIONS", body=8)
@@ -141,7 +141,9 @@ async def test_an_integer_written_to_its_unset_default_is_written() -> None:
 async def parameters(pilot: Pilot) -> None:
     robot = pilot.served.life.backend.robots[""]
     await robot.parameters.complete.wait()
-    await eventually(lambda: _is("param/RTL_ALT" in robot._declared), "they are there")
+    await eventually(
+        lambda: _is("param/RTL_ALT" in pilot.served.supervisor.entries), "they are there"
+    )
 
 
 async def _is(truth: bool) -> bool:  # noqa: FBT001 - for `eventually`, which awaits

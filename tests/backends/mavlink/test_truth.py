@@ -161,7 +161,9 @@ async def test_a_vehicle_that_says_why_a_parameter_cannot_be_is_heard() -> None:
     async with station(puppet) as found:
         robot = found.robot
         await eventually(lambda: _is(robot.parameters.complete.is_set()), "they are listed")
-        await eventually(lambda: _is("param/RTL_ALT" in robot._declared), "they are there")
+        await eventually(
+            lambda: _is("param/RTL_ALT" in found.served.supervisor.entries), "they are there"
+        )
         reply = await found.write("param/RTL_ALT", 2000)
         assert reply["error"]["code"] == "device_rejected"
         assert "read-only" in reply["message"]
@@ -182,8 +184,9 @@ async def test_an_answer_from_before_is_not_taken_for_the_value_that_was_set() -
 
     puppet.take = slowly  # type: ignore[method-assign]
     async with station(puppet) as found:
-        robot = found.robot
-        await eventually(lambda: _is("param/RTL_ALT" in robot._declared), "they are there")
+        await eventually(
+            lambda: _is("param/RTL_ALT" in found.served.supervisor.entries), "they are there"
+        )
         reply = await found.write("param/RTL_ALT", 2000)
         assert reply["status"] == "completed", reply
         assert puppet.params["RTL_ALT"][0] == 2000

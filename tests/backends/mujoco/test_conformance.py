@@ -81,10 +81,10 @@ class PhysicsRig(StopRig):
         """Have the stepping thread hang, as in a library that does not return."""
         self.thaw = threading.Event()
         hanging = asyncio.Event()
-        device = self.backend.device
+        device, loop = self.backend.device, asyncio.get_running_loop()
 
         def hang(_: Any) -> None:
-            device._host.call_soon(hanging.set)
+            loop.call_soon_threadsafe(hanging.set)
             self.thaw.wait(60)
 
         device.post(hang)

@@ -9,6 +9,7 @@ import os
 import sys
 import threading
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,8 @@ class Controller(Node):
     def __init__(self, name: str, joints: tuple[str, ...]) -> None:
         super().__init__(name)
         self.names = joints
-        self.declare_parameter("joints", list(joints))
+        if "untold" not in sys.argv:
+            self.declare_parameter("joints", list(joints))
         self.places = dict.fromkeys(joints, 0.0)
         self.speeds = dict.fromkeys(joints, 0.0)
         self.targets = dict(self.places)
@@ -177,16 +179,23 @@ class Cell(Node):
         super().__init__("cell")
         self.controllers = controllers
         self.told = True
+        self.delay = 0.0
+        """s for which joint states are kept before they are published."""
+        self.kept: deque[tuple[float, JointState]] = deque()
         self.states = self.create_publisher(JointState, "joint_states", 10)
         self.fingers = self.create_publisher(JointState, "joint_states", 10)
         self.create_publisher(String, "robot_description", LATCHED).publish(String(data=URDF))
         self.create_timer(0.02, self.measure)
+        self.create_timer(0.01, self.feel)
         threading.Thread(target=self.turn, daemon=True).start()
 
     def turn(self) -> None:
+        due = time.monotonic()
         while True:
-            for controller in self.controllers:
-                controller.turn()
+            while due <= time.monotonic():  # however late: what moves has its own time
+                due += PERIOD
+                for controller in self.controllers:
+                    controller.turn()
             time.sleep(PERIOD)
 
     def measure(self) -> None:
@@ -196,9 +205,15 @@ class Cell(Node):
             state.name = [*state.name, *one.places]
             state.position = [*state.position, *one.places.values()]
             state.velocity = [*state.velocity, *(one.speeds.values() if self.told else ())]
-        self.states.publish(state)
-        state.name, state.position, state.velocity = ["finger"], [0.01], [0.0]
-        self.fingers.publish(state)  # another broadcaster, on the same topic
+        self.kept.append((time.monotonic(), state))
+        while self.kept and self.kept[0][0] + self.delay <= time.monotonic():
+            self.states.publish(self.kept.popleft()[1])
+
+    def feel(self) -> None:
+        """Publish as another driver does on the same topic, and more often: most samples have no arm."""
+        state = JointState(name=["finger"], position=[0.01], velocity=[0.0])
+        state.header.stamp = self.get_clock().now().to_msg()
+        self.fingers.publish(state)
 
 
 class Robot:
@@ -225,6 +240,10 @@ class Robot:
         """Change the first controller: its `tolerance`, `braking` or `stuck` joint."""
         for name, value in values.items():
             setattr(self.controllers[0], name, value)
+
+    def tell_late(self, *, delay: float) -> None:
+        """Publish joint states some seconds late."""
+        self.cell.delay = delay
 
     def tell_speeds(self, *, told: bool) -> None:
         """Publish velocities, or positions alone."""

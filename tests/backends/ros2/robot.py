@@ -21,7 +21,7 @@ from rcp_kernel.spi import Anchor, FrameTree, Native, Publication, RobotFacts, S
 from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
-BOUND = 20.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take: discovery on a busy machine takes long
 _DOMAINS = (*range(1, 101), *range(215, 232))
 """Those whose ports the system gives to nobody by itself."""
 
@@ -83,7 +83,7 @@ class Robot:
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         self.loop.call_soon_threadsafe(function, *args)
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
         self.reports.append(detail)
         self._changed.set()
 
@@ -167,7 +167,7 @@ async def robot_of(domain: int, **config: Any) -> AsyncIterator[Robot]:
     async with open_ros2(decoded, robot) as backend:
         robot.backend = backend
         with suppress(TimeoutError):  # discovery takes 3 s now and then
-            await asyncio.wait_for(backend._catalog.complete.wait(), decoded.grace)
+            await asyncio.wait_for(backend.catalog.complete.wait(), decoded.grace)
         yield robot
 
 

@@ -17,6 +17,8 @@ from rcp_kernel.values import value_type
 
 pytestmark = pytest.mark.skipif(not interfaces.have_tools(), reason="control_msgs cannot be built")
 DOMAIN = fresh_domain()
+LEFT = ("left_shoulder", "left_elbow")
+_SAMPLES = 8
 MOVE, FOLLOW = "action/move_joints", "action/follow_trajectory"
 
 
@@ -48,6 +50,7 @@ class TestArmProfile(ProfileSuite):
         if arm.runs:
             arm.tell("set", stuck=None, tolerance=0.2, braking=6.0)
             arm.tell("tell_speeds", told=True)
+            arm.tell("tell_late", delay=0.0)
 
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Any]:
@@ -131,8 +134,22 @@ class TestArmProfile(ProfileSuite):
         self, robot: Robot, *, told: bool
     ) -> None:
         self.jointed.tell("tell_speeds", told=told)
-        self.jointed.tell("set", braking=0.4)  # the controller's word comes long before
+        self.jointed.tell("set", braking=1.0)  # the controller's word comes long before
         id_ = await self.begun(robot, await self.far(), 0.8)
+        await robot.ask("cancel", MOVE)
+        final = await robot.client.final(id_, self.complete_within)
+        assert final["status"] == "cancelled", final
+        assert self.jointed.tell("truth")["speed"] < 0.1
+
+    async def test_a_cancel_is_not_ended_by_joint_states_from_before_the_motion(
+        self, robot: Robot
+    ) -> None:
+        await robot.ask("read", "sensor/joint_states")
+        goal = {"shoulder": (await self.far())["shoulder"]}
+        await self.do("execute", MOVE, body={"positions": {"elbow": 0.1}})  # it knows the clock
+        self.jointed.tell("set", braking=0.5)
+        self.jointed.tell("tell_late", delay=1.0)
+        id_ = await self.begun(robot, goal, 0.8, 0.5)
         await robot.ask("cancel", MOVE)
         final = await robot.client.final(id_, self.complete_within)
         assert final["status"] == "cancelled", final
@@ -171,8 +188,12 @@ async def test_two_arms_are_parts_of_one_robot_with_their_own_joints() -> None:
             await robot.until(lambda: names <= robot.resources.keys())
             state = "sensor/left_controller/joint_states"
             await robot.until(lambda: robot.resources[state].profiles == ("arm/1.0",))
-            value = await robot.backend.read(state)
-            assert value.name == ["left_shoulder", "left_elbow"]
+            async with robot.backend.watch(state, 5.0):
+                for _ in range(_SAMPLES):  # some of the topic's have the finger alone
+                    value = await robot.backend.read(state)
+                    assert tuple(value.name) == LEFT
+                await robot.until(lambda: len(robot.of(state)) > 1)
+            assert {*map(tuple, (one.name for one in robot.of(state)))} == {LEFT}
             moved = await robot.execute(
                 "action/left_controller/move_joints", {"positions": {"left_elbow": 0.2}}
             )
@@ -181,5 +202,24 @@ async def test_two_arms_are_parts_of_one_robot_with_their_own_joints() -> None:
             assert abs(truth["left_elbow"] - 0.2) < 0.05
             assert abs(truth["right_elbow"]) < 0.01
             assert MOVE not in robot.resources
+    finally:
+        device.stop()
+
+
+@pytest.mark.anyio
+async def test_a_controller_that_does_not_tell_its_joints_moves_those_of_the_driver_that_does() -> (
+    None
+):
+    domain = fresh_domain()
+    device = Jointed(domain, str(interfaces.built()), "untold")
+    device.start()
+    try:
+        async with robot_of(domain) as robot:
+            await robot.until(lambda: robot.resources.keys() >= {MOVE, "sensor/joint_states"})
+            assert robot.resources[MOVE].meta["joints"] == []
+            for there in (0.05, 0.1, 0.15, 0.2):  # samples with the finger alone come in between
+                moved = await robot.execute(MOVE, {"positions": {"elbow": there}})
+                assert moved.positions.keys() == {"shoulder", "elbow"}
+            assert abs(device.tell("truth")["joints"]["elbow"] - 0.2) < 0.05
     finally:
         device.stop()

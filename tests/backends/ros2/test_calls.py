@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from backends.ros2.robot import BOUND, Robot, ignore, robot_of
+from backends.ros2.robot import BOUND, Peer, Robot, ignore, robot_of
 from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
 from rcp_kernel.model import Operation
 from rcp_kernel.values import value_type
@@ -82,7 +82,7 @@ async def test_a_cancel_reaches_the_server_before_the_command_ends(robot: Robot)
         robot.backend.execute("action/fibonacci", goal, lambda *_, **__: moving.set())
     )
     await asyncio.wait_for(moving.wait(), BOUND)
-    (run,) = robot.backend._catalog.bindings["action/fibonacci"]._goals
+    (run,) = robot.backend.catalog.bindings["action/fibonacci"]._goals
     command.cancel()
     with pytest.raises(asyncio.CancelledError):
         await asyncio.wait_for(command, BOUND)
@@ -134,6 +134,20 @@ async def test_a_parameter_is_read_set_and_told(robot: Robot) -> None:
         await robot.until(lambda: robot.of("param/speed_limit")[-1] == 0.75)
     assert await robot.backend.read("param/speed_limit") == 0.75
     assert await robot.backend.read("param/gains") == [0.5, 0.25]
+
+
+async def test_two_paths_of_one_parameter_are_told_of_its_changes(domain: int, peer: Peer) -> None:
+    one = {"node": "/peer", "parameter": "max_speed"}
+    async with robot_of(domain, map={"/param/a": one, "/param/b": one}) as robot:
+        await robot.until(lambda: {"param/a", "param/b"} <= robot.resources.keys())
+        async with robot.backend.watch("param/a", None):
+            async with robot.backend.watch("param/b", None):
+                await robot.first("param/a")
+                await robot.first("param/b")
+                await robot.backend.write("param/b", 0.6)
+                await robot.until(lambda: robot.of("param/a")[-1] == robot.of("param/b")[-1] == 0.6)
+            await robot.backend.write("param/b", 0.5)
+            await robot.until(lambda: robot.of("param/a")[-1] == 0.5)
 
 
 async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: Robot) -> None:
@@ -189,7 +203,7 @@ async def test_what_is_not_there_is_an_error_with_a_way_out(domain: int, peer: o
     }
     async with robot_of(domain, map=absent, grace=1.5) as robot:
         await robot.until(lambda: len(robot.resources) == len(absent))
-        unknown = robot.backend._catalog.bindings
+        unknown = robot.backend.catalog.bindings
         await robot.until(lambda: "no_such" in getattr(unknown["param/unknown"], "why", ""))
         for name, text in words.items():
             called = name.startswith(("service", "action"))

@@ -81,7 +81,9 @@ class TestRos2(BackendSuite):
         return {
             "action/fibonacci": Goal(good={"order": 3}, bad={"order": -1}, long={"order": 500}),
             "service/reset": Goal(good=None),
-            "service/assets/fetch": Goal(good={"uri": MESH}, bad={"uri": MESH + ".stl"}),
+            "service/assets/fetch": Goal(
+                good={"uri": MESH}, bad={"uri": MESH + ".stl"}, local=True
+            ),
         }
 
     def values(self, name: str) -> Sequence[Any]:
@@ -99,8 +101,8 @@ class TestRos2(BackendSuite):
             yield robot
 
     async def discovered(self) -> bool:
-        catalog = self.backend._catalog
-        pulse = catalog._shared.pulses.of("/peer")
+        catalog = self.backend.catalog
+        pulse = catalog.shared.pulses.of("/peer")
         named = all(type(b).__name__ != "Absent" for b in catalog.bindings.values())
         return catalog.complete.is_set() and named and pulse is not None and pulse.answers > 0
 

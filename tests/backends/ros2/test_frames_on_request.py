@@ -13,6 +13,7 @@ import pytest
 import rcp_ros2
 from backends.ros2 import interfaces
 from backends.ros2.robot import BOUND, RobotNodes, Wheels, fresh_domain
+from configuration import backend, key, table
 from rcp_geometry import ecef, geodetic, local
 from rcp_kernel.testing import MemoryClient, eventually, serve
 from rcp_kernel.testing._serve import OPERATOR
@@ -24,26 +25,19 @@ pytestmark = [
 DOMAIN = fresh_domain()
 YARD = (48.137154, 11.576124, 519.0)
 HALF = math.sqrt(0.5)
-CONFIG = f"""
-[[backends]]
-use = "ros2"
-tenant = "t"
-domain_id = {DOMAIN}
-expose = ["/odom", "/tf", "/tf_static", "/cmd_vel", "/navigate_to_pose"]
-
-[features.frames]
-max_age = 10
-
-[features.frames.anchors."/tenant/t"]
-latitude = {YARD[0]}
-longitude = {YARD[1]}
-altitude = {YARD[2]}
-
-[[keys]]
-name = "operator"
-key = "{OPERATOR}"
-roles = {{ "*" = ["operator"] }}
-"""
+CONFIG = (
+    backend(
+        tenant="t",
+        use="ros2",
+        domain_id=DOMAIN,
+        expose=["/odom", "/tf", "/tf_static", "/cmd_vel", "/navigate_to_pose"],
+    )
+    + table("features.frames", max_age=10)
+    + table(
+        'features.frames.anchors."/tenant/t"', latitude=YARD[0], longitude=YARD[1], altitude=YARD[2]
+    )
+    + key("operator", OPERATOR, roles={"*": ["operator"]})
+)
 
 
 @pytest.fixture(scope="module")

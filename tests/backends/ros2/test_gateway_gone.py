@@ -23,6 +23,7 @@ import pytest
 from websockets.sync.client import connect
 
 from backends.ros2.robot import Base, Commander, fresh_domain
+from configuration import backend, key, listener, table
 
 pytestmark = pytest.mark.serial
 BOUND = 40.0  # s that any wait of a test may take
@@ -33,27 +34,10 @@ LOAD = 0.75  # s that a machine with a load of 5 per core may add
 SPEED = 0.5  # m/s
 KEY = "admin-of-the-base"
 VELOCITY = "actuator/velocity"
-CONFIG = """
-[transports.asgi]
-port = 0
-[safety]
-guard = {guard}
-[store]
-path = "{store}"
-[[backends]]
-use = "ros2"
-tenant = "alpha"
-domain_id = {domain}
-expose = ["/odom"]
-[backends.map]
-"/actuator/velocity" = {{ topic = "/cmd_vel", type = "geometry_msgs/msg/Twist" }}
-"/action/navigate" = {{ action = "/navigate", unit = "1" }}
-{more}
-[[keys]]
-name = "admin"
-role = "admin"
-key = "{key}"
-"""
+MAP = {
+    "/actuator/velocity": {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+    "/action/navigate": {"action": "/navigate", "unit": "1"},
+}
 HANGING = """
 import asyncio
 from contextlib import asynccontextmanager
@@ -159,11 +143,14 @@ class Scene:
     def gateway(self, *, guard: bool = True, more: str = "") -> Generator[Gateway]:
         """Serve with the same store as those before; ends with the block, as does its guard."""
         config, log = self._folder / "rcp.toml", self._folder / "log"
-        store = self._folder / "rcp.db"
-        text = CONFIG.format(
-            guard=str(guard).lower(), store=store, domain=self._domain, more=more, key=KEY
+        config.write_text(
+            listener()
+            + table("safety", guard=guard)
+            + table("store", path=self._folder / "rcp.db")
+            + backend(use="ros2", domain_id=self._domain, expose=["/odom"], map=MAP)
+            + more
+            + key("admin", KEY)
         )
-        config.write_text(text)
         rcpd = Path(sys.executable).with_name("rcpd")
         environment = {**os.environ, "PYTHONPATH": str(self._folder)}
         with log.open("wb") as told:
@@ -348,7 +335,7 @@ def test_a_plugin_that_blocks_the_loop_leaves_no_base_driving(
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: hanging\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[rcp.backends]\nhanging = hanging\n")
-    more = '[[backends]]\nuse = "hanging"\ntenant = "beta"'
+    more = backend(tenant="beta", use="hanging")
     with scene.gateway(more=more) as gateway, stream(gateway) as send:
         scene.drives(gateway)
         since = time.monotonic()

@@ -149,9 +149,9 @@ async def test_a_camera_is_a_jpeg_for_who_asks_and_no_more_often_than_allowed() 
     domain = fresh_domain()
     async with robot_of(domain, map=MAP, jpeg={"rate": 4.0}) as robot:
         await robot.until(lambda: "sensor/camera/jpeg" in robot.resources)
-        subscriptions = robot.backend._catalog._shared.subscriptions
+        subscriptions = robot.backend.catalog.shared.subscriptions
         with camera(domain, image_of("rgb8")):
-            assert "/camera" not in subscriptions._subscriptions
+            assert "/camera" not in subscriptions.by_topic
             async with robot.backend.watch("sensor/camera/jpeg", None):
                 await robot.first("sensor/camera/jpeg")
                 since = time.monotonic()

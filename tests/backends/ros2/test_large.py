@@ -33,9 +33,7 @@ def logged(
     )
     subscription = TopicSubscription("/camera", Image, Qos(), profile=Profile(reliable, False, 5))
     with capture_logs() as found:
-        hear = TopicSubscriptions(None, None, lambda _key, _detail: None)._callback_for(
-            subscription
-        )
+        hear = TopicSubscriptions(None, None, lambda _key, _detail: None).callback_for(subscription)
         for _ in range(2):
             hear(bytes(size))
     return found

@@ -86,7 +86,7 @@ async def test_a_transition_the_node_fails_at_is_refused_with_the_state_it_is_in
 async def test_a_change_by_somebody_else_is_told_at_once(
     unconfigured: Robot, robot_nodes: RobotNodes
 ) -> None:
-    shared = unconfigured.backend._catalog._shared
+    shared = unconfigured.backend.catalog.shared
     ros = shared.ros
     async with unconfigured.backend.watch(SENSOR, None):
         assert (await unconfigured.first(SENSOR)).state == "unconfigured"
@@ -147,7 +147,7 @@ async def test_a_node_that_leaves_says_so(mortal: tuple[int, RobotNodes]) -> Non
     domain, robot_nodes = mortal
     async with robot_of(domain, expose=["/camera/driver"]) as robot:
         await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
-        shared = robot.backend._catalog._shared
+        shared = robot.backend.catalog.shared
         robot_nodes.stop()
         assert await shared.until(lambda: not shared.graph.lifecycle, BOUND)
         with pytest.raises(

@@ -11,6 +11,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
 from backends.ros2.robot import BOUND, Peer
+from configuration import backend, key, listener, table
 from rcp_kernel.testing import decode, encode, serve
 from rcp_kernel.values import Encoding
 from rcp_ros2 import rcp_backends
@@ -19,27 +20,20 @@ from serving import serving
 pytestmark = pytest.mark.anyio
 
 RESTARTS = int(os.environ.get("RCP_RESTARTS", "2"))
-MAPPED = """
-[[backends]]
-use = "ros2"
-name = "robot"
-tenant = "alpha"
-domain_id = {domain}
-[backends.map]
-"/sensor/odom" = {{ topic = "/odom", type = "nav_msgs/msg/Odometry" }}
-"/sensor/imu" = {{ topic = "/imu" }}
-"/sensor/nowhere" = {{ topic = "/nowhere" }}
-"/actuator/velocity" = {{ topic = "/cmd_vel", type = "geometry_msgs/msg/Twist" }}
-"/service/reset" = {{ service = "/reset", type = "std_srvs/srv/Trigger" }}
-"/action/fibonacci" = {{ action = "/fibonacci", type = "test_msgs/action/Fibonacci" }}
-{more}
-"""
-CONFIG = """
-[transports.asgi]
-port = 0
-[anonymous]
-role = "operator"
-"""
+MAP = {
+    "/sensor/odom": {"topic": "/odom", "type": "nav_msgs/msg/Odometry"},
+    "/sensor/imu": {"topic": "/imu"},
+    "/sensor/nowhere": {"topic": "/nowhere"},
+    "/actuator/velocity": {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+    "/service/reset": {"service": "/reset", "type": "std_srvs/srv/Trigger"},
+    "/action/fibonacci": {"action": "/fibonacci", "type": "test_msgs/action/Fibonacci"},
+}
+OPERATOR = key("operator", "operator-operator")
+CONFIG = listener() + table("anonymous", role="operator")
+
+
+def mapped(domain: int, **fields: Any) -> str:
+    return backend("robot", use="ros2", domain_id=domain, map=MAP, **fields)
 
 
 async def subscribe(socket: ClientConnection, path: str, number: int) -> dict[str, Any]:
@@ -55,7 +49,7 @@ async def subscribe(socket: ClientConnection, path: str, number: int) -> dict[st
 async def test_what_is_asked_for_as_soon_as_the_port_is_open_comes(
     domain: int, peer: Peer, tmp_path: Path
 ) -> None:
-    text = CONFIG + MAPPED.format(domain=domain, more="")
+    text = CONFIG + mapped(domain)
     for _ in range(RESTARTS):
         with serving(tmp_path / "rcp.toml", text) as url:
             async with asyncio.timeout(BOUND), connect(_ws(url), proxy=None) as socket:
@@ -77,8 +71,7 @@ async def test_what_is_asked_for_as_soon_as_the_port_is_open_comes(
 async def test_what_is_mapped_with_its_type_is_there_when_the_backend_is_ready(
     domain: int, peer: Peer
 ) -> None:
-    keys = '[[keys]]\nname = "a"\nrole = "operator"\nkey = "operator-operator"\n'
-    async with serve(MAPPED.format(domain=domain, more=keys), *rcp_backends()) as served:
+    async with serve(mapped(domain) + OPERATOR, *rcp_backends()) as served:
         async with asyncio.timeout(BOUND):
             while served.supervisor.state != "ready":  # noqa: ASYNC110 - nothing tells of it
                 await asyncio.sleep(0)
@@ -94,10 +87,7 @@ async def test_what_is_mapped_with_its_type_is_there_when_the_backend_is_ready(
 
 
 async def test_what_was_looked_for_long_enough_is_unknown(domain: int, peer: Peer) -> None:
-    keys = '[[keys]]\nname = "a"\nrole = "operator"\nkey = "operator-operator"\n'
-    text = MAPPED.format(domain=domain, more=keys).replace(
-        "[backends.map]", "grace = 0.5\n[backends.map]"
-    )
+    text = mapped(domain, grace=0.5) + OPERATOR
     async with asyncio.timeout(BOUND), serve(text, *rcp_backends()) as served:
         client = served.client("operator-operator")
         while True:

@@ -10,6 +10,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, Robot, robot_of
+from configuration import backend, key
 from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, InvalidValue
 from rcp_kernel.testing import eventually, serve
 from rcp_kernel.values import Encoding, value_type
@@ -85,29 +86,20 @@ async def test_a_goal_that_another_one_displaces_is_aborted_with_its_result(
         await asyncio.wait_for(command, BOUND)
 
 
-GATEWAY = """
-[[backends]]
-use = "ros2"
-tenant = "alpha"
-domain_id = {domain}
-namespace = "/fleet/r2"
-map = {{ "/action/go" = {{ action = "navigate", policy = "preempt" }}, "/action/wait" = {{ action = "navigate" }} }}
-
-[[keys]]
-name = "a"
-role = "operator"
-key = "operator-operator"
-"""
-
-
 async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
     fleet_domain: int, fleet: Fleet
 ) -> None:
-    async with serve(GATEWAY.format(domain=fleet_domain), *rcp_ros2.rcp_backends()) as served:
+    mapped = {
+        "/action/go": {"action": "navigate", "policy": "preempt"},
+        "/action/wait": {"action": "navigate"},
+    }
+    ros = backend(use="ros2", domain_id=fleet_domain, namespace="/fleet/r2", map=mapped)
+    text = ros + key("operator", "operator-operator")
+    async with serve(text, *rcp_ros2.rcp_backends()) as served:
         client = served.client("operator-operator")
         await eventually(lambda: _opened(served), "the backend is open", BOUND)
-        backend: Any = served.life.backend
-        shared = backend._catalog._shared
+        opened: Any = served.life.backend
+        shared = opened.catalog.shared
         assert await shared.until(lambda: "/fleet/r2/navigate" in shared.graph.actions, BOUND)
         await eventually(lambda: _known(served, "/tenant/alpha/action/go"), "it is told", BOUND)
 

@@ -11,6 +11,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, Robot, fresh_domain, robot_of
+from configuration import backend, key
 from rcp_kernel.testing import Client, Message, serve
 from rcp_kernel.values import value_type
 from rcp_ros2 import Ros2Config, catalog
@@ -120,38 +121,6 @@ async def test_a_robot_that_comes_is_there_and_one_that_leaves_is_not(
     assert of(both, "r1") <= both.resources.keys()
 
 
-TENANTS = """
-[[backends]]
-use = "ros2"
-name = "one"
-tenant = "alpha"
-domain_id = {domain}
-namespace = "/fleet/r1"
-expose = ["**"]
-
-[[backends]]
-use = "ros2"
-name = "two"
-tenant = "beta"
-robot = "second"
-domain_id = {domain}
-namespace = "/fleet/r2"
-expose = ["**"]
-
-[[keys]]
-name = "a"
-role = "operator"
-tenants = ["alpha"]
-key = "operator-of-alpha"
-
-[[keys]]
-name = "b"
-role = "operator"
-tenants = ["beta"]
-key = "operator-of-beta"
-"""
-
-
 async def test_robots_of_one_graph_have_tenants_that_share_nothing_and_paths_come_and_go_live(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -159,23 +128,33 @@ async def test_robots_of_one_graph_have_tenants_that_share_nothing_and_paths_com
     domain = fresh_domain()
     fleet = Fleet(domain, "/fleet/r1")
     fleet.start()
+    graph: dict[str, Any] = {"use": "ros2", "domain_id": domain, "expose": ["**"]}
+    text = (
+        backend("one", namespace="/fleet/r1", **graph)
+        + backend("two", "beta", robot="second", namespace="/fleet/r2", **graph)
+        + key("a", "operator-of-alpha", role="operator", tenants=["alpha"])
+        + key("b", "operator-of-beta", role="operator", tenants=["beta"])
+    )
     try:
-        async with serve(TENANTS.format(domain=domain), *rcp_ros2.rcp_backends()) as served:
+        async with serve(text, *rcp_ros2.rcp_backends()) as served:
             alpha, beta = served.client("operator-of-alpha"), served.client("operator-of-beta")
             watching = await beta.send(type="subscribe", path="/sensor/**", body={"rate": 5})
             fleet.tell("add", space="/fleet/r2")
-            path = "/tenant/beta/sensor/second/pose"
+            path, profiled = (f"/tenant/beta/sensor/second/{name}" for name in ("odom", "pose"))
             came = lambda m: m.get("code") == "resource_added" and m["path"] == path  # noqa: E731
             assert (await beta.until(came, BOUND))["id"] == watching
-            update = await beta.until(lambda m: m["type"] == "update" and m["path"] == path, BOUND)
+            posed = lambda m: m["type"] == "update" and m["path"] == profiled  # noqa: E731
+            update = await beta.until(posed, BOUND)
             assert update["body"]["position"]["x"] == len("/fleet/r2")
             own = await _there(alpha, "/sensor/pose")
             assert own["body"]["position"]["x"] == len("/fleet/r1")
             found = await alpha.request("discover", "/**")
             assert not [r for r in found["body"]["resources"] if "beta" in r["path"]]
-            hidden = await alpha.request("read", path)
-            assert hidden["error"]["code"] == "unknown_path"
+            for other in (path, profiled):
+                hidden = await alpha.request("read", other)
+                assert hidden["error"]["code"] == "unknown_path"
 
+            # What a configured robot claims stays until it is back; the rest leaves with its nodes.
             fleet.tell("drop", space="/fleet/r2")
             gone = lambda m: m.get("code") == "resource_removed" and m["path"] == path  # noqa: E731
             await beta.until(gone, 2 * BOUND)

@@ -13,6 +13,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, robot_of
+from configuration import backend, key
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.testing import serve
 from timing import in_one_of_three_attempts, in_time
@@ -151,7 +152,7 @@ async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_t
     graph.tell("offer_many", stem="/odd/many/t", count=500)
     async with stalls() as late, robot_of(fleet_domain, expose=["/odd/many/*"]) as robot:
         await robot.until(lambda: len(robot.resources) >= 500)
-        ros = robot.backend._catalog._shared.ros
+        ros = robot.backend.catalog.shared.ros
         # A stop follows the goals of whatever acts in the namespace, and nothing else.
         followed = {"/fleet/r1/navigate/_action/status", "/fleet/r2/navigate/_action/status"}
         assert await ros.call(_subscribed, ros) <= followed
@@ -189,30 +190,16 @@ async def test_a_burst_arrives_in_order_and_leaves_the_event_loop_alone(
     in_time(max(late), STALL)
 
 
-GATEWAY = """
-[[backends]]
-use = "ros2"
-tenant = "alpha"
-domain_id = {domain}
-namespace = "/fleet/r1"
-expose = ["*"]
-
-[[keys]]
-name = "a"
-role = "operator"
-key = "operator-operator"
-"""
-
-
 async def test_when_the_side_of_ros_ends_the_backend_comes_back_by_itself(
     fleet_domain: int, fleet: Fleet
 ) -> None:
-    text = GATEWAY.format(domain=fleet_domain)
+    domain = backend(use="ros2", domain_id=fleet_domain, namespace="/fleet/r1", expose=["*"])
+    text = domain + key("operator", "operator-operator")
     async with serve(text, *rcp_ros2.rcp_backends()) as served:
         client = served.client("operator-operator")
         assert (await _pose(client))["status"] == "completed"
-        ros: Any = served.life.backend
-        ros._catalog._shared.ros.post(ros._catalog._shared.ros._stop.set_result, None)
+        opened: Any = served.life.backend
+        await opened.catalog.shared.ros.stop()
         async with asyncio.timeout(2 * BOUND):
             while len(served.lives) < 2 or (await _pose(client))["status"] != "completed":  # noqa: ASYNC110
                 await asyncio.sleep(0.1)

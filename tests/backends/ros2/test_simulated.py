@@ -10,23 +10,12 @@ import pytest
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Simulated, fresh_domain
+from configuration import backend, key
 from rcp_kernel.testing import Client, Message, eventually, serve
 
 pytestmark = pytest.mark.anyio
 
-CONFIG = """
-[[backends]]
-use = "ros2"
-tenant = "alpha"
-domain_id = {domain}
-expose = ["/odom", "/cmd_vel", "/tf"]
-use_sim_time = true
-
-[[keys]]
-name = "a"
-role = "operator"
-key = "operator-operator"
-"""
+EXPOSED = ["/odom", "/cmd_vel", "/tf"]
 DRIVE, POSE, JUMP = "/actuator/cmd_vel", "/sensor/pose", "/event/clock_jump"
 S = 1_000_000_000
 
@@ -44,7 +33,9 @@ def simulated() -> Iterator[tuple[int, Simulated]]:
 async def client(simulated: tuple[int, Simulated]) -> AsyncIterator[Client]:
     domain, simulator = simulated
     simulator.tell("resume")
-    async with serve(CONFIG.format(domain=domain), *rcp_ros2.rcp_backends()) as served:
+    ros = backend(use="ros2", domain_id=domain, expose=EXPOSED, use_sim_time=True)
+    text = ros + key("operator", "operator-operator")
+    async with serve(text, *rcp_ros2.rcp_backends()) as served:
         client = served.client("operator-operator")
 
         async def known() -> bool:

@@ -93,12 +93,12 @@ async def gateway(rig: Rig, **config: Any) -> AsyncIterator[Robot]:
 
 async def known(robot: Robot) -> None:
     """Return once the base and what it offers is discovered."""
-    stops = robot.backend._stops
+    stops = robot.backend.stops
     keeper = stops.keeper
     await until(lambda: "/navigate" in keeper.servers and keeper.rests)
     await until(lambda: keeper.rests[0].outlet.count() and keeper.rests[0].outlet.nodes)
     await until(lambda: MAP.keys() <= {f"/{name}" for name in robot.resources})
-    if stops._shared.config.stop.feedback is True:
+    if robot.backend.catalog.shared.config.stop.feedback is True:
         await until(lambda: any(one.is_fresh() for one in stops.feedbacks.of(None)))
 
 
@@ -239,7 +239,7 @@ async def test_rest_from_before_the_motion_that_arrives_after_the_stop_confirms_
     rig: Rig, *, frozen: bool
 ) -> None:
     async with gateway(rig) as robot:
-        (odometry,) = robot.backend._stops.feedbacks.of(None)
+        (odometry,) = robot.backend.stops.feedbacks.of(None)
         rig.base.tell("put", name="delay", value=2.0)
         await until(lambda: not odometry.is_fresh())
         await until(odometry.is_fresh)
@@ -386,7 +386,7 @@ async def test_an_action_that_moves_nothing_goes_on(rig: Rig) -> None:
 
 async def released(robot: Robot) -> None:
     """Return once the reset is noticed."""
-    await until(lambda: not robot.backend._stops.keeper.holds)
+    await until(lambda: not robot.backend.stops.keeper.holds)
 
 
 async def test_hold_brings_it_to_rest_without_a_latch(rig: Rig) -> None:
@@ -403,11 +403,11 @@ async def test_hold_brings_it_to_rest_without_a_latch(rig: Rig) -> None:
 
 async def test_the_first_command_after_a_hold_is_not_taken_for_one_of_others(rig: Rig) -> None:
     async with gateway(rig) as robot:
-        rest = robot.backend._stops.keeper.rests[0]
+        rest = robot.backend.stops.keeper.rests[0]
         await until(lambda: rest.others)
         for _ in range(12):  # whether it came back before the hold had ended was a matter of chance
             await robot.backend.hold(None)
-            await until(lambda: rest._tap is not None)  # it counters the commands of others
+            await until(lambda: rest.counters)  # it counters the commands of others
             await write(robot, 0.5)
             await rig.drives()
         await robot.backend.hold(None)
@@ -502,7 +502,7 @@ async def test_motion_without_its_feedback_is_refused_and_what_runs_is_stopped(r
         with pytest.raises(AdapterUnavailable, match="no feedback on /odom"):
             await robot.execute("action/navigate", {"nested_field": {"int32_value": 1}})
         rig.base.tell("put", name="frozen", value=False)
-        (odometry,) = robot.backend._stops.feedbacks.of(None)
+        (odometry,) = robot.backend.stops.feedbacks.of(None)
         await until(odometry.is_fresh)
         await write(robot, 0.5)
         await rig.drives()

@@ -59,11 +59,11 @@ class BaseRig(StopRig):
             yield robot
 
     async def discovered(self) -> bool:
-        stops = self.backend._stops
+        stops = self.backend.stops
         rests = stops.keeper.rests
         named = {"action/navigate", "service/dock"} <= {
             name
-            for name, b in self.backend._catalog.bindings.items()
+            for name, b in self.backend.catalog.bindings.items()
             if type(b).__name__ != "Absent"
         }
         fresh = any(one.is_fresh() for one in stops.feedbacks.of(None))

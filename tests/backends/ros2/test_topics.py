@@ -59,14 +59,14 @@ STOP = "feedback /odom None"
 
 
 def _taps(subscriptions: Any) -> set[str]:
-    return set(subscriptions._subscriptions["/odom"].taps)
+    return set(subscriptions.by_topic["/odom"].taps)
 
 
 async def test_two_paths_on_one_topic_share_a_subscription_that_ends_with_the_last(
     robot: Robot,
 ) -> None:
-    subscriptions = robot.backend._catalog._shared.subscriptions
-    ros = robot.backend._catalog._shared.ros
+    subscriptions = robot.backend.catalog.shared.subscriptions
+    ros = robot.backend.catalog.shared.ros
     async with robot.backend.watch("sensor/odom", None):
         async with robot.backend.watch("sensor/pose", None):
             await robot.first("sensor/odom")
@@ -79,7 +79,7 @@ async def test_two_paths_on_one_topic_share_a_subscription_that_ends_with_the_la
 
 
 async def test_a_topic_nobody_watches_is_not_subscribed(robot: Robot) -> None:
-    ros = robot.backend._catalog._shared.ros
+    ros = robot.backend.catalog.shared.ros
     assert await ros.call(lambda: {s.topic_name for s in ros.node.subscriptions}) == UNASKED
 
 
@@ -151,7 +151,7 @@ async def test_a_command_nobody_hears_is_refused(robot: Robot) -> None:
 
 async def test_an_event_comes_unasked(robot: Robot) -> None:
     assert robot.resources["event/fault"].live
-    shared = robot.backend._catalog._shared
+    shared = robot.backend.catalog.shared
     matched = lambda: shared.ros.node.count_publishers("/faults")  # noqa: E731
     assert await shared.ros.call(matched)
     await robot.execute("service/fault")

@@ -75,7 +75,7 @@ async def framed(casters: tuple[int, RobotNodes]) -> AsyncIterator[tuple[Robot, 
         def stood() -> bool:
             nonlocal now
             if {CAMERA, "sensor/tf/odom/lens.left"} <= robot.resources.keys():
-                frames = robot.backend._catalog.bindings[CAMERA]._tree.frames
+                frames = robot.backend.catalog.bindings[CAMERA].tree.frames
                 if frames.lookup("odom", "camera")[1] == now:
                     return True
             now = stand(robot_nodes)

@@ -67,7 +67,7 @@ class RecordingHost:
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         asyncio.get_running_loop().call_soon_threadsafe(function, *args)
 
-    def report(self, detail: str | None, *, down: bool = False) -> None:
+    def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
         self.reports.append((detail, down))
 
     def link_restored(self, robot: str | None = None) -> None:

@@ -86,4 +86,4 @@ def test_what_is_known_of_addresses_has_a_bound() -> None:
     attempts = AuthThrottle(3, Clock())
     for number in range(25_000):
         attempts.failed(f"10.0.{number >> 8}.{number & 255}", "wrong")
-    assert len(attempts._spent) == len(attempts._next) == 20_000
+    assert len(attempts) == 20_000

@@ -9,29 +9,28 @@ from typing import Any
 import pytest
 import structlog
 
+from configuration import key, role, rule
 from kernel.world import CONFIG, Client, World, world_of
 from rcp_kernel.model import Resource
 from steps import finished
 
 pytestmark = pytest.mark.anyio
 TOKEN = "auditor-auditor-auditor"
-RULES = f"""{CONFIG}
-[[keys]]
-name = "auditor"
-role = "auditor"
-key = "{TOKEN}"
-
-[roles.auditor]
-allow = [{{ operations = ["*"], paths = ["/**", "/system/**"] }}]
-deny = [
-    {{ operations = ["*"], paths = ["/service/secret", "/sensor/hush", "/actuator/secret/**", "/sensor/place"] }},
-]
-
+RULES = (
+    CONFIG
+    + key("auditor", TOKEN)
+    + role(
+        "auditor",
+        rule("*", "/**", "/system/**"),
+        deny=[rule("*", "/service/secret", "/sensor/hush", "/actuator/secret/**", "/sensor/place")],
+    )
+    + """
 [[envelopes]]
 name = "yard"
 paths = ["/actuator/drive"]
-fence = {{ of = "sensor/place", point = ["0", "1"], inside = {{ yard = [[0, 0], [1, 0], [1, 1]] }} }}
+fence = { of = "sensor/place", point = ["0", "1"], inside = { yard = [[0, 0], [1, 0], [1, 1]] } }
 """
+)
 HIDDEN, GIVEN = "/tenant/alpha/service/secret", "/tenant/alpha/service/echo"
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from configuration import key
 from kernel.world import CONFIG, Client, World, world_of
 from rcp_kernel.app.server import prepare
 from rcp_kernel.clock import Clock
@@ -25,16 +26,8 @@ TOKEN = "driver-driver-driver"
 
 
 def rules(allow: str, deny: str = "[]") -> str:
-    return f"""{CONFIG}
-[[keys]]
-name = "driver"
-role = "driver"
-key = "{TOKEN}"
-
-[roles.driver]
-allow = {allow}
-deny = {deny}
-"""
+    driver = key("driver", TOKEN)
+    return f"{CONFIG}{driver}\n[roles.driver]\nallow = {allow}\ndeny = {deny}\n"
 
 
 AUTO = "when = \"mode == 'auto'\""

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from configuration import key, role, rule
 from kernel.judging import AT_ONCE, judged
 from kernel.world import BOUND, CONFIG, Client, Robot, World, world_of
 from rcp_kernel.access.acl import Rights
@@ -18,14 +19,9 @@ from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
 PATHS = 10_000
-NARROW = """
-[roles.narrow]
-allow = [{ operations = ["read", "discover"], paths = ["/sensor/**", "/system/status"] }]
-[[keys]]
-name = "narrow"
-role = "narrow"
-key = "narrow-narrow-narrow"
-"""
+NARROW = role("narrow", rule("read discover", "/sensor/**", "/system/status")) + key(
+    "narrow", "narrow-narrow-narrow"
+)
 
 
 class Many(Robot):
@@ -138,7 +134,7 @@ async def test_somebody_from_whom_nothing_is_hidden_sees_the_whole() -> None:
     async with many() as world:
         api = world.server.client_api
         rights = api.rights(api.authenticate("admin-admin-admin"))
-        sights = world.server.kernel.status._sights
+        sights = world.server.kernel.status.sights
         assert not sights.look(rights).whole(None)  # it is not known yet, and so denied
         await _looked(world, rights)
         assert sights.look(rights).whole(None)
@@ -149,18 +145,18 @@ async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
     async with many() as world:
         api, robot = world.server.client_api, world.robot
         rights = api.rights(api.authenticate("admin-admin-admin"))
-        sights = world.server.kernel.status._sights
+        sights = world.server.kernel.status.sights
         await _looked(world, rights)
         for number in range(1, 1001):  # more than are looked at in one step
             robot.add(level(number, "A new level."))
         sight = sights.look(rights)
         assert not sight.whole("alpha")
-        assert sight.names_hidden("alpha", "robot", "anything")
+        assert sight.mentions_hidden("alpha", "robot", "anything")
         sight = await _looked(world, rights)
         assert sight.whole("alpha")
-        assert not sight.names_hidden("alpha", "robot", "anything")
+        assert not sight.mentions_hidden("alpha", "robot", "anything")
 
 
 async def _looked(world: World, rights: Rights) -> Sight:
-    turns, sights = world.server.client_api.turns, world.server.kernel.status._sights
+    turns, sights = world.server.client_api.turns, world.server.kernel.status.sights
     return await turns.finish("test", sights.catch_up(rights))

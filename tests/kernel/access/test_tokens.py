@@ -7,6 +7,7 @@ from pathlib import Path
 import anyio
 import pytest
 
+from configuration import key
 from kernel.world import CONFIG, world_of
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import RateLimited, TokenExpired, Unauthenticated
@@ -98,11 +99,13 @@ async def test_a_role_that_the_configuration_lost_gives_nothing(text: str, store
 
 
 async def test_a_key_of_the_configuration_expires() -> None:
-    text = CONFIG + '[[keys]]\nname = "old"\nrole = "viewer"\nkey = "key-that-is-old-now"\n'
-    async with world_of(text + 'expires = "2020-01-01"\n') as world:
+    def old(expires: str) -> str:
+        return CONFIG + key("old", "key-that-is-old-now", role="viewer", expires=expires)
+
+    async with world_of(old("2020-01-01")) as world:
         with pytest.raises(TokenExpired):
             world.client("key-that-is-old-now")
-    async with world_of(text + 'expires = "2200-01-01"\n') as world:
+    async with world_of(old("2200-01-01")) as world:
         world.client("key-that-is-old-now")
 
 

@@ -42,7 +42,7 @@ async def test_a_dry_run_lists_the_envelopes_and_changes_nothing(clock: Clock) -
         assert world.robot.writes == []
         assert not kernel.commands.running
         assert kernel.registry.entries["/tenant/alpha/actuator/drive"].seq == samples
-        assert kernel.deadman._timers == {}  # pyright: ignore[reportPrivateUsage]
+        assert not kernel.deadman.driving
         assert code(await drive(client, 0.5, idempotency_key="k")) == "completed"
 
 

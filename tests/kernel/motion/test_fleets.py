@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend
 from kernel.motion.test_latches import ADMIN, CHIEF, GUEST, HEAD, estop, moves
 from kernel.world import BOUND, Robot, World, kept_in, settled, world_of
 from rcp_kernel.errors import InvalidPath
@@ -16,15 +17,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.types import Twist, quantity
 
 pytestmark = pytest.mark.anyio
-YARD = (
-    HEAD
-    + """
-[[backends]]
-use = "robot"
-name = "yard"
-tenant = "alpha"
-"""
-)
+YARD = HEAD + backend("yard")
 FAST = {"linear": {"x": 1.0}}
 
 

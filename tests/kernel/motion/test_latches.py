@@ -9,27 +9,18 @@ from typing import Any
 
 import pytest
 
-from configuration import backend, configuration, key
+from configuration import backend, configuration, key, role, rule
 from kernel.world import BOUND, Client, World, kept_in, prepared, settled, world_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 
 pytestmark = pytest.mark.anyio
-HEAD = (
-    configuration(
-        key("admin", "admin-admin-admin"),
-        key("operator", "operator-operator", tenants=["alpha"]),
-        key("chief", "chief-chief-chief", role="admin", tenants=["alpha"]),
-        key("guest", "guest-guest-guest", tenants=["alpha"]),
-    )
-    + """
-[roles.guest]
-allow = [
-    { operations = ["read"], paths = ["/sensor/r1/**"] },
-    { operations = ["execute"], paths = ["/system/estop"] },
-]
-"""
-)
+HEAD = configuration(
+    key("admin", "admin-admin-admin"),
+    key("operator", "operator-operator", tenants=["alpha"]),
+    key("chief", "chief-chief-chief", role="admin", tenants=["alpha"]),
+    key("guest", "guest-guest-guest", tenants=["alpha"]),
+) + role("guest", rule("read", "/sensor/r1/**"), rule("execute", "/system/estop"))
 ADMIN, CHIEF, GUEST = "admin-admin-admin", "chief-chief-chief", "guest-guest-guest"
 
 

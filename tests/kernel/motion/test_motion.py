@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend
 from kernel.world import BOUND, CONFIG, Client, World, prepared
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
@@ -137,7 +138,7 @@ async def test_a_backend_that_leaves_the_configuration_is_halted_first(world: Wo
     robot, client = world.robot, world.client()
     id_ = client.send(type="execute", path="/action/go", body=1.0)
     await client.until(lambda m: m.get("status") == "in_progress")
-    without = CONFIG.replace('[[backends]]\nuse = "robot"\ntenant = "alpha"\n', "")
+    without = CONFIG.replace(backend(), "")
     await apply(world.server, prepared(parse(without, "test"), []))
     assert (robot.halts, robot.stopped.qsize()) == (1, 1)
     assert (await client.final(id_))["error"]["code"] == "adapter_unavailable"

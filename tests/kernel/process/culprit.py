@@ -15,6 +15,7 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, NoReturn
 
+from configuration import backend
 from kernel.world import CONFIG, Client, NoOptions, Robot, prepared
 from rcp_kernel.app.containment import end_in_time, run_contained
 from rcp_kernel.app.log import configure
@@ -25,7 +26,7 @@ from rcpd.serve import loop_factory
 
 EXITS = {"exit": SystemExit(3), "interrupt": KeyboardInterrupt()}
 WHERE, WHAT = ([*sys.argv[1:], "", ""])[:2]
-TEXT = CONFIG + '\n[[backends]]\nuse = "culprit"\nname = "culprit"\ntenant = "beta"\n'
+TEXT = CONFIG + backend("culprit", "beta", use="culprit")
 
 
 def end() -> NoReturn:

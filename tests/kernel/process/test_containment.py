@@ -14,6 +14,7 @@ from types import ModuleType
 
 import pytest
 
+from configuration import backend, listener, table
 from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.file import parse
 from rcp_kernel.hookspecs import hookimpl
@@ -105,7 +106,7 @@ def test_a_plugin_whose_import_or_hook_would_end_the_process_is_missing(
         return _plugin(name, rcp_adapters=rcp_adapters) if name == "rcp_a2a" else real(name)
 
     monkeypatch.setattr(importlib, "import_module", load)
-    text = '[plugins.a2a]\n[plugins.mcp]\n[[backends]]\nuse = "sim"\nname = "s"\ntenant = "t"'
+    text = table("plugins.a2a") + table("plugins.mcp") + backend(use="sim")
     plugins = Plugins(parse(text, "test"))
     assert {(one.group, one.name) for one in plugins.missing} == {
         ("backends", "sim"),
@@ -120,11 +121,7 @@ async def test_a_ros_middleware_that_is_not_installed_fails_its_backend_alone(
     tmp_path: Path,
 ) -> None:
     file = tmp_path / "rcp.toml"
-    file.write_text(
-        "[transports.asgi]\nport = 0\n"
-        '[[backends]]\nuse = "ros2"\nname = "ros"\ntenant = "t"\n'
-        '[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "a"\n'
-    )
+    file.write_text(listener() + backend("ros", use="ros2") + backend("rover", use="sim"))
     process = await asyncio.create_subprocess_exec(
         Path(sys.executable).with_name("rcpd"),
         "serve",

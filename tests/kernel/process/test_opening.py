@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from configuration import key, role, rule
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
 from rcp_kernel.app.server import Server, running
 from rcp_kernel.config.file import parse
@@ -19,15 +20,9 @@ from rcp_kernel.testing import SteppedClock
 pytestmark = pytest.mark.anyio
 
 LEVEL = "/sensor/level"
-NARROW = """
-[roles.narrow]
-allow = [{ operations = ["*"], paths = ["/sensor/level"] }]
-[[keys]]
-name = "narrow"
-role = "narrow"
-tenants = ["alpha"]
-key = "narrow-narrow-narrow"
-"""
+NARROW = role("narrow", rule("*", "/sensor/level")) + key(
+    "narrow", "narrow-narrow-narrow", tenants=["alpha"]
+)
 
 
 class Gate:

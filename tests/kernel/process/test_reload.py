@@ -14,6 +14,7 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
+from configuration import backend, key, listener
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
 from rcp_kernel.app.reload import apply, reload
 from rcp_kernel.app.server import Prepared, Server, running
@@ -22,8 +23,8 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import BackendKind, Host
 
 pytestmark = pytest.mark.anyio
-STRANGER = '\n[[keys]]\nname = "stranger"\nrole = "operator"\nkey = "stranger-stranger"\n'
-SECOND = '\n[[backends]]\nuse = "robot"\nname = "second"\ntenant = "beta"\n'
+STRANGER = key("stranger", "stranger-stranger", role="operator")
+SECOND = backend("second", "beta")
 THIRD = SECOND.replace("second", "third").replace("beta", "gamma")
 
 
@@ -129,14 +130,7 @@ async def test_a_bug_in_what_checks_a_reload_changes_nothing_and_is_logged(
         world.release.set()
 
 
-SERVED = """
-[transports.asgi]
-port = 0
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-"""
+SERVED = listener() + backend("rover", use="sim")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGHUP")

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend
 from kernel.world import CONFIG, Client, NoOptions, Robot, World, prepared, world_of
 from rcp_kernel.app.reload import apply
 from rcp_kernel.app.server import Server, running
@@ -94,7 +95,7 @@ async def test_withdrawing_a_path_ends_its_command(world: World) -> None:
 
 
 async def test_two_backends_of_one_path_do_not_both_get_it() -> None:
-    text = CONFIG + '\n[[backends]]\nuse = "robot"\nname = "second"\ntenant = "alpha"\n'
+    text = CONFIG + backend("second")
     async with world_of(text) as world:
         backends = (await world.client().ask(type="status"))["body"]["backends"]
         assert [b["state"] for b in backends] == ["ready", "down"]

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend
 from kernel.motion.test_latches import HEAD
 from kernel.safety.scripted import ADMIN, DRIVE, FAST, HOLD, Scripted, estop, until_sent
 from kernel.world import World, world_of
@@ -16,10 +17,7 @@ from rcp_kernel.types import quantity
 
 pytestmark = pytest.mark.anyio
 TORSO = "/tenant/alpha/actuator/r1/torso"
-BACKEND = '[[backends]]\nuse = "robot"\nname = "{}"\ntenant = "alpha"\nrobot = "{}"\n'
-TWO = HEAD + "".join(
-    BACKEND.format(name, robot) for name, robot in (("base", "r1"), ("torso", "r1"), ("r2", "r2"))
-)
+TWO = HEAD + backend("base", robot="r1") + backend("torso", robot="r1") + backend("r2", robot="r2")
 
 
 class Torso(Scripted):

@@ -6,7 +6,7 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from configuration import backend
+from configuration import backend, key, role, rule, table
 from kernel.motion.test_latches import HEAD, moves
 from kernel.safety.scripted import ADMIN, ESTOP, estop
 from kernel.world import World, world_of
@@ -14,23 +14,11 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
 
 pytestmark = pytest.mark.anyio
-KEY = '[[keys]]\nname = "{0}"\nrole = "{0}"\ntenants = {1}\nkey = "{0}-{0}-{0}-{0}"\n'
-ROLES = """
-[roles.cell]
-stop_all = false
-allow = [
-    { operations = ["*"], paths = ["/**"] },
-    { operations = ["read", "execute"], paths = ["/system/estop"] },
-]
-
-[safety.groups]
-pair = ["/tenant/alpha/r1", "/tenant/beta/r3"]
-"""
-KEYS = KEY.format("cell", '["alpha", "beta"]')
 FLEET = (
     HEAD
-    + KEYS
-    + ROLES
+    + key("cell", "cell-cell-cell-cell", tenants=["alpha", "beta"])
+    + role("cell", rule("*", "/**"), rule("read execute", "/system/estop"), stop_all=False)
+    + table("safety.groups", pair=["/tenant/alpha/r1", "/tenant/beta/r3"])
     + backend("r1", "alpha", robot="r1")
     + backend("r2", "alpha", robot="r2")
     + backend("r3", "beta", robot="r3")

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from configuration import key, role, rule
 from kernel.judging import AT_ONCE, judged
 from kernel.world import BOUND, CONFIG, Client, Robot, World, kept_in, world_of
 from rcp_kernel.config.file import parse
@@ -18,15 +19,8 @@ pytestmark = pytest.mark.anyio
 PATHS = 5_000
 
 
-def rules(paths: str) -> str:
-    return f"""{CONFIG}
-[[keys]]
-name = "driver"
-role = "driver"
-key = "driver-driver-driver"
-[roles.driver]
-allow = [{{ operations = ["*"], paths = ["{paths}"] }}]
-"""
+def rules(*paths: str) -> str:
+    return CONFIG + key("driver", "driver-driver-driver") + role("driver", rule("*", *paths))
 
 
 class Many(Robot):

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.anyio
 BOARD = "/system/board"
 LEVEL = "/tenant/alpha/sensor/level"
 KEY = "driver-driver-driver"
-SEEN, UNSEEN = '/sensor/**", "/system/**', '/param/**", "/system/**'
+SEEN, UNSEEN = ("/sensor/**", "/system/**"), ("/param/**", "/system/**")
 ITEMS = 2_000
 AT_ONCE = ITEMS // 4
 _LEAST = 50e-6  # s that an item takes on any machine: a list takes at least 100 ms
@@ -67,7 +67,7 @@ class Board:
 @asynccontextmanager
 async def boarded(board: Board) -> AsyncGenerator[Server]:
     robots: list[Robot] = []
-    config = parse(rules(SEEN), "test")
+    config = parse(rules(*SEEN), "test")
     made = prepared(config, robots)
     features = msgspec.structs.replace(config, features={**config.features, "board": True})
     kinds = {"board": FeatureKind("board", NoKeys, board.make)}
@@ -118,7 +118,7 @@ async def test_what_was_made_under_other_rights_is_not_sent() -> None:
         client, id_ = await subscribed(server)
         await asyncio.sleep(0)
         board.host.changed(BOARD)
-        server.kernel.reconfigure(parse(rules(UNSEEN), "test"))
+        server.kernel.reconfigure(parse(rules(*UNSEEN), "test"))
         assert [item["seen"] for item in (await client.update(id_))["body"]] == [False]
 
 

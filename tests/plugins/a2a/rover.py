@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
+from configuration import backend, key, listener, role, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.testing import serve
@@ -20,41 +21,20 @@ CARD_KEY = (
     .private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     .decode()
 )
-CONFIG = f"""
-[transports.asgi]
-port = 0
-[plugins.a2a]
-card_key = '''{CARD_KEY}'''
-push = {{ http = true, private = ["127.0.0.0/8"], backoff = 0.05 }}
-[[backends]]
-use = "sim"
-name = "rover-alpha"
-tenant = "alpha"
-world = "empty"
-noise = 0
-time_scale = 10
-[[backends]]
-use = "sim"
-name = "rover-beta"
-tenant = "beta"
-world = "empty"
-[roles.asks]
-approve = ["/action/dock"]
-approve_own = true
-[[keys]]
-name = "operator"
-role = "operator"
-key = "{OPERATOR}"
-[[keys]]
-name = "careful"
-role = ["operator", "asks"]
-key = "{CAREFUL}"
-[[keys]]
-name = "beta"
-role = "operator"
-tenants = ["beta"]
-key = "{BETA}"
-"""
+CONFIG = (
+    listener()
+    + table(
+        "plugins.a2a",
+        card_key=CARD_KEY,
+        push={"http": True, "private": ["127.0.0.0/8"], "backoff": 0.05},
+    )
+    + backend("rover-alpha", use="sim", world="empty", noise=0, time_scale=10)
+    + backend("rover-beta", "beta", use="sim", world="empty")
+    + role("asks", approve=["/action/dock"], approve_own=True)
+    + key("operator", OPERATOR)
+    + key("careful", CAREFUL, role=["operator", "asks"])
+    + key("beta", BETA, role="operator", tenants=["beta"])
+)
 
 
 @asynccontextmanager

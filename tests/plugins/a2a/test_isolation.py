@@ -9,6 +9,7 @@ import httpx
 import msgspec
 import pytest
 
+from configuration import key, role, rule
 from plugins.a2a.agent import KEY_BETA, VERSION, agent, caller, rpc, sent, text
 from rcp_kernel.config.role import Rule
 from transports.robot import KEY, Site
@@ -120,14 +121,9 @@ async def test_calls_side_by_side_keep_their_callers(gateway: Site) -> None:
             assert {task["id"] for task in page["tasks"]} == {i for k, i in done if k == key}
 
 
-SOME = """
-[roles.some]
-allow = [{ operations = ["*"], paths = ["/**", "/system/plans"] }]
-[[keys]]
-name = "somebody"
-roles = { alpha = "some" }
-key = "somebody-somebody"
-"""
+SOME = role("some", rule("*", "/**", "/system/plans")) + key(
+    "somebody", "somebody-somebody", roles={"alpha": "some"}
+)
 DENIED = Rule(("*",), ("/service/add", "/sensor/text"))
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import httpx
 import pytest
 
+from configuration import key, role
 from expiring import brief_key
 from plugins.a2a.agent import KEY_BETA, agent, caller, data, rpc, sent, text
 from plugins.a2a.receiver import BOUND
@@ -20,25 +21,13 @@ from transports.robot import Site, until
 
 pytestmark = pytest.mark.anyio
 GO = "execute /action/go 5"
-CAREFUL = """
-[roles.careful]
-approve = ["/action/go"]
-[roles.careful-alone]
-approve = ["/action/go"]
-approve_own = true
-[[keys]]
-name = "careful"
-role = ["operator", "careful"]
-key = "key-of-who-is-careful"
-[[keys]]
-name = "alone"
-role = ["operator", "careful-alone"]
-key = "key-of-who-is-alone"
-[[keys]]
-name = "boss"
-role = "admin"
-key = "key-of-the-boss-of-all"
-"""
+CAREFUL = (
+    role("careful", approve=["/action/go"])
+    + role("careful-alone", approve=["/action/go"], approve_own=True)
+    + key("careful", "key-of-who-is-careful", role=["operator", "careful"])
+    + key("alone", "key-of-who-is-alone", role=["operator", "careful-alone"])
+    + key("boss", "key-of-the-boss-of-all", role="admin")
+)
 CAREFUL_KEY, ALONE_KEY, BOSS_KEY = (
     "key-of-who-is-careful", "key-of-who-is-alone", "key-of-the-boss-of-all",
 )  # fmt: skip

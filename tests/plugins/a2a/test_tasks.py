@@ -30,11 +30,17 @@ NOWHERE = "execute /service/nowhere"
 
 @asynccontextmanager
 async def kept(path: Path, **config: Any) -> AsyncGenerator[Tasks]:
-    store = DiskStore(path / "store.db", asyncio.get_running_loop())
-    tasks = Tasks(PluginStore(store, "a2a.tasks"), A2aConfig(**config))
-    tasks.restore()
-    try:
+    async with rows(path) as shelf:
+        tasks = Tasks(shelf, A2aConfig(**config))
+        tasks.restore()
         yield tasks
+
+
+@asynccontextmanager
+async def rows(path: Path) -> AsyncGenerator[PluginStore]:
+    store = DiskStore(path / "store.db", asyncio.get_running_loop())
+    try:
+        yield PluginStore(store, "a2a.tasks")
     finally:
         await asyncio.sleep(0)  # the loop's turn hands over what was put
         store.close()
@@ -131,12 +137,13 @@ async def test_a_row_that_cannot_be_read_costs_only_itself(tmp_path: Path) -> No
     ada = called_by("ada")
     async with kept(tmp_path) as tasks:
         await tasks.save(made("good", DONE), ada)
-        tasks._shelf.put("bad", {"owner": "x", "task": b"\xff\xff"})
-        tasks._shelf.put("worse", 7)
+    async with rows(tmp_path) as shelf:
+        shelf.put("bad", {"owner": "x", "task": b"\xff\xff"})
+        shelf.put("worse", 7)
     async with kept(tmp_path) as tasks:
         assert await tasks.get("good", ada) is not None
-    async with kept(tmp_path) as tasks:
-        assert "bad" not in tasks._shelf.load()
+    async with rows(tmp_path) as shelf:
+        assert shelf.load().keys() == {"good"}
 
 
 async def test_tasks_and_their_notifications_are_there_after_a_restart(tmp_path: Path) -> None:

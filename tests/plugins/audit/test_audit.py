@@ -5,17 +5,20 @@ from __future__ import annotations
 import asyncio
 import json
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from types import SimpleNamespace
+from typing import Any, NoReturn
 
 import pytest
 from click.testing import CliRunner
 
 from configuration import backend, configuration, key
-from kernel.world import Client, World, kept_in, settled, until_trouble, world_of
-from rcp_audit.log import AuditLog
+from kernel.world import BOUND, Client, World, kept_in, settled, until_trouble, world_of
 from rcp_audit.throttle import DenialThrottle
+from rcp_kernel.testing import SteppedClock
 from rcpd.audit import audit
 from rcpd.examination import examined
 
@@ -29,6 +32,30 @@ TENANTS = configuration(
     key("bea", "admin-of-beta-viewer-of-alpha", roles={"alpha": "viewer", "beta": "admin"}),
     key("root", "admin-of-everything", role="admin"),
 )
+
+
+class Timers:
+    """Stands for the loop: a test takes each timer, and calls it when it wants."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Callable[[], None]] = []
+        self.loop: Any = self
+
+    def call_later(self, _delay: float, function: Callable[..., None], *given: Any) -> Any:
+        self.waiting.append(partial(function, *given))
+        return SimpleNamespace(cancel=lambda: None)
+
+    def take(self) -> Callable[[], None]:
+        """Take the timer that was set first."""
+        return self.waiting.pop(0)
+
+
+async def summaries(world: World) -> list[dict[str, Any]]:
+    """Wait until refusals are summed up."""
+    async with asyncio.timeout(BOUND):
+        while not (found := await records(world, what="denials")):  # noqa: ASYNC110 - a timer writes
+            await asyncio.sleep(0)
+    return found
 
 
 async def records(world: World, **wanted: Any) -> list[dict[str, Any]]:
@@ -144,13 +171,6 @@ async def test_a_long_text_is_cut_but_a_value_is_told_whole(world: World) -> Non
     assert (found["value"], found["name"]) == (long, "short")
 
 
-def log_of(world: World) -> AuditLog:
-    """Return what makes the records."""
-    listeners = cast("Any", world.server.kernel).event_bus.listeners
-    owners = (getattr(listener.on_event, "__self__", None) for listener in listeners)
-    return next(owner for owner in owners if isinstance(owner, AuditLog))
-
-
 async def test_what_the_log_fails_to_write_is_told_and_leaves_a_record_of_the_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,14 +191,15 @@ async def test_what_the_log_fails_to_write_is_told_and_leaves_a_record_of_the_ga
         assert "ZeroDivisionError" in status["record"]["detail"]
 
 
-async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> None:
+async def test_a_flood_of_refusals_becomes_one_record_a_window(
+    world: World, stepped: SteppedClock
+) -> None:
     client = world.client(None)
-    flood = log_of(world).throttle
     for _ in range(50):
         await client.ask(type="write", path=LIMIT, body=1)
     assert len(await records(world, what="denial")) == 10
-    flood._close(flood._windows["=anonymous"])
-    [summary] = await records(world, what="denials")
+    stepped.advance(1)
+    [summary] = await summaries(world)
     assert (summary["count"], summary["codes"]) == (40, {"forbidden": 40})
     assert summary["paths"] == {LIMIT: 40}
     assert summary["principal"] == "anonymous"
@@ -186,16 +207,17 @@ async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> 
     assert len(await records(world, what="denial")) == 10
 
 
-async def test_a_flood_in_two_tenants_is_summed_up_for_each_of_them() -> None:
-    async with world_of(TENANTS) as world:
+async def test_a_flood_in_two_tenants_is_summed_up_for_each_of_them(
+    stepped: SteppedClock,
+) -> None:
+    async with world_of(TENANTS, clock=stepped.clock) as world:
         bea = world.client("admin-of-beta-viewer-of-alpha")
         paths = (LIMIT, "/tenant/beta/sensor/level")  # not hers to write; nothing to write at all
         for _ in range(12):
             for path in paths:
                 await bea.ask(type="write", path=path, body=1)
-        flood = log_of(world).throttle
-        flood._close(flood._windows["=bea"])
-        sums = await records(world, what="denials")
+        stepped.advance(1)
+        sums = await summaries(world)
         assert [(s["tenant"], s["roles"], s["paths"]) for s in sums] == [
             ("alpha", ["viewer"], {paths[0]: 7}),
             ("beta", ["admin"], {paths[1]: 7}),
@@ -452,23 +474,23 @@ async def test_a_lapsed_command_and_the_stop_that_follows_are_on_record(world: W
     assert stopped["tenant"] == "alpha"
 
 
-async def test_a_flood_that_is_told_of_while_its_window_closes_has_one_window() -> None:
-    loop, told = asyncio.get_running_loop(), asyncio.Event()
+def test_a_flood_that_is_told_of_while_its_window_closes_has_one_window() -> None:
+    timers, told = Timers(), list[dict[str, Any]]()
 
-    def tell(_facts: dict[str, Any]) -> None:
+    def tell(facts: dict[str, Any]) -> None:
+        told.append(facts)
         flood.passes("=who", {}, "/path", "forbidden", full=True)
-        told.set()
 
-    flood = DenialThrottle(loop, 0, tell)
+    flood = DenialThrottle(timers.loop, 0, tell)
     flood.passes("=who", {}, "/path", "forbidden")
-    [first] = flood._windows.values()
-    flood._close(first)
-    [second] = flood._windows.values()
-    assert told.is_set()
-    assert second is not first
-    flood._close(first)
-    assert list(flood._windows.values()) == [second]
-    flood.close()
-    [third] = flood._windows.values()
-    assert third.timer is not None
-    third.timer.cancel()
+    first = timers.take()
+    first()
+    assert len(told) == 1
+    second = timers.take()
+    assert timers.waiting == []
+    first()  # that window has been closed
+    assert len(told) == 1
+    second()
+    assert len(told) == 2
+    timers.take()
+    assert timers.waiting == []

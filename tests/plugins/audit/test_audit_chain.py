@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
+from plugins.audit.test_audit import Timers
 from rcp_audit.throttle import DenialThrottle
 from rcp_store.chain import GENESIS, Head, Row, link, parse_head, written
 from rcpd.verification import verify
@@ -133,18 +132,15 @@ def test_a_head_reads_as_it_was_written(seq: int, digest: bytes) -> None:
 
 
 def test_a_flood_that_lasts_is_summed_up_in_ever_longer_windows() -> None:
-    async def run() -> list[float]:
-        told: list[dict[str, float]] = []
-        flood = DenialThrottle(asyncio.get_running_loop(), 3, told.append)
-        passed = 0
-        for length in (1, 2, 4, 8, 16, 32, 60, 60):
-            for _ in range(length * 4):
-                passed += flood.passes("x", {"principal": "x"}, "/p", "forbidden")
-            flood._windows["x"].timer.cancel()
-            flood._close(flood._windows["x"])
-        assert passed == 3
-        flood.close()
-        assert sum(t["count"] for t in told) == 4 * 183 - 3
-        return [t["seconds"] for t in told]
-
-    assert asyncio.run(run()) == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
+    told: list[dict[str, float]] = []
+    timers = Timers()
+    flood = DenialThrottle(timers.loop, 3, told.append)
+    passed = 0
+    for length in (1, 2, 4, 8, 16, 32, 60, 60):
+        for _ in range(length * 4):
+            passed += flood.passes("x", {"principal": "x"}, "/p", "forbidden")
+        timers.take()()
+    assert passed == 3
+    flood.close()
+    assert sum(t["count"] for t in told) == 4 * 183 - 3
+    assert [t["seconds"] for t in told] == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]

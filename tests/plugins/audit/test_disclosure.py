@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from configuration import backend, configuration, key
+from configuration import backend, configuration, key, role, rule
 from kernel.world import BOUND, Client, Robot, World, kept_in, settled, world_of
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.model import Resource
@@ -19,6 +19,7 @@ from rcpd.examination import examined
 
 pytestmark = pytest.mark.anyio
 SECRET = 271.828
+EVERYTHING = rule("*", "/**", "/system/**")
 WORDS = "the password is swordfish"
 CONFIG = (
     configuration(
@@ -33,20 +34,14 @@ CONFIG = (
         key("unread", "sees-and-may-not-read", roles={"alpha": "unread"}),
         key("root", "admin-of-everything", role="admin"),
     )
-    + """
-[roles.partial]
-allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
-deny = [{ operations = ["*"], paths = ["/service/secret", "/sensor/hush", "/*/dark/**"] }]
-may_approve = true
-
-[roles.unread]
-allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
-deny = [{ operations = ["read", "subscribe"], paths = ["/sensor/hush"] }]
-
-[roles.asks]
-allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
-approve = ["/param/limit"]
-"""
+    + role(
+        "partial",
+        EVERYTHING,
+        deny=[rule("*", "/service/secret", "/sensor/hush", "/*/dark/**")],
+        may_approve=True,
+    )
+    + role("unread", EVERYTHING, deny=[rule("read subscribe", "/sensor/hush")])
+    + role("asks", EVERYTHING, approve=["/param/limit"])
 )
 BOTH, ASKS = "admin-of-alpha-and-beta", "asks-in-alpha-and-beta"
 ADA, BEA, ROOT = "admin-of-alpha-alone", "admin-of-beta-alone", "admin-of-everything"
@@ -346,7 +341,7 @@ async def test_a_record_of_one_robot_is_for_those_who_see_something_of_it(world:
 
 
 async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world: World) -> None:
-    shown, judge = shown_of(world), Visibility.names_hidden
+    shown, judge = shown_of(world), Visibility.mentions_hidden
     partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
     record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": "sensor/later"}
     judged: list[Any] = []
@@ -356,7 +351,7 @@ async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world:
         return judge(*facts)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Visibility, "names_hidden", counted)
+        patch.setattr(Visibility, "mentions_hidden", counted)
         for session in (partial, ada, partial, ada):
             assert shown(session, record) is record
         assert len(judged) == 2

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import msgspec
 
+from configuration import backend, key, listener, table
 from rcp_kernel.app.features import active
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.plugins import Plugins
@@ -24,33 +25,9 @@ OPERATOR = "operator-of-these-tests"
 ADMIN = "administrator-of-these-tests"
 BOUND = 20.0  # s that any wait of a test may take
 
-CONFIG = """
-[transports]
-{without}
-[transports.asgi]
-port = {port}
-grace = 0.1
-[limits]
-session_ttl = {session_ttl}
-in_flight = {in_flight}
-[[backends]]
-use = "robot"
-name = "robot"
-tenant = "alpha"
-[[backends]]
-use = "robot"
-name = "other"
-tenant = "beta"
-[[keys]]
-name = "operator"
-role = "operator"
-key = "{operator}"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "{admin}"
-{more}
-"""
+ROBOTS = (
+    backend("robot") + backend("other", "beta") + key("operator", OPERATOR) + key("admin", ADMIN)
+)
 
 
 class Point(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -140,9 +117,12 @@ class Gateway:
     ) -> None:
         self.port = 0
         self.robots: dict[str, Robot] = {}
-        without = "" if http else "http = false\nsse = false"
-        limits = {"session_ttl": session_ttl, "in_flight": in_flight}
-        self._options = {**limits, "more": more, "without": without}
+        self._config = (
+            table("transports", **({} if http else {"http": False, "sse": False}))
+            + table("limits", session_ttl=session_ttl, in_flight=in_flight)
+            + ROBOTS
+            + more
+        )
         self._stack = AsyncExitStack()
         self.opens = asyncio.Event()
         """Lets the robots come up."""
@@ -159,8 +139,7 @@ class Gateway:
         return self.robots["alpha"]
 
     async def start(self) -> None:
-        text = CONFIG.format(port=self.port, operator=OPERATOR, admin=ADMIN, **self._options)
-        config = parse(text, "test")
+        config = parse(self._config + listener(self.port, grace=0.1), "test")
         plugins = Plugins(msgspec.structs.replace(config, backends=()))
         plugins.backends["robot"] = BackendKind("robot", NoOptions, self._open)
         tables = {

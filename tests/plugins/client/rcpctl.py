@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from configuration import backend, key, listener
+
 __all__ = [
     "ADMIN",
     "BIN",
@@ -26,23 +28,12 @@ BIN = Path(sys.executable).parent
 BOUND = 40.0  # s that any process of these tests may take
 OPERATOR = "operator-of-the-rcpctl-tests"
 ADMIN = "administrator-of-the-rcpctl-tests"
-CONFIG = f"""
-[transports.asgi]
-port = 0
-grace = 0.1
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[[keys]]
-name = "operator"
-role = "operator"
-key = "{OPERATOR}"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "{ADMIN}"
-"""
+CONFIG = (
+    listener(grace=0.1)
+    + backend("rover", use="sim")
+    + key("operator", OPERATOR)
+    + key("admin", ADMIN)
+)
 Run = Callable[..., subprocess.CompletedProcess[str]]
 FAR = '{"position": {"x": 0, "y": 9}}'
 NEAR = '{"position": {"x": 0, "y": 0}}'

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from configuration import backend, key, listener, role, table
 from rcp_client import Client, Feedback, connect
 from rcp_kernel.app.server import Server, prepare, running
 from rcp_kernel.config.file import parse
@@ -22,37 +23,16 @@ from rcp_kernel.errors import ApprovalRequired, Cancelled, DeviceRejected, Unkno
 pytestmark = pytest.mark.anyio
 BIN = Path(sys.executable).parent
 BOUND = 30.0  # s
-CONFIG = """
-[transports]
-http = false
-sse = false
-[transports.asgi]
-port = 0
-grace = 0.1
-[[backends]]
-use = "sim"
-tenant = "alpha"
-name = "rover"
-world = "empty"
-noise = 0.0
-time_scale = 10.0
-[roles.careful]
-approve = ["/action/dock"]
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-of-these-plans"
-[[keys]]
-name = "agent"
-role = ["agent", "careful"]
-key = "agent-of-these-plans"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-of-these-plans"
-[plans.objects]
-box1 = { position = { x = 0.5, y = 0.5 } }
-"""
+CONFIG = (
+    table("transports", http=False, sse=False)
+    + listener(grace=0.1)
+    + backend("rover", use="sim", world="empty", noise=0.0, time_scale=10.0)
+    + role("careful", approve=["/action/dock"])
+    + key("operator", "operator-of-these-plans")
+    + key("agent", "agent-of-these-plans", role=["agent", "careful"])
+    + key("admin", "admin-of-these-plans")
+    + table("plans.objects", box1={"position": {"x": 0.5, "y": 0.5}})
+)
 
 
 @asynccontextmanager

@@ -13,6 +13,7 @@ from cryptography import x509
 
 import rcp_client
 from certs import Authority, Signed
+from configuration import tls
 from rcp_client.errors import ConnectionLost
 from transports.robot import KEY, Site, site
 
@@ -29,9 +30,7 @@ def ca(tmp_path: Path) -> Authority:
 
 @asynccontextmanager
 async def secured(server: Signed, **more: Any) -> AsyncGenerator[Site]:
-    keys = {"certificate": server.cert, "key": server.key, **more}
-    text = "[transports.asgi.tls]\n" + "".join(f'{k} = "{v}"\n' for k, v in keys.items())
-    async with site(asgi=text, more=MAPPED) as gateway:
+    async with site(asgi=tls(server, **more), more=MAPPED) as gateway:
         yield gateway
 
 
@@ -68,8 +67,8 @@ async def test_rcpctl_takes_its_files_from_options_or_the_environment(ca: Author
     options = ("--cacert", files["RCP_CACERT"], "--cert", files["RCP_CERT"])
     key = ("--cert-key", files["RCP_KEY"])
     write = ("write", "/tenant/alpha/param/limit", "1.25")
-    tls = {"client_certificates": "optional", "client_ca": ca.file}
-    async with secured(ca.server(), **tls) as gateway:
+    shown = {"client_certificates": "optional", "client_ca": ca.file}
+    async with secured(ca.server(), **shown) as gateway:
         url = ("--url", gateway.url)
         code, out, error = await rcpctl(*url, *write, **files)
         assert (code, error) == (0, "")

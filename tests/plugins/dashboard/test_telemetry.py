@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
+from configuration import key, listener, table
 from rcp_kernel.clock import now
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Pattern, Resource
@@ -229,8 +230,10 @@ async def test_a_layout_is_each_users_own(http: httpx.AsyncClient) -> None:
 
 async def test_a_layout_survives_the_gateway(static: Any, tmp_path: Path) -> None:
     text = (
-        f'[transports.asgi]\nport = 0\n[plugins.dashboard]\n[store]\npath = "{tmp_path}/kept.db"\n'
-        f'[[keys]]\nname = "op"\nrole = "operator"\nkey = "{KEY}"\n'
+        listener()
+        + table("plugins.dashboard")
+        + table("store", path=f"{tmp_path}/kept.db")
+        + key("op", KEY, role="operator")
     )
     for asked in ("put", "get"):
         async with serve(parse(text, "test")) as served:

@@ -7,8 +7,10 @@ from collections.abc import AsyncGenerator, Collection
 from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 
 import rcp_frames
+from configuration import backend, key, role, rule, table
 from rcp_frames.shapes import Shape
 from rcp_geometry import ecef, geodetic, local
 from rcp_kernel.model import Resource
@@ -37,60 +39,40 @@ pytestmark = pytest.mark.anyio
 (KIND,) = rcp_frames.rcp_features()
 ADMIN, BLIND, FENCED, AWAKE = (f"{n}-{n}-{n}" for n in ("admin", "blind", "fenced", "awake"))
 HOME = (48.137154, 11.576124, 519.0)
-CONFIG = f"""
-[[backends]]
-use = "rover"
-tenant = "alpha"
-
-[roles.blind]
-allow = [{{ operations = ["discover", "read", "subscribe", "execute"], paths = ["/**"] }}]
-deny = [{{ operations = ["discover"], paths = ["/sensor/pose", "/sensor/odometry"] }}]
-
-[roles.awake]
-allow = [
-  {{ operations = ["discover", "read", "subscribe"], paths = ["/sensor/velocity", "/sensor/gain"] }},
-  {{ operations = ["read"], paths = ["/sensor/pose"], when = "sensor.gain > 0.5" }},
-]
-
-[roles.fenced]
-allow = [{{ operations = ["discover", "read", "subscribe", "execute"], paths = ["/**"] }}]
-
+CONFIG = (
+    backend(use="rover")
+    + role(
+        "blind",
+        rule("discover read subscribe execute", "/**"),
+        deny=[rule("discover", "/sensor/pose", "/sensor/odometry")],
+    )
+    + role(
+        "awake",
+        rule("discover read subscribe", "/sensor/velocity", "/sensor/gain"),
+        rule("read", "/sensor/pose", when="sensor.gain > 0.5"),
+    )
+    + role("fenced", rule("discover read subscribe execute", "/**"))
+    + """
 [[envelopes]]
 name = "yard"
 roles = ["fenced"]
 paths = ["/action/move_to"]
 [envelopes.fence]
 inside.yard = [[-10, -10], [10, -10], [10, 10], [-10, 10]]
-
-[[keys]]
-name = "admin"
-key = "{ADMIN}"
-roles = {{ "*" = ["admin"] }}
-
-[[keys]]
-name = "blind"
-key = "{BLIND}"
-roles = {{ alpha = ["blind"] }}
-
-[[keys]]
-name = "fenced"
-key = "{FENCED}"
-roles = {{ alpha = ["fenced"] }}
-
-[[keys]]
-name = "awake"
-key = "{AWAKE}"
-roles = {{ alpha = ["awake"] }}
-
-[features.frames]
-max_age = 30
-
-[features.frames.origins.gate]
-latitude = {HOME[0] + 0.001}
-longitude = {HOME[1]}
-altitude = {HOME[2]}
-axes = "ned"
 """
+    + key("admin", ADMIN, roles={"*": ["admin"]})
+    + key("blind", BLIND, roles={"alpha": ["blind"]})
+    + key("fenced", FENCED, roles={"alpha": ["fenced"]})
+    + key("awake", AWAKE, roles={"alpha": ["awake"]})
+    + table("features.frames", max_age=30)
+    + table(
+        "features.frames.origins.gate",
+        latitude=HOME[0] + 0.001,
+        longitude=HOME[1],
+        altitude=HOME[2],
+        axes="ned",
+    )
+)
 LEFT = Quaternion(z=math.sin(math.pi / 4), w=math.cos(math.pi / 4))
 """Turned left by a quarter: it faces north where x is east."""
 POSE, VELOCITY, MOVE_TO = "/sensor/pose", "/sensor/velocity", "/action/move_to"
@@ -409,6 +391,34 @@ async def test_discovery_lists_the_frames_that_a_caller_may_know(served: Served)
     assert blind["action/move_to"] == ["earth", "gate", "map"]
 
 
+async def test_discovery_shows_that_a_goal_may_be_a_place_on_the_earth(served: Served) -> None:
+    async def schema(token: str, **query: Any) -> dict[str, Any] | None:
+        reply = await served.client(token).request("discover", MOVE_TO, body=query or None)
+        (found,) = reply["body"]["resources"]
+        return found.get("command_schema")
+
+    found = await schema(ADMIN)
+    assert found is not None
+    taken = Draft202012Validator(found).is_valid
+    latitude, longitude, altitude = HOME
+    for position in (
+        {"x": 1.0, "y": 2.0},
+        {"x": 1.0, "y": 2.0, "z": None},
+        {"latitude": latitude, "longitude": longitude},
+        {"latitude": latitude, "longitude": longitude, "altitude": altitude},
+    ):
+        assert taken({"position": position, "frame": "earth" if "latitude" in position else "map"})
+    for position in (
+        {"x": 1.0},
+        {"latitude": latitude},
+        {"latitude": 91.0, "longitude": longitude},
+        {"x": 1.0, "y": 2.0, "latitude": latitude, "longitude": longitude},
+        {"x": 1.0, "y": 2.0, "altitude": altitude},
+    ):
+        assert not taken({"position": position})
+    assert await schema(ADMIN, schemas=False) is None
+
+
 class TestFramesSuite(FeatureSuite):
     kind = KIND
 
@@ -531,14 +541,9 @@ def pair(host: Host) -> ScriptedRobot:
 
 
 async def test_a_tree_of_several_robots_is_for_those_who_may_read_all_their_poses() -> None:
-    one = """
-[roles.one]
-allow = [{ operations = ["discover", "read", "subscribe"], paths = ["/sensor/r2/**"] }]
-[[keys]]
-name = "one"
-key = "one-one-one-one-one"
-roles = { alpha = ["one"] }
-"""
+    one = role("one", rule("discover read subscribe", "/sensor/r2/**")) + key(
+        "one", "one-one-one-one-one", roles={"alpha": ["one"]}
+    )
     async with serve(CONFIG + one, scripted(pair, "rover")) as served:
         path, frame = "/sensor/r2/pose", "r1/base_link"
         assert (await read(served.client(ADMIN), path, frame=frame))["status"] == "completed"

@@ -12,30 +12,23 @@ import pytest
 import rcp_sim
 from backends.mavlink.flying import agrees, airborne
 from backends.mavlink.test_gateway import flying
+from configuration import backend, key, table
 from rcp_geometry import ecef, geodetic, local
 from rcp_kernel.testing import MemoryClient, eventually, serve
 from rcp_kernel.testing._serve import OPERATOR
 
 pytestmark = pytest.mark.anyio
 _YARD = (48.137154, 11.576124, 519.0)
-_ROVER = f"""
-[[backends]]
-use = "sim"
-tenant = "t"
-world = "empty"
-noise = 0
-start = {{ x = 1.0, y = 2.0, yaw = 0.5 }}
-
-[features.frames.anchors."/tenant/t"]
-latitude = {_YARD[0]}
-longitude = {_YARD[1]}
-altitude = {_YARD[2]}
-
-[[keys]]
-name = "operator"
-key = "{OPERATOR}"
-roles = {{ "*" = ["operator"] }}
-"""
+_ROVER = (
+    backend(tenant="t", use="sim", world="empty", noise=0, start={"x": 1.0, "y": 2.0, "yaw": 0.5})
+    + table(
+        'features.frames.anchors."/tenant/t"',
+        latitude=_YARD[0],
+        longitude=_YARD[1],
+        altitude=_YARD[2],
+    )
+    + key("operator", OPERATOR, roles={"*": ["operator"]})
+)
 
 
 class Device(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -73,6 +74,19 @@ async def test_http_and_events_take_the_frame_as_a_parameter(url: str) -> None:
                     assert is_on_earth(update["body"])
                     return
     raise AssertionError("no update came")
+
+
+async def test_openapi_shows_that_a_goal_may_be_a_place_on_the_earth(url: str) -> None:
+    headers = {"Authorization": f"Bearer {TOKEN}"}
+    async with httpx.AsyncClient(base_url=url + "/rcp/v1", headers=headers) as http:
+        found = (await http.get("openapi.json")).json()
+    post = found["paths"]["/rcp/v1/context/tenant/alpha/action/move_to"]["post"]
+    name = post["requestBody"]["content"]["application/json"]["schema"]["$ref"]
+    name = name.removeprefix("#/components/schemas/")
+    assert re.fullmatch(r"[A-Za-z0-9._-]+", name)
+    position = found["components"]["schemas"][name]["properties"]["position"]
+    assert {"x", "y", "z", "latitude", "longitude", "altitude"} == position["properties"].keys()
+    assert position["oneOf"] == [{"required": ["x", "y"]}, {"required": ["latitude", "longitude"]}]
 
 
 @pytest.mark.parametrize("words", [("read", POSE), ("watch", POSE, "--count", "1")])

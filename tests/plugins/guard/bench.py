@@ -87,6 +87,7 @@ async def child(script: str, *arguments: str) -> AsyncGenerator[Child]:
         stdin=pipe,
         stdout=pipe,
         stderr=pipe,
+        env={**os.environ, "PYTHONPATH": str(HERE.parents[1])},
         limit=2**24,
     )
     started = Child(process)

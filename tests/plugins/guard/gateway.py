@@ -25,6 +25,7 @@ import psutil
 import uvloop
 
 import rcp_guard_link
+from configuration import backend, configuration, key
 from rcp_kernel.app.features import active
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Prepared, Server, running
@@ -34,22 +35,7 @@ from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress
 from rcp_kernel.types import quantity
 from rcp_kernel.values import Encoding
 
-CONFIG = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "cart"
-tenant = "alpha"
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-"""
+CONFIG = configuration(backend(use="cart"), key("admin", "admin-admin-admin"))
 
 
 class NoOptions(msgspec.Struct):

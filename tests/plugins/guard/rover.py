@@ -16,28 +16,13 @@ from typing import Any
 
 import uvloop
 
+from configuration import backend, configuration, key
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.values import Encoding
 
-CONFIG = """
-[transports]
-asgi = false
-http = false
-ws = false
-sse = false
-
-[[backends]]
-use = "sim"
-tenant = "alpha"
-world = "empty"
-
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-"""
+CONFIG = configuration(backend(use="sim", world="empty"), key("admin", "admin-admin-admin"))
 
 
 def tell(**fact: Any) -> None:

@@ -24,7 +24,7 @@ class Guarded:
         self.socket = ours
         self.process = process
         self.devices = {name: device() for name in ("a", "b")}
-        self._said = ours.makefile("r")
+        self.said = ours.makefile("r")
         self._reports: list[dict[str, Any]] = []
 
     def send(self, **message: Any) -> None:
@@ -49,7 +49,7 @@ class Guarded:
                 if report | wanted == report:
                     self._reports.remove(report)
                     return report
-            line = self._said.readline()
+            line = self.said.readline()
             if not line or time.monotonic() > until:
                 raise AssertionError(f"the guard did not report {wanted}")
             self._reports.append(json.loads(line))
@@ -94,7 +94,7 @@ def running(*, after: float, bound: float) -> Iterator[Guarded]:
     try:
         yield guard
     finally:
-        guard._said.close()
+        guard.said.close()
         ours.close()
         for heard in guard.devices.values():
             heard.close()

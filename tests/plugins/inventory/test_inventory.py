@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 import rcp_inventory
+from configuration import backend, key, role, rule, table
 from rcp_inventory.inventory import Inventory
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.spi import Dimensions, Host, RobotFacts
@@ -34,47 +35,21 @@ CMD_VEL = "/tenant/alpha/actuator/r1/cmd_vel"
 ADMIN, ALPHA, R2_ONLY, BLIND = (
     f"{name}-{name}-{name}" for name in ("admin", "alpha", "r2only", "blind")
 )
-CONFIG = f"""
-[[backends]]
-use = "fleet"
-tenant = "alpha"
-
-[[backends]]
-use = "solo"
-tenant = "beta"
-
-[roles.r2]
-allow = [
-  {{ operations = ["discover", "read", "subscribe"], paths = ["/sensor/r2/**", "/system/robots"] }},
-]
-
-[roles.blind]
-allow = [{{ operations = ["discover", "read", "subscribe"], paths = ["/**", "/system/robots"] }}]
-deny = [{{ operations = ["read", "subscribe"], paths = ["/sensor/*/battery", "/sensor/*/mode"] }}]
-
-[[keys]]
-name = "admin"
-key = "{ADMIN}"
-roles = {{ "*" = ["admin"] }}
-
-[[keys]]
-name = "alfred"
-key = "{ALPHA}"
-roles = {{ alpha = ["operator"] }}
-
-[[keys]]
-name = "r2"
-key = "{R2_ONLY}"
-roles = {{ alpha = ["r2"] }}
-
-[[keys]]
-name = "blind"
-key = "{BLIND}"
-roles = {{ alpha = ["blind"] }}
-
-[features.inventory]
-interval = 0.1
-"""
+CONFIG = (
+    backend(use="fleet")
+    + backend(tenant="beta", use="solo")
+    + role("r2", rule("discover read subscribe", "/sensor/r2/**", "/system/robots"))
+    + role(
+        "blind",
+        rule("discover read subscribe", "/**", "/system/robots"),
+        deny=[rule("read subscribe", "/sensor/*/battery", "/sensor/*/mode")],
+    )
+    + key("admin", ADMIN, roles={"*": ["admin"]})
+    + key("alfred", ALPHA, roles={"alpha": ["operator"]})
+    + key("r2", R2_ONLY, roles={"alpha": ["r2"]})
+    + key("blind", BLIND, roles={"alpha": ["blind"]})
+    + table("features.inventory", interval=0.1)
+)
 COPTER = RobotFacts(
     kind="copter",
     vendor="Acme",

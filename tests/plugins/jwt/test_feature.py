@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from configuration import configuration, key
 from issuer import Issuer, who
 from kernel.world import CONFIG, Client, prepared, world_of
 from rcp_kernel.app import plugins
@@ -18,8 +19,8 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError, Unauthenticated
 
 pytestmark = pytest.mark.anyio
-QUIET = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
-KEY = '[[keys]]\nname = "me"\nrole = "admin"\nkey = "key-of-the-test-here"\n'
+QUIET = configuration()
+KEY = key("me", "key-of-the-test-here", role="admin")
 TABLE = '[[jwt]]\nissuer = "https://i"\naudience = "a"\nrole = "viewer"\ndiscovery = true\n'
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import jwt
 import pytest
 
+from configuration import backend
 from issuer import AUDIENCE, Issuer, issuing, who
 from kernel.world import CONFIG, World, world_of
 from rcp_jwt import issuers
@@ -74,7 +75,7 @@ prefix = "corp:"
 driver = { role = "operator" }
 guest = { role = "viewer", tenants = ["alpha"] }
 """
-    beta = '[[backends]]\nuse = "robot"\nname = "other"\ntenant = "beta"\n'
+    beta = backend("other", "beta")
     async with world_of(CONFIG + beta + issuer.table(more)) as world:
 
         async def grants(roles: Any, sites: Any) -> Any:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from configuration import configuration
 from issuer import AUDIENCE, Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, world_of
 from rcp_jwt.config import JwtConfig
@@ -259,7 +260,7 @@ def test_whatever_a_signed_claim_holds_it_is_told_by_an_error_of_the_contract(va
     ],
 )
 def test_a_faulty_table_says_what_is_wrong(text: str, said: str) -> None:
-    quiet = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+    quiet = configuration()
     with pytest.raises(ConfigError, match=said):
         prepare(parse(f"{quiet}[[jwt]]\n{text}\n", "test"), "test")
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from configuration import key
 from kernel.world import BOUND, CONFIG, Client, World, kept_in, settled, world_of
 from rcp_kernel.clock import Clock
 from rcp_kernel.testing import SteppedClock
@@ -19,17 +20,7 @@ from rcp_kernel.wire import Request
 pytestmark = pytest.mark.anyio
 DRIVE = "/tenant/alpha/actuator/drive"
 FORWARD = {"linear": {"x": 1.0}}
-PEOPLE = """
-[[keys]]
-name = "agent"
-role = "agent"
-key = "agent-agent-agent"
-
-[[keys]]
-name = "viewer"
-role = "viewer"
-key = "viewer-viewer-viewer"
-"""
+PEOPLE = key("agent", "agent-agent-agent") + key("viewer", "viewer-viewer-viewer")
 AGENT, ADMIN = "agent-agent-agent", "admin-admin-admin"
 
 

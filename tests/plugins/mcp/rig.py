@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import msgspec
 
+from configuration import backend, key, listener, table
 from rcp_kernel.app.features import active
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.plugins import Plugins
@@ -30,38 +31,8 @@ from rcp_mcp.server_lifespan import open_mcp
 BOUND = 20.0  # s that any wait of a test may take
 OPERATOR = "operator-of-these-tests"
 VERSION = "2026-07-28"
-CONFIG = """
-{top}
-[transports.asgi]
-port = {port}
-{robots}
-[plugins.mcp]
-{mcp}
-[[keys]]
-name = "operator"
-role = "operator"
-tenants = ["alpha"]
-key = "operator-of-these-tests"
-{more}
-"""
-
-
-ROBOTS = """
-[[backends]]
-use = "robot"
-name = "robot"
-tenant = "alpha"
-[[backends]]
-use = "robot"
-name = "other"
-tenant = "beta"
-"""
-ROVER = """
-[[backends]]
-use = "sim"
-tenant = "alpha"
-seed = 1
-"""
+ROBOTS = backend("robot") + backend("other", "beta")
+ROVER = backend(use="sim", seed=1)
 
 
 class NoOptions(msgspec.Struct):
@@ -199,7 +170,9 @@ async def site(
         yield made[-1]
 
     recent = configure("error", "json")
-    config = parse(CONFIG.format(port=port, top=top, robots=robots, mcp=mcp, more=more), "test")
+    operator = key("operator", OPERATOR, tenants=["alpha"])
+    text = top + listener(port) + robots + table("plugins.mcp") + mcp + "\n" + operator + more
+    config = parse(text, "test")
     plugins = Plugins(parse(ROVER, "test"))
     plugins.backends["robot"] = BackendKind("robot", NoOptions, open_robot)
     plugins.adapters["mcp"] = AdapterKind(

@@ -8,32 +8,17 @@ from typing import Any
 
 import pytest
 
+from configuration import key, role, rule
 from plugins.mcp.rig import Caller, Site, caller, site
 
 AGENT, CAREFUL = "agent-of-these-tests", "careful-agent-of-these-tests"
-RULES = """
-[roles.asking]
-allow = [{ operations = ["*"], paths = ["/**"] }]
-approve = ["/action/go", "/param/limit"]
-approve_own = true
-[roles.careful]
-allow = [{ operations = ["*"], paths = ["/**"] }]
-approve = ["/action/go"]
-[[keys]]
-name = "agent"
-role = "asking"
-tenants = ["alpha"]
-key = "agent-of-these-tests"
-[[keys]]
-name = "careful"
-role = "careful"
-tenants = ["alpha"]
-key = "careful-agent-of-these-tests"
-[[keys]]
-name = "boss"
-role = "admin"
-key = "boss-of-these-tests"
-"""
+RULES = (
+    role("asking", rule("*", "/**"), approve=["/action/go", "/param/limit"], approve_own=True)
+    + role("careful", rule("*", "/**"), approve=["/action/go"])
+    + key("agent", "agent-of-these-tests", role="asking", tenants=["alpha"])
+    + key("careful", "careful-agent-of-these-tests", tenants=["alpha"])
+    + key("boss", "boss-of-these-tests", role="admin")
+)
 GO: dict[str, Any] = {"name": "action-go", "arguments": {"x": 1}}
 YES = {"action": "accept", "content": {"approve": True}}
 

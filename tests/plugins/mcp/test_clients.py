@@ -11,25 +11,19 @@ from typing import Any
 
 import pytest
 
+from configuration import key, role, rule
 from node import bin_of, node, npm_packages
 from plugins.mcp.rig import OPERATOR, ROVER, site
 
 SCRIPT = Path(__file__).parent / "drive.mjs"
 AGENT = "agent-of-these-tests"
-RULES = """
-[roles.asking]
-allow = [
-    { operations = ["*"], paths = ["/**"] },
-    { operations = ["discover", "read"], paths = ["/system/status"] },
-]
-approve = ["/service/reset_system", "/service/clear_faults"]
-approve_own = true
-[[keys]]
-name = "agent"
-role = "asking"
-tenants = ["alpha"]
-key = "agent-of-these-tests"
-"""
+RULES = role(
+    "asking",
+    rule("*", "/**"),
+    rule("discover read", "/system/status"),
+    approve=["/service/reset_system", "/service/clear_faults"],
+    approve_own=True,
+) + key("agent", "agent-of-these-tests", role="asking", tenants=["alpha"])
 _PATIENCE = 120.0  # s for one client's whole story
 
 

@@ -11,22 +11,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from configuration import key, role, rule
 from plugins.mcp.rig import Caller, Site, caller, site
 
 GUEST = "guest-of-these-tests"
-RIGHTS = """
-[roles.guest]
-allow = [
-    { operations = ["*"], paths = ["/**"] },
-    { operations = ["discover", "read"], paths = ["/system/status"] },
-]
-deny = [{ operations = ["discover"], paths = ["/sensor/secret", "/action/secret_dance"] }]
-[[keys]]
-name = "guest"
-role = "guest"
-tenants = ["alpha"]
-key = "guest-of-these-tests"
-"""
+RIGHTS = role(
+    "guest",
+    rule("*", "/**"),
+    rule("discover read", "/system/status"),
+    deny=[rule("discover", "/sensor/secret", "/action/secret_dance")],
+) + key("guest", "guest-of-these-tests", tenants=["alpha"])
 HIDDEN = (
     ("/sensor/secret", "/sensor/nothing"),
     ("/action/secret_dance", "/action/nothing"),
@@ -165,15 +159,11 @@ async def test_no_argument_makes_a_tool_tell_what_is_hidden(made: Site) -> None:
         await asyncio.to_thread(check)
 
 
-AUDITOR = """
-[roles.auditor]
-allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
-deny = [{ operations = ["*"], paths = ["/sensor/secret", "/action/secret_dance"] }]
-[[keys]]
-name = "auditor"
-roles = { alpha = "auditor" }
-key = "auditor-of-these-tests"
-"""
+AUDITOR = role(
+    "auditor",
+    rule("*", "/**", "/system/**"),
+    deny=[rule("*", "/sensor/secret", "/action/secret_dance")],
+) + key("auditor", "auditor-of-these-tests", roles={"alpha": "auditor"})
 
 
 async def test_the_past_of_what_is_hidden_is_told_by_no_tool_and_no_resource() -> None:

@@ -7,23 +7,18 @@ from typing import Any
 
 import pytest
 
+from configuration import backend, key, role, rule
 from plugins.mcp.rig import OPERATOR, Caller, Site, caller, site
 
 pytestmark = pytest.mark.anyio
 NARROW = "narrow-narrow-narrow"
 FLEET = "".join(
-    f'[[backends]]\nuse = "sim"\nname = "r{number}"\nrobot = "r{number}"\ntenant = "{tenant}"\n'
+    backend(f"r{number}", tenant, use="sim", robot=f"r{number}")
     for number, tenant in enumerate(["alpha"] * 6 + ["beta"])
 )
-MORE = f"""
-[roles.narrow]
-allow = [{{ operations = ["discover", "read"], paths = ["/tenant/*/sensor/**"] }}]
-[[keys]]
-name = "narrow"
-role = "narrow"
-tenants = ["alpha"]
-key = "{NARROW}"
-"""
+MORE = role("narrow", rule("discover read", "/tenant/*/sensor/**")) + key(
+    "narrow", NARROW, tenants=["alpha"]
+)
 
 
 @pytest.fixture

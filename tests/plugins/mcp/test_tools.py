@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from plugins.mcp.rig import BOUND, Caller, Site, caller
+from plugins.mcp.rig import BOUND, ROVER, Caller, Site, caller, site
 from rcp_kernel.model import Resource
 
 FIXED = ["robots", "discover", "read", "write", "write_all", "execute", "cancel", "status", "watch"]
@@ -251,3 +251,20 @@ async def test_watching_ends_after_samples_or_seconds(operator: Caller, gateway:
     short = await operator.call("watch", paths=["/sensor/level"], samples=50, seconds=0.2)
     assert short["structuredContent"]["ended"] == "0.2 s are over"
     assert len(short["structuredContent"]["updates"]) >= 1
+
+
+async def test_the_tool_of_a_goal_takes_a_place_on_the_earth() -> None:
+    anchor = """
+    [features.frames.anchors."/tenant/alpha"]
+    latitude = 48.137154
+    longitude = 11.576124
+    """
+    async with site(robots=ROVER, more=anchor) as rover, caller(rover) as operator:
+        tool = (await operator.tools())["action-move_to"]
+        goal = {"position": {"latitude": 48.13716, "longitude": 11.57613}, "frame": "earth"}
+        assert Draft202012Validator(tool["inputSchema"]).is_valid(goal)
+        shown = tool["inputSchema"]["properties"]["position"]["properties"]
+        assert shown["latitude"]["maximum"] == 90
+        assert shown["x"]["unit"] == "m"
+        result = await operator.call("action-move_to", **goal, dry_run=True)
+        assert not result.get("isError"), result

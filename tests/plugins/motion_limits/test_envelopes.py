@@ -21,6 +21,7 @@ from kernel.fenced import (
     reconfigured,
 )
 from rcp_kernel.access.conditions import RATE
+from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -186,10 +187,8 @@ when = "sensor.level > 1.0"
 """
 
 
-async def test_a_condition_refuses_unless_it_is_known_to_hold(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async with fenced(CHARGED) as world:
+async def test_a_condition_refuses_unless_it_is_known_to_hold(stepped: SteppedClock) -> None:
+    async with fenced(CHARGED, stepped.clock) as world:
         client, publish = world.client(), world.robot.host.publish
         refusal = await drive(client, 0.1)
         assert refusal["error"]["code"] == "precondition_failed"
@@ -201,8 +200,7 @@ async def test_a_condition_refuses_unless_it_is_known_to_hold(
         assert refusal["error"]["details"]["values"] == {"sensor.level": 0.5}
         publish("sensor/level", 2.0)
         assert code(await drive(client, 0.1)) == "completed"
-        entry = world.server.kernel.registry.entries["/tenant/alpha/sensor/level"]
-        monkeypatch.setattr(entry, "_heard", entry._heard - 60)  # pyright: ignore[reportPrivateUsage]
+        stepped.advance(60)
         assert code(await drive(client, 0.1)) == "precondition_failed"
         assert code(await drive(client, 0.0)) == "completed"
 

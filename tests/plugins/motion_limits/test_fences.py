@@ -22,6 +22,7 @@ from kernel.fenced import (
 )
 from kernel.world import BOUND
 from plugins.audit.test_audit import records
+from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
@@ -80,11 +81,12 @@ async def test_where_the_robot_is_is_told_to_those_who_may_read_it() -> None:
         assert "11.25" not in str(refusal)
 
 
-async def test_a_place_that_is_too_old_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with fenced(EDGE.replace('"sensor/pose",', '"sensor/pose", max_age = 0.05,')) as world:
+async def test_a_place_that_is_too_old_is_not_known(stepped: SteppedClock) -> None:
+    edge = EDGE.replace('"sensor/pose",', '"sensor/pose", max_age = 60,')
+    async with fenced(edge, stepped.clock) as world:
         world.robot.at(1)
-        entry = world.server.kernel.registry.entries["/tenant/alpha/sensor/pose"]
-        monkeypatch.setattr(entry, "_heard", entry._heard - 0.1)  # pyright: ignore[reportPrivateUsage]
+        assert code(await drive(world.client(AGENT), 0.1)) == "completed"
+        stepped.advance(61)
         assert code(await drive(world.client(AGENT), 0.1)) == "precondition_failed"
 
 
@@ -154,7 +156,8 @@ async def test_who_is_not_fenced_drives_on_outside() -> None:
         assert code(await drive(world.client(AGENT), 0.5)) == "completed"
         assert code(await drive(world.client(OPERATOR), 0.5)) == "completed"
         robot.at(11)
-        assert not world.server.kernel.deadman._stops  # pyright: ignore[reportPrivateUsage]
+        assert code(await drive(world.client(OPERATOR), 0.4)) == "completed"
+        assert [value.linear.x for value in reached(world)] == [0.5, 0.5, 0.4]  # nor stopped it
 
 
 async def test_an_action_that_leaves_the_fence_is_cancelled() -> None:

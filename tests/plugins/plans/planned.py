@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+from configuration import key, role, rule, table
 from kernel.world import BOUND, CONFIG, Client, World
 
 GO = "/action/go"
@@ -13,66 +14,28 @@ LIMIT = "/param/limit"
 
 PEOPLE = (
     CONFIG
-    + """
-[plans.objects]
-far = { metres = 2.0 }
-
-[plans.actions.approach]
-path = "/action/{0}"
-value = "{1.metres}"
-
-[plans.actions.set_limit]
-path = "/param/limit"
-do = "write"
-value = "{0}"
-
-[roles.asks]
-allow = [{ operations = ["*"], paths = ["/**"] },
-         { operations = ["read", "execute"], paths = ["/system/plans", "/system/estop"] }]
-approve = ["/action/go", "/actuator/**"]
-
-[roles.owned]
-allow = [{ operations = ["*"], paths = ["/**"] }]
-approve = ["/action/go"]
-approve_own = true
-
-[roles.guard]
-allow = [{ operations = ["read"], paths = ["/**"] }]
-may_approve = true
-
-[roles.blind]
-allow = [{ operations = ["read"], paths = ["/sensor/**"] }]
-may_approve = true
-
-[roles.half]
-allow = [{ operations = ["*"], paths = ["/service/**", "/param/**"] },
-         { operations = ["read", "subscribe", "execute"], paths = ["/system/plans"] }]
-
-[[keys]]
-name = "agent"
-role = "asks"
-key = "agent-agent-agent"
-
-[[keys]]
-name = "owned"
-role = "owned"
-key = "owned-owned-owned"
-
-[[keys]]
-name = "guard"
-role = "guard"
-key = "guard-guard-guard"
-
-[[keys]]
-name = "blind"
-role = "blind"
-key = "blind-blind-blind"
-
-[[keys]]
-name = "half"
-role = "half"
-key = "half-half-half-half"
-"""
+    + table("plans.objects", far={"metres": 2.0})
+    + table("plans.actions.approach", path="/action/{0}", value="{1.metres}")
+    + table("plans.actions.set_limit", path="/param/limit", do="write", value="{0}")
+    + role(
+        "asks",
+        rule("*", "/**"),
+        rule("read execute", "/system/plans", "/system/estop"),
+        approve=["/action/go", "/actuator/**"],
+    )
+    + role("owned", rule("*", "/**"), approve=["/action/go"], approve_own=True)
+    + role("guard", rule("read", "/**"), may_approve=True)
+    + role("blind", rule("read", "/sensor/**"), may_approve=True)
+    + role(
+        "half",
+        rule("*", "/service/**", "/param/**"),
+        rule("read subscribe execute", "/system/plans"),
+    )
+    + key("agent", "agent-agent-agent", role="asks")
+    + key("owned", "owned-owned-owned")
+    + key("guard", "guard-guard-guard")
+    + key("blind", "blind-blind-blind")
+    + key("half", "half-half-half-half")
 )
 
 

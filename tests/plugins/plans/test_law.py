@@ -8,6 +8,7 @@ from typing import Any
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from configuration import key
 from kernel.world import CONFIG, Client, World, world_of
 
 PATHS = {"/param/limit": "write", "/service/echo": "execute", "/action/cut_in": "execute"}
@@ -46,8 +47,8 @@ def configuration(allowed: set[str]) -> str:
     if "read" in allowed:
         rules.append('{ operations = ["read"], paths = ["/param/limit"] }')
     rules.append('{ operations = ["read", "execute"], paths = ["/system/plans"] }')
-    key = f'[[keys]]\nname = "somebody"\nrole = "some"\nkey = "{TOKEN}"\n'
-    return f"{CONFIG}\n[roles.some]\nallow = [{', '.join(rules)}]\n{key}"
+    somebody = key("somebody", TOKEN, role="some")
+    return f"{CONFIG}\n[roles.some]\nallow = [{', '.join(rules)}]\n{somebody}"
 
 
 def flat(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:

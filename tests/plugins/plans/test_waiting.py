@@ -13,9 +13,10 @@ import msgspec
 import pytest
 from msgspec import Raw
 
+from configuration import key
 from kernel.world import Client, World, world_of
 from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
-from rcp_kernel.contract.held import HeldRequest
+from rcp_kernel.contract.queued_request import QueuedRequest
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
@@ -63,10 +64,7 @@ async def test_who_may_start_no_plans_cancels_none_that_waits() -> None:
 
 
 async def test_few_others_are_remembered_that_cancel_a_plan_while_it_waits() -> None:
-    keys = "".join(
-        f'[[keys]]\nname = "also-{n}"\nrole = "admin"\nkey = "also-also-also-{n}"\n'
-        for n in range(17)
-    )
+    keys = "".join(key(f"also-{n}", f"also-also-also-{n}", role="admin") for n in range(17))
     async with busy_world(PEOPLE + keys) as (world, client):
         plan = send(client, go(2.0))
         others = [world.client(f"also-also-also-{n}") for n in range(17)]
@@ -108,7 +106,7 @@ async def test_a_plan_that_an_adapter_held_back_while_its_robot_was_stopped_neve
         await admin.ask(**STOP, body={"reset": True})
         session = world.client().connection.session
         for moment, told in ((since, "estop_active"), (time.monotonic(), None)):
-            request = HeldRequest(since=moment, type="execute", path="/system/plans", body=body)
+            request = QueuedRequest(since=moment, type="execute", path="/system/plans", body=body)
             reply = await client_api.request(session, request)
             assert (reply.error or {}).get("code") == told
 

@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
+from configuration import backend, key, table
 from kernel.world import CONFIG
 from rcp_kernel.sessions.session import Session
 from rcp_quotas.bucket import TokenBucket
 from rcp_quotas.usage import QuotaUsage
 
 LEVEL = "/tenant/alpha/sensor/level"
-KEYS = """
-[[keys]]
-name = "ann"
-roles = { alpha = "operator" }
-key = "ann-ann-ann-ann-ann"
-
-[[keys]]
-name = "bob"
-roles = { beta = "operator" }
-key = "bob-bob-bob-bob-bob"
-
-[[keys]]
-name = "agent"
-roles = { alpha = "agent" }
-key = "agent-agent-agent-agent"
-
-[tenants.alpha]
-[tenants.beta]
-"""
-SECOND = """
-[[backends]]
-use = "robot"
-name = "second"
-tenant = "beta"
-"""
+KEYS = (
+    key("ann", "ann-ann-ann-ann-ann", roles={"alpha": "operator"})
+    + key("bob", "bob-bob-bob-bob-bob", roles={"beta": "operator"})
+    + key("agent", "agent-agent-agent-agent", roles={"alpha": "agent"})
+    + table("tenants.alpha")
+    + table("tenants.beta")
+)
+SECOND = backend("second", "beta")
 ANN, BOB, AGENT = "ann-ann-ann-ann-ann", "bob-bob-bob-bob-bob", "agent-agent-agent-agent"
 SLOW = "[tenants.alpha.quota]\nrequests = 0.01\nburst = 3\n"
 

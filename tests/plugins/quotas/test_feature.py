@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 import rcp_quotas
+from configuration import configuration
 from kernel.world import CONFIG, world_of
 from plugins.quotas.home import SLOW, at_home
 from rcp_kernel.app import plugins
@@ -17,7 +18,7 @@ from rcp_kernel.testing import FeatureSuite
 
 pytestmark = pytest.mark.anyio
 (KIND,) = rcp_quotas.rcp_features()
-QUIET = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+QUIET = configuration()
 
 
 class TestQuotas(FeatureSuite):

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from configuration import key, table
 from kernel.world import BOUND, Client, prepared, world_of
 from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, at_home, usages_of
 from rcp_kernel.app.reload import apply
@@ -45,8 +46,8 @@ async def test_at_the_limit_a_client_can_still_come_back_to_its_session() -> Non
 
 async def test_a_tenant_with_all_its_sessions_is_not_entered_by_hello_either() -> None:
     text = at_home(
-        "[tenants.beta.quota]\nsessions = 1\n"
-        '[[keys]]\nname = "both"\nrole = "operator"\nkey = "both-both-both-both"\n'
+        table("tenants.beta.quota", sessions=1)
+        + key("both", "both-both-both-both", role="operator")
     )
     async with world_of(text) as world:
         world.client(BOB)

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from configuration import key
 from kernel.world import World, prepared, world_of
 from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home, usages_of
 from rcp_kernel.app.reload import apply
@@ -176,7 +177,7 @@ quota = { requests = 5, burst = 50 }
 [roles.free]
 """
     keys = "".join(
-        f'[[keys]]\nname = "{n}"\nrole = {roles}\nkey = "{n * 16}"\n'
+        key(n, n * 16, role=roles)
         for n, roles in (("a", ["slow", "fast"]), ("b", ["slow"]), ("c", ["slow", "free"]))
     )
     async with world_of(at_home(quotas + keys)) as world:

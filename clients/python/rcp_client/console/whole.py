@@ -35,8 +35,8 @@ async def request(client: Client, envelope: dict[str, Any]) -> Reply:
 def _post(client: Client, envelope: dict[str, Any]) -> Reply:
     settings = client.settings
     headers = {"Content-Type": "application/json", "Accept": "application/json"}
-    if settings.token is not None:
-        headers["Authorization"] = f"Bearer {settings.token}"
+    if (token := settings.proof()) is not None:
+        headers["Authorization"] = f"Bearer {token}"
     # The gateway's own reply is more specific than a time-out here.
     deadline = envelope.setdefault("deadline", settings.deadline)
     url = settings.address.url.rstrip("/") + "/rcp/v1/messages"

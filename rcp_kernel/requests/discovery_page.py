@@ -10,7 +10,7 @@ from msgspec import Raw
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Body
 
-__all__ = ["CataloguePage", "Description"]
+__all__ = ["Description", "DiscoveryPage"]
 
 
 class Description:
@@ -31,7 +31,7 @@ class Description:
         return known
 
 
-class CataloguePage(Body):
+class DiscoveryPage(Body):
     """The body of an answer to `discover`."""
 
     __slots__ = ("_encoding", "_pieces", "_resources", "_size", "complete", "cursor", "generation")

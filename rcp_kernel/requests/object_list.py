@@ -9,7 +9,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Request, encode_body, encode_frame
 
-__all__ = ["Parts", "Written", "expected", "is_listing", "listed"]
+__all__ = ["EncodedBody", "ObjectList", "expected", "is_listing", "listed"]
 
 
 def expected(session: Session, request: Request) -> Encoding:
@@ -17,7 +17,7 @@ def expected(session: Session, request: Request) -> Encoding:
     return request.encoding if session.connection is None else session.connection.encoding
 
 
-class Written(Body):
+class EncodedBody(Body):
     """A body that is already encoded in one encoding."""
 
     __slots__ = ("_body", "_data", "_encoding")
@@ -37,7 +37,7 @@ class Written(Body):
         return self._data if encoding is self._encoding else encode_body(self._body, encoding)
 
 
-class Parts(Body):
+class ObjectList(Body):
     """A list of objects; those of samples share the bytes that the samples have anyway."""
 
     __slots__ = ("_encoding", "_made", "_pieces", "cut", "size")
@@ -98,9 +98,9 @@ def is_listing(value: Any) -> TypeGuard[Iterator[Body | None]]:
 
 def listed(
     items: Iterator[Any], encoding: Encoding, longest: int, most: int | None = None
-) -> Generator[None, None, Parts]:
+) -> Generator[None, None, ObjectList]:
     """Encode a list in steps, as far as it fits; None stands for an item that is skipped."""
-    page = Parts(encoding)
+    page = ObjectList(encoding)
     for item in items:
         if item is not None:
             full = len(page) == most

@@ -1,0 +1,92 @@
+"""The stop of one robot: its own gateway's e-stop, requested and watched from here."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import structlog
+
+from rcp_client.calls import Call
+from rcp_client.client import Client
+from rcp_client.messages import Reply
+from rcp_kernel.clock import parse_time
+from rcp_kernel.errors import RcpError
+from rcp_kernel.spi import MotionState
+
+__all__ = ["RobotStop"]
+
+log = structlog.get_logger("rcp.fleet")
+_PATH = "/system/estop"
+_WAIT = 10.0  # s for the gateway's answer; it answers after 5 s if the robot is not at rest
+
+
+class RobotStop:
+    """What the hub asks of a gateway's e-stop, and what it was told of it."""
+
+    def __init__(self, client: Client, hub: str) -> None:
+        self._client, self._hub = client, hub
+        self._asking: asyncio.Task[None] | None = None
+        self._told: dict[str, Any] | None = None
+        """The last state of the gateway's e-stop."""
+        self._time = 0
+        """When that was, ns by the robot's clock."""
+
+    def motion(self) -> MotionState:
+        """Report whether all that the gateway shows the hub is stopped, as it measures."""
+        if not self._client.connected:
+            return MotionState(None, "its gateway cannot be reached")
+        told = self._told
+        if told is None:
+            return MotionState(None, "its gateway has not answered")
+        if not told["active"]:
+            return MotionState(None, "its own e-stop is not latched")
+        late = [one for one in told["robots"].values() if one.get("state") != "confirmed"]
+        moves = any(one.get("alarm") for one in late)
+        detail = "; ".join(one.get("detail") or "not confirmed" for one in late)
+        return MotionState(not late or (False if moves else None), detail)
+
+    def ask(self) -> asyncio.Task[None]:
+        """Send the stop within this call, unless one is on its way; return its answer."""
+        if self._asking is None or self._asking.done():
+            body = {"reason": f"hub {self._hub}"}
+            envelope = {"type": "execute", "path": _PATH, "body": body, "deadline": _WAIT}
+            call = self._client.channel.start(envelope, "always")
+            self._asking = asyncio.create_task(self._answer(call), name="fleet stop")
+        return self._asking
+
+    async def _answer(self, call: Call) -> None:
+        reply = await self._client.channel.finish(call, _WAIT)
+        self._take(reply)
+
+    def _take(self, reply: Reply) -> None:
+        self._told = reply.body
+        self._time = parse_time(reply.timestamp) if reply.timestamp is not None else self._time
+
+    async def stop(self) -> None:
+        """Stop the robot; return when its gateway has measured it to be at rest.
+
+        :raises DeviceTimeout: it is not at rest, or the gateway does not answer.
+        """
+        await asyncio.shield(self.ask())
+
+    def hold(self) -> None:
+        """Send the stop again if the gateway is not known to hold the robot."""
+        if self._client.connected and (self._told is None or not self._told["active"]):
+            self.ask().add_done_callback(_seen)
+
+    async def follow(self) -> None:
+        """Keep up with the gateway's e-stop, which others may set and reset."""
+        try:
+            async for update in self._client.subscribe(_PATH):
+                time = parse_time(update.timestamp)
+                if time >= self._time:  # an answer overtakes updates
+                    self._told, self._time = update.body, time
+        except RcpError as error:
+            log.warning("fleet_estop_not_followed", hub=self._hub, reason=error.message)
+
+
+def _seen(task: asyncio.Task[None]) -> None:
+    """Look at the outcome, so that asyncio does not report it: the kernel asks again."""
+    if not task.cancelled():
+        task.exception()

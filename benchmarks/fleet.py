@@ -1,0 +1,433 @@
+"""A fleet behind one hub: discovery, memory, latency, throughput and the e-stop.
+
+Each robot is a whole gateway: the real kernel and transport with a Zenoh session of its own, around
+a scripted robot with 20 resources and a pose of 10 Hz. A few processes share them. The router has a
+process of its own too, so that the hub's figures are the hub's.
+
+Run: python benchmarks/fleet.py [robots] [processes]
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import gc
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from contextlib import AsyncExitStack
+
+import psutil
+import uvloop
+
+ROBOTS, PROCESSES = 1000, 4
+NEAR = 100  # robots whose poses are subscribed to
+SECONDS = 4.0
+SILENCE = 30.0  # s: a thousand robots on a busy machine are silent for longer than 3 s
+KEY = "key-of-the-benchmark"
+OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+KEYS = f'[[keys]]\nname = "admin"\nrole = "admin"\nkey = "{KEY}"\n'
+LIMITS = "[limits]\nsubscriptions = 5000\n"
+
+
+def quiet() -> None:
+    """Log nothing, and allow as many descriptors as the system does."""
+    import logging
+
+    from rcp_kernel.app.log import configure
+
+    configure("CRITICAL", "json")
+    logging.disable(logging.CRITICAL)
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def say(**facts: object) -> None:
+    """Print one line for the parent."""
+    print(json.dumps(facts), flush=True)
+
+
+async def lines():
+    """Read commands of the parent."""
+    loop = asyncio.get_running_loop()
+    while line := await loop.run_in_executor(None, sys.stdin.readline):
+        yield line.split()
+
+
+# -- the robots ----------------------------------------------------------------------------------
+
+
+def resources():
+    """Twenty resources of a small rover."""
+    from rcp_kernel.model import Resource
+    from rcp_kernel.types import PoseStamped, Twist, quantity
+
+    metres = quantity("m", ge=0)
+    return [
+        Resource(name="sensor/pose", description="Pose.", value=PoseStamped),
+        *(Resource(name=f"sensor/range{i}", description="Range.", value=metres) for i in range(8)),
+        *(Resource(name=f"param/limit{i}", description="Limit.", value=metres) for i in range(6)),
+        Resource(
+            name="actuator/cmd_vel",
+            description="Velocity.",
+            value=Twist,
+            safe=Twist(),
+            valid_for=0.5,
+        ),
+        Resource(name="action/move_to", description="Go.", input=PoseStamped),
+        Resource(name="action/dock", description="Dock."),
+        Resource(name="service/reset", description="Reset."),
+    ]
+
+
+class Robots:
+    """The robots of one process."""
+
+    def __init__(self) -> None:
+        self.all = []
+        self.halts: list[float] = []
+        self.publishing: list[asyncio.Task[None]] = []
+
+    def make(self, host):
+        """Make one."""
+        from rcp_kernel.testing import ScriptedRobot
+
+        halts = self.halts
+
+        class Rover(ScriptedRobot):
+            async def halt(self) -> None:
+                await super().halt()
+                halts.append(time.time())
+
+        robot = Rover(host, *resources())
+        self.all.append(robot)
+        return robot
+
+    def publish(self, rate: float, count: int) -> None:
+        """Let the first `count` publish poses at a rate, evenly spread over time."""
+        for task in self.publishing:
+            task.cancel()
+        chosen = self.all[:count]
+        groups = [chosen[i::10] for i in range(min(10, len(chosen)))]
+        self.publishing = [
+            asyncio.create_task(self._publish(group, rate, i / rate / 10))
+            for i, group in enumerate(groups)
+        ]
+
+    async def _publish(self, group, rate: float, offset: float) -> None:
+        from rcp_kernel.types import Point, PoseStamped
+
+        loop = asyncio.get_running_loop()
+        due = loop.time() + offset
+        while True:
+            await asyncio.sleep(max(0.0, due - loop.time()))
+            due = max(due + 1 / rate, loop.time() - 1.0)
+            pose = PoseStamped(position=Point(x=due % 100, y=2.0))
+            for robot in group:
+                robot.host.publish("sensor/pose", pose, time.time_ns())
+
+
+async def serve_robots(port: str, first: str, count: str) -> None:
+    """Run gateways, and publish as the parent says."""
+    from rcp_kernel.app import plugins
+    from rcp_kernel.config.file import parse
+    from rcp_kernel.testing import scripted, serve
+
+    # Each gateway would read the metadata of all packages five times.
+    plugins.entry_points = functools.cache(plugins.entry_points)
+    robots = Robots()
+    async with AsyncExitStack() as stack:
+        for number in range(int(first), int(first) + int(count)):
+            text = (
+                f'{OFF}[transports.zenoh]\ngateway = "r{number}"\ntenant = "t"\n'
+                f'connect = ["tcp/127.0.0.1:{port}"]\nsilence = {SILENCE}\n'
+                f'[[backends]]\nuse = "robot"\nname = "robot"\ntenant = "t"\n{KEYS}'
+            )
+            await stack.enter_async_context(serve(parse(text, "bench"), scripted(robots.make)))
+        say(ready=len(robots.all), memory=psutil.Process().memory_info().rss)
+        async for command in lines():
+            match command:
+                case ["rate", rate, count]:
+                    robots.publish(float(rate), int(count))
+                case ["halts"]:
+                    say(halts=len(robots.halts), last=max(robots.halts, default=0.0))
+
+
+# -- the hub -------------------------------------------------------------------------------------
+
+
+def cpu() -> float:
+    """CPU seconds of this process, all threads."""
+    times = psutil.Process().cpu_times()
+    return times.user + times.system
+
+
+def memory() -> int:
+    """Resident bytes."""
+    gc.collect()
+    return psutil.Process().memory_info().rss
+
+
+class Hub:
+    """The hub under load, and a client in its process."""
+
+    def __init__(self, served, robots: int) -> None:
+        from rcp_kernel.testing import MemoryClient
+        from rcp_kernel.values import Encoding
+
+        class Sink(MemoryClient):
+            """Keeps updates as they are, with the time of their arrival."""
+
+            updates: list[tuple[int, bytes]] = []  # noqa: RUF012 - of the one sink
+
+            def _flush(self) -> None:
+                batch = self.connection.outbox.collect()
+                now = time.time_ns()
+                for data in batch:
+                    if data.startswith(b"\xa4type\xa6update", 1):
+                        self.updates.append((now, data))
+                    else:
+                        self.received(__import__("msgspec").msgpack.decode(data))
+                if batch:
+                    self.connection.outbox.again()
+
+        self.served, self.robots = served, robots
+        self.sink = Sink(served.server.client_api, KEY, Encoding.MSGPACK)
+
+    async def known(self) -> int:
+        """Return how many robots are declared."""
+        if not self.served.lives:
+            return 0
+        fleet = self.served.life.backend
+        return sum(one.ready for one in fleet.gateways.values())
+
+    async def discover(self) -> None:
+        """Discover everything as a client."""
+        begun, spent = time.perf_counter(), cpu()
+        body = {"limit": 1000, "schemas": False}
+        count = 0
+        while True:
+            reply = await self.sink.request("discover", "/tenant/**", body=body, within=120)
+            count += len(reply["body"]["resources"])
+            if "cursor" not in reply["body"]:
+                took = round(time.perf_counter() - begun, 2)
+                say(resources=count, seconds=took, cpu=round(cpu() - spent, 2))
+                return
+            body["cursor"] = reply["body"]["cursor"]
+
+    async def subscribe(self, gateways: list[str]) -> None:
+        """Subscribe to poses, and wait for one of each."""
+        paths = [f"/tenant/t/sensor/{one}/pose" for one in gateways]
+        body = {"paths": paths[1:], "qos": {"depth": 64}}
+        reply = await self.sink.request("subscribe", paths[0], body=body, within=60)
+        assert reply["status"] == "completed", reply
+        self.id = reply["body"]["subscription"]
+
+    async def unsubscribe(self) -> None:
+        """End the subscription."""
+        await self.sink.request("unsubscribe", body={"subscription": self.id}, within=60)
+
+    async def flow(self, seconds: float) -> dict[str, float]:
+        """Take updates for a while."""
+        import msgspec
+
+        from rcp_kernel.clock import parse_time
+
+        updates = self.sink.updates
+        updates.clear()
+        begun, spent = time.perf_counter(), cpu()
+        await asyncio.sleep(seconds)
+        spent, took, got = cpu() - spent, time.perf_counter() - begun, list(updates)
+        decoded = [(now, msgspec.msgpack.decode(data)) for now, data in got]
+        ages = sorted((now - parse_time(one["timestamp"])) / 1e6 for now, one in decoded)
+        if not ages:
+            return {"updates": 0}
+        return {
+            "updates": len(ages),
+            "rate": round(len(ages) / took),
+            "p50_ms": round(statistics.median(ages), 2),
+            "p99_ms": round(ages[len(ages) * 99 // 100], 2),
+            "cpu": round(spent / took, 3),
+            "per_cpu_s": round(len(ages) / spent),
+        }
+
+
+async def serve_hub(port: str, count: str) -> None:
+    """Run the hub, and do as the parent says."""
+    from rcp_fleet import rcp_backends
+    from rcp_kernel.config.file import parse
+    from rcp_kernel.testing import serve
+
+    robots = int(count)
+    text = (
+        f'{OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "t"\nhub = "h1"\n'
+        f'connect = ["tcp/127.0.0.1:{port}"]\ntoken = "{KEY}"\n'
+        f"silence = {SILENCE}\nconnect_timeout = {SILENCE}\n{LIMITS}{KEYS}"
+    )
+    import zenoh  # noqa: F401 - its memory is not that of the robots
+
+    from rcp_fleet import backend
+
+    before, begun, spent = 0, 0.0, 0.0
+
+    class Started(backend.FleetBackend):
+        """Notes when it begins."""
+
+        def __init__(self, *arguments) -> None:
+            nonlocal before, begun, spent
+            before, begun, spent = memory(), time.perf_counter(), cpu()
+            super().__init__(*arguments)
+
+    backend.FleetBackend = Started
+    async with serve(parse(text, "bench"), *rcp_backends()) as served:
+        hub = Hub(served, robots)
+        while (known := await hub.known()) < robots:  # noqa: ASYNC110 - there is no event
+            await asyncio.sleep(0.02)
+        took = time.perf_counter() - begun
+        say(known=known, seconds=round(took, 2), cpu=round(cpu() - spent, 2))
+        say(memory_per_robot=round((memory() - before) / robots / 1000, 1))
+        async for command in lines():
+            match command:
+                case ["discover"]:
+                    await hub.discover()
+                case ["subscribe", *names]:
+                    await hub.subscribe(names)
+                    say(subscribed=len(names))
+                case ["unsubscribe"]:
+                    await hub.unsubscribe()
+                    say(unsubscribed=True)
+                case ["flow", seconds]:
+                    say(**await hub.flow(float(seconds)))
+                case ["memory"]:
+                    say(memory_per_robot=round((memory() - before) / robots / 1000, 1))
+                case ["stop"]:
+                    begun, at, spent = time.perf_counter(), time.time(), cpu()
+                    reply = await hub.sink.request("execute", "/system/estop", body={}, within=120)
+                    say(
+                        status=reply["status"], at=at,
+                        confirmed=round(time.perf_counter() - begun, 2), cpu=round(cpu() - spent, 2),
+                        error=str(reply.get("error", ""))[:300],
+                    )  # fmt: skip
+
+
+# -- the whole -----------------------------------------------------------------------------------
+
+
+class Child:
+    """A process that answers each command with a line."""
+
+    def __init__(self, *arguments: object) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, __file__, *map(str, arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def send(self, command: str) -> None:
+        """Send a command that is not answered."""
+        assert self.process.stdin
+        print(command, file=self.process.stdin, flush=True)
+
+    def line(self) -> dict:
+        """Read an answer."""
+        assert self.process.stdout
+        while (text := self.process.stdout.readline()) and not text.startswith("{"):
+            pass
+        if not text:
+            sys.exit(f"a process ended with {self.process.wait()}, and nothing was measured")
+        return json.loads(text)
+
+    def ask(self, command: str) -> dict:
+        """Send a command and read its answer."""
+        self.send(command)
+        return self.line()
+
+
+def report(what: str, facts: object) -> None:
+    """Print a line, with the load of the machine."""
+    print(f"  {what:34} {facts}  (load {os.getloadavg()[0]:.1f})", flush=True)
+
+
+def main(robots: int, processes: int) -> None:
+    """Measure everything once."""
+    quiet()
+    router = Child("router")
+    port = router.line()["port"]
+    share = robots // processes
+    own = psutil.Process(router.process.pid)
+    before = own.memory_info().rss
+    begun = time.perf_counter()
+    fleet = [Child("robots", port, i * share, share) for i in range(processes)]
+    for child in fleet:
+        report("robots of one process", child.line())
+    report("robots are up after, s", round(time.perf_counter() - begun, 1))
+    time.sleep(3)
+    hub = Child("hub", port, robots)
+    report("the hub knows all", hub.line())
+    report("kB of the hub a robot", hub.line())
+    report("kB of the router a robot", round((own.memory_info().rss - before) / robots / 1000, 1))
+    report("a client discovers all", hub.ask("discover"))
+    report("kB of the hub a robot", hub.ask("memory"))
+    near = min(NEAR, robots) // processes
+    names = [f"r{p * share + i}" for p in range(processes) for i in range(near)]
+    for child in fleet:
+        child.send(f"rate 10 {near}")
+    report("subscribed", hub.ask(f"subscribe {' '.join(names)}"))
+    time.sleep(2)
+    report("100 robots, 10 Hz", hub.ask(f"flow {SECONDS}"))
+    for child in fleet:
+        child.send(f"rate 100 {near}")
+    time.sleep(1)
+    report("100 robots, 100 Hz", hub.ask(f"flow {SECONDS}"))
+    hub.ask("unsubscribe")
+    for child in fleet:
+        child.send(f"rate 10 {share}")
+    every = [f"r{i}" for i in range(share * processes)]
+    report("subscribed", hub.ask(f"subscribe {' '.join(every)}"))
+    time.sleep(3)
+    report("all robots, 10 Hz", hub.ask(f"flow {SECONDS}"))
+    report("kB of the hub a robot", hub.ask("memory"))
+    stopped = hub.ask("stop")
+    halts = [child.ask("halts") for child in fleet]
+    last = max(one["last"] for one in halts) - stopped["at"]
+    report("e-stop", stopped)
+    report("robots stopped, last after s", (sum(one["halts"] for one in halts), round(last, 2)))
+    for child in (hub, *fleet, router):
+        child.process.kill()
+
+
+def serve_router() -> None:
+    """Be the router."""
+    import socket
+
+    import zenoh
+
+    from rcp_zenoh.session import configuration
+
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
+    config = configuration("router", listen=[f"tcp/127.0.0.1:{port}"], silence=SILENCE)
+    with zenoh.open(config):
+        say(port=port)
+        sys.stdin.readline()
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["router"]:
+            quiet()
+            serve_router()
+        case ["robots", *arguments]:
+            quiet()
+            uvloop.run(serve_robots(*arguments))
+        case ["hub", *arguments]:
+            quiet()
+            uvloop.run(serve_hub(*arguments))
+        case [*numbers]:
+            main(*(*map(int, numbers), *(ROBOTS, PROCESSES)[len(numbers) :]))

@@ -1,0 +1,56 @@
+"""Who asked for what runs now: a context variable, as the permit of the fence.
+
+Setting it stores a tuple; only a backend that asks pays for the record made from it.
+"""
+
+from __future__ import annotations
+
+from contextvars import ContextVar
+
+import msgspec
+
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.timers import moment_of
+from rcp_kernel.wire import Request
+
+__all__ = ["Caller", "asked", "caller"]
+
+
+class Caller(msgspec.Struct, frozen=True):
+    """Who asked for an operation, and what the request says of it."""
+
+    principal: Principal
+    """As it was when the operation began; its roles in the tenant are in `grants`."""
+    idempotency_key: str | None
+    """The client's, whose scope is the principal."""
+    deadline: float
+    """When the gateway ends the operation, on the event loop's clock (`loop.time()`)."""
+    command: str | None = None
+    """The gateway's id of the command; None for any other operation."""
+    valid_for: float | None = None
+    """Seconds for which a written value is to be valid, if the client said so."""
+
+    @property
+    def key(self) -> str | None:
+        """The key under which the operation is passed on, so that it is done once."""
+        return self.idempotency_key or self.command
+
+
+asked: ContextVar[tuple[Principal, Request, int, str | None] | None] = ContextVar(
+    "rcp_asked", default=None
+)
+"""Principal, request, slot of the deadline and command of what runs now; set by the kernel."""
+
+
+def caller() -> Caller | None:
+    """Return who asked for the operation that the backend is carrying out.
+
+    None: nobody did, as for the stops and dead-man of the gateway, and for `watch`, which is for all
+    subscribers. Valid until the operation ends, also while it is cancelled.
+    """
+    found = asked.get()
+    if found is None:
+        return None
+    principal, request, slot, command = found
+    key, until = request.idempotency_key, moment_of(slot)
+    return Caller(principal, key, until, command, request.valid_for)

@@ -1,0 +1,72 @@
+"""A hub and the gateways of its robots, joined by Zenoh over real sockets of this machine."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from configuration import backend, configuration, key, table
+from rcp_kernel.config.file import parse
+from rcp_kernel.spi import BackendKind
+from rcp_kernel.testing import OPERATOR, Client, Served, eventually, serve
+
+__all__ = ["SIM", "appears", "catalogue", "free_port", "hub_at", "robot_at", "serving"]
+
+SIM = backend("rover", use="sim")
+_OPERATOR = key("operator", OPERATOR)
+_BOUND = 60.0  # s, on any machine
+
+
+def free_port() -> int:
+    """Return a port that nobody listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+def robot_at(port: int, robot: str = SIM, gateway: str = "r7") -> str:
+    """Return the configuration of a robot's gateway."""
+    hub = [f"tcp/127.0.0.1:{port}"]
+    zenoh = table("transports.zenoh", gateway=gateway, tenant="alpha", connect=hub)
+    return configuration(zenoh, robot, _OPERATOR)
+
+
+def hub_at(port: int, hub: str = "h1", *, router: bool = True) -> str:
+    """Return the configuration of a hub, which is the router or joins it."""
+    ends = {"listen" if router else "connect": [f"tcp/127.0.0.1:{port}"]}
+    fleet = backend("fleet", use="fleet", hub=hub, token=OPERATOR, **ends)
+    return configuration(fleet, _OPERATOR)
+
+
+@asynccontextmanager
+async def serving(text: str, *kinds: BackendKind) -> AsyncGenerator[Served]:
+    """Run a gateway whose transports are open."""
+    async with serve(parse(text, "test"), *kinds) as served:
+        yield served
+
+
+async def catalogue(client: Client, pattern: str = "/tenant/**") -> dict[str, dict[str, Any]]:
+    """Return what discovery says, by path."""
+    found: dict[str, dict[str, Any]] = {}
+    body: dict[str, Any] = {"limit": 1000}
+    while True:
+        reply = await client.request("discover", path=pattern, body=body)
+        assert reply["status"] == "completed", reply
+        found |= {one["path"]: one for one in reply["body"]["resources"]}
+        if "cursor" not in reply["body"]:
+            return found
+        body["cursor"] = reply["body"]["cursor"]
+
+
+async def appears(client: Client, path: str) -> dict[str, Any]:
+    """Return what discovery says of a path, once it is there."""
+    found: dict[str, Any] = {}
+
+    async def there() -> bool:
+        found.update(await catalogue(client, path))
+        return path in found
+
+    await eventually(there, f"{path} is there", _BOUND)
+    return found[path]

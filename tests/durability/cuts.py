@@ -1,0 +1,320 @@
+"""Cut the link of a robot again and again, and count what was executed: run by test_cuts.py.
+
+A hub and a robot's gateway in one process, with a TCP proxy between the robot and the router, which
+breaks connections, refuses new ones for a while, freezes old ones and lets their bytes through after
+those of new ones, and slows. Meanwhile clients of the hub send commands with feedback, writes and
+plans, and a client of the robot itself, over a link of its own, holds a lease and a reliable
+subscription. By hand: `python tests/durability/cuts.py CUTS SEED`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import socket
+import sys
+from collections import Counter
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from rcp_client.address import Address
+from rcp_client.client import Client
+from rcp_client.messages import Codec, Notice
+from rcp_client.settings import Settings
+from rcp_fleet.link import FleetLink
+from rcp_kernel.app.log import configure
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import BackendKind, Host, Progress
+from rcp_kernel.testing import OPERATOR, MemoryClient, ScriptedRobot, serve
+from rcp_kernel.types import quantity
+from rcp_zenoh.session import configuration, opened
+from rcp_zenoh.statistics import LinkStatistics
+from transports.cable import Cable
+
+BOUND = 60.0  # s that anything may take to come right after a cut
+SILENCE = 1.0  # s
+FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
+COMMANDERS = 4
+
+_OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+_KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
+HUB = (
+    f'{_OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "alpha"\nhub = "h1"\n'
+    f'listen = ["tcp/127.0.0.1:%d"]\ntoken = "{OPERATOR}"\nsilence = {SILENCE}\n'
+    f"connect_timeout = 2.0\n{_KEYS}"
+)
+ROBOT = (
+    f'{_OFF}[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\nsilence = {SILENCE}\n'
+    f'connect = ["tcp/127.0.0.1:%d"]\n[[backends]]\nuse = "robot"\ntenant = "alpha"\n{_KEYS}'
+)
+
+
+class Robot:
+    """Counts what it executes, by the mark that each request has."""
+
+    def __init__(self) -> None:
+        self.ran: Counter[str] = Counter()
+
+    async def go(self, mark: Any, progress: Progress) -> Any:
+        """Take a while, and tell of it."""
+        self.ran[mark] += 1
+        for step in range(random.randrange(1, 6)):
+            progress(mark, fraction=step / 6)
+            await asyncio.sleep(random.uniform(0, 0.1))
+        return mark
+
+    async def run(self, mark: Any, _progress: Progress) -> Any:
+        """Be done at once."""
+        self.ran[mark] += 1
+        return mark
+
+    async def take(self, mark: Any) -> Any:
+        """Take a value."""
+        self.ran[mark] += 1
+        return mark
+
+    @asynccontextmanager
+    async def opened(self, _config: Any, host: Host) -> AsyncGenerator[ScriptedRobot]:
+        """Be a backend."""
+        text: dict[str, Any] = {"input": str, "output": str}
+        robot = ScriptedRobot(
+            host,
+            Resource(
+                name="action/go", description="Goes.", feedback=str, policy="parallel", **text
+            ),
+            Resource(name="service/run", description="Runs.", **text),
+            Resource(name="service/own", description="Runs under a lease.", **text),
+            Resource(name="param/label", description="A label.", value=str),
+            Resource(name="sensor/level", description="A level.", value=quantity("m"), live=True),
+            behaviours={"action/go": self.go, "service/run": self.run, "service/own": self.run},
+        )
+        robot.takes["param/label"] = self.take
+        measuring = asyncio.create_task(_measure(robot))
+        try:
+            yield robot
+        finally:
+            measuring.cancel()
+
+
+async def _measure(robot: ScriptedRobot) -> None:
+    for number in range(1_000_000):
+        robot.measure("sensor/level", float(number))
+        await asyncio.sleep(0.01)
+
+
+class Campaign:
+    """What was sent, what came back, and what must hold of it."""
+
+    def __init__(self) -> None:
+        self.robot = Robot()
+        self.counts: Counter[str] = Counter()
+        self.outcomes: dict[str, list[str]] = {}
+        self.seen: list[int] = []
+        self.gaps: list[tuple[int, int]] = []
+        self.fresh = asyncio.Event()
+        self.over = False
+
+    async def command(self, client: MemoryClient, name: str) -> None:
+        """Send requests of all kinds, one after the other, each with a mark."""
+        kinds = ("action/r7/go", "service/r7/run", "param/r7/label", "plan")
+        for number in range(1_000_000):
+            if self.over:
+                return
+            mark, kind = f"{name}-{number}", kinds[number % len(kinds)]
+            replies = await client.replies(await client.send(_request(kind, mark)), BOUND)
+            self.outcomes[mark] = [reply["status"] for reply in replies]
+            self.counts[f"{kind} {replies[-1]['status']}"] += 1
+            if replies[-1]["status"] != "completed":
+                self.counts["error " + replies[-1]["error"]["code"]] += 1
+                await asyncio.sleep(0.05)
+
+    async def listen(self, client: Client) -> None:
+        """Receive every sample, or the name of the gap."""
+        level = "/tenant/alpha/sensor/level"
+        async for update in client.subscribe(level, reliable=True, qos={"depth": 4000}):
+            self.seen.append(update.seq)
+            self.fresh.set()
+            if update.dropped:
+                self.gaps.append((update.seq - update.dropped, update.seq - 1))
+
+    def noticed(self, notice: Notice) -> None:
+        """Take down the gaps that the gateway names."""
+        self.counts[f"notice {notice.code}"] += 1
+        if notice.code == "gap" and "first" in notice.facts:
+            self.gaps.append((notice.facts["first"], notice.facts["last"]))
+
+    async def hold(self, client: Client) -> None:
+        """Hold a lease, and execute under it."""
+        for number in range(1_000_000):
+            mark = f"own-{number}"
+            try:
+                async with client.lease("/tenant/alpha/service/own", ttl=30.0):
+                    body = await client.execute("/tenant/alpha/service/own", mark, deadline=BOUND)
+                    assert body == mark
+                    self.outcomes[mark] = ["completed"]
+                    self.counts["under a lease"] += 1
+            except RcpError as error:
+                self.outcomes[mark] = ["failed"]
+                self.counts[f"under a lease {error.code}"] += 1
+            if self.over:
+                return
+
+    def check(self) -> None:
+        """Raise AssertionError with what is wrong."""
+        for mark, statuses in self.outcomes.items():
+            ran = self.robot.ran[mark]
+            assert sum(status in FINAL for status in statuses) == 1, (mark, statuses)
+            assert ran <= 1, f"{mark} ran {ran} times"
+            if statuses[-1] == "completed":
+                assert ran == 1, f"{mark} completed and never ran"
+            if statuses[-1] == "rejected":
+                assert ran == 0, f"{mark} was rejected and ran"
+        assert not self.counts["error estop_active"], "a cut stopped the robot"
+        assert len(set(self.seen)) == len(self.seen), "a sample came twice"
+        missing = set(range(self.seen[0], self.seen[-1])) - set(self.seen)
+        named = {number for first, last in self.gaps for number in range(first, last + 1)}
+        assert missing <= named, f"missing without a gap: {sorted(missing - named)[:20]}"
+        self.counts["samples"], self.counts["samples in gaps"] = len(self.seen), len(missing)
+        self.counts["commands"] = len(self.outcomes)
+
+
+def _request(kind: str, mark: str) -> dict[str, Any]:
+    if kind == "plan":
+        path = "/tenant/alpha/service/r7/run"
+        steps = [{"do": "execute", "path": path, "value": mark}]
+        return {"type": "execute", "path": "/system/plans", "body": {"steps": steps}}
+    type_ = "write" if kind.startswith("param") else "execute"
+    path = f"/tenant/alpha/{kind}"
+    return {"type": type_, "path": path, "body": mark, "idempotency_key": mark, "deadline": 30.0}
+
+
+def _cuts(cable: Cable) -> dict[str, Callable[[], Awaitable[None]]]:
+    async def cut() -> None:
+        cable.cut()
+
+    async def part() -> None:
+        cable.part()
+        await asyncio.sleep(random.uniform(0.1, 2 * SILENCE))
+        cable.mend()
+
+    async def freeze() -> None:
+        cable.freeze()
+
+    async def reorder() -> None:
+        cable.freeze()
+        await asyncio.sleep(random.uniform(0.1, 3 * SILENCE))
+        cable.mend()
+
+    async def slow() -> None:
+        cable.slow(random.choice((5_000, 50_000)))
+        await asyncio.sleep(random.uniform(0.1, 2 * SILENCE))
+        cable.mend()
+
+    return {"cut": cut, "parted": part, "frozen": freeze, "reordered": reorder, "slowed": slow}
+
+
+async def _until(holds: Callable[[], bool], what: str) -> None:
+    try:
+        async with asyncio.timeout(BOUND):
+            while not holds():  # noqa: ASYNC110 - a link has no event for it
+                await asyncio.sleep(0.01)
+    except TimeoutError:
+        raise AssertionError(f"{what}: not within {BOUND} s") from None
+
+
+def _free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+def _no_feed(_id: str | None) -> bool:
+    return False
+
+
+@asynccontextmanager
+async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
+    """Connect to the robot's gateway as another hub does."""
+    config = configuration("client", connect=[f"tcp/127.0.0.1:{port}"], silence=SILENCE)
+    async with opened(config, patient=False) as session:
+
+        async def dial(codec: Codec, received: Any, lost: Any) -> FleetLink:
+            place = ("alpha", "r7", "h2")
+            counts = LinkStatistics({})
+            return FleetLink(session, place, SILENCE, counts, _no_feed, codec, received, lost)
+
+        settings = Settings(
+            address=Address.parse("fleet"),
+            token=OPERATOR,
+            connect_timeout=2.0,
+            patience=None,
+            longest_pause=1.0,
+            on_notice=campaign.noticed,
+            dial=dial,
+        )
+        async with Client(settings) as client:
+            yield client
+
+
+async def campaign(cuts: int) -> Counter[str]:
+    """Cut so many times, and check everything."""
+    one, port = Campaign(), _free_port()
+    kind = BackendKind("robot", msgspec.Struct, one.robot.opened)
+    async with AsyncExitStack() as stack:
+        enter = stack.enter_async_context
+        hub = await enter(serve(parse(HUB % port, "hub")))
+        cable = await enter(Cable(port).laid())
+        robot = await enter(serve(parse(ROBOT % cable.port, "robot"), kind))
+
+        fleet = getattr(hub.supervisor.backend, "inner", None)
+        gateways: dict[str, Any] = getattr(fleet, "gateways")  # noqa: B009 - of another type
+        await _until(lambda: "r7" in gateways and gateways["r7"].ready, "the robot is there")
+        own = await enter(_own_client(port, one))
+        clients = [hub.client(OPERATOR) for _ in range(COMMANDERS)]
+        for client in clients:
+            stack.push_async_callback(client.close)
+        listening = asyncio.create_task(one.listen(own))
+        tasks = [
+            asyncio.create_task(one.command(client, f"c{place}"))
+            for place, client in enumerate(clients)
+        ]
+        tasks.append(asyncio.create_task(one.hold(own)))
+        kinds = _cuts(cable)
+        for number in range(cuts):
+            name = list(kinds)[number % len(kinds)]
+            await asyncio.sleep(random.uniform(0.05, 0.5))
+            began = asyncio.get_running_loop().time()
+            await kinds[name]()
+            one.counts[name] += 1
+            await _until(lambda: gateways["r7"].ready and own.connected, f"back after {name}")
+            one.fresh.clear()
+            await _until(one.fresh.is_set, f"samples after {name}")
+            took = round(1000 * (asyncio.get_running_loop().time() - began))
+            one.counts[f"longest {name}, ms"] = max(one.counts[f"longest {name}, ms"], took)
+        one.over = True
+        async with asyncio.timeout(2 * BOUND):
+            await asyncio.gather(*tasks)
+        listening.cancel()
+        await asyncio.gather(listening, return_exceptions=True)
+        link = robot.server.kernel.status.transports[0]["links"]
+        for row in link:
+            one.counts["links"] += row["links"]
+            one.counts["links ended by a loss"] += row["lost"]
+    one.check()
+    return one.counts
+
+
+if __name__ == "__main__":
+    configure("error", "json")
+    random.seed(int(sys.argv[2]))
+    found = asyncio.run(campaign(int(sys.argv[1])))
+    print(json.dumps(found))  # noqa: T201 - the test reads it

@@ -1,0 +1,123 @@
+"""An e-stop over a link whose other end takes nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+import pytest
+
+pytest.importorskip("zenoh")
+
+import msgspec
+import zenoh
+
+from rcp_kernel.config.file import parse
+from rcp_kernel.testing import OPERATOR, eventually, serve
+from rcp_kernel.testing.wire import ROBOT
+from rcp_zenoh.budget import Allowance
+from rcp_zenoh.keys import LinkKeys, alive
+from rcp_zenoh.lane import Priority
+from rcp_zenoh.pipe import Message, Pipe
+from rcp_zenoh.session import configuration, on_loop, opened
+
+_GATEWAY = """
+[transports]
+asgi = false
+http = false
+ws = false
+sse = false
+[transports.zenoh]
+gateway = "r7"
+tenant = "alpha"
+connect = ["tcp/127.0.0.1:{port}"]
+[[backends]]
+use = "wire-robot"
+tenant = "alpha"
+[[keys]]
+name = "operator"
+role = "operator"
+key = "{key}"
+"""
+_READS = 40
+_LONG = 50_000  # bytes of a reply: all of them are more than the window and the kernel's buffers
+
+
+class _Hub:
+    """A hub that can stop acknowledging."""
+
+    longest = 1 << 30
+
+    def __init__(self, session: zenoh.Session) -> None:
+        keys = LinkKeys.of("alpha", "r7", "h1", "one")
+        loop = asyncio.get_running_loop()
+        self.messages: list[Message] = []
+        self._subscriber = session.declare_subscriber(keys.down, on_loop(loop, self._take))
+        self._token = session.liveliness().declare_token(keys.token)
+        self.pipe = Pipe(session, keys.up, 10.0, self, Allowance())
+
+    def send(self, priority: Priority, **envelope: object) -> None:
+        self.pipe.send(msgspec.msgpack.encode(envelope), priority)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        message = self.pipe.receive(sample)
+        if message is not None:
+            self.messages.append(message)
+
+    def got(self, id_: str) -> Priority | None:
+        """Return the class of the final reply to a request."""
+        for message in self.messages:
+            assert message.data is not None
+            reply = msgspec.msgpack.decode(message.data)
+            if reply.get("id") == id_ and reply.get("status") == "completed":
+                return message.priority
+        return None
+
+    async def gets(self, id_: str) -> None:
+        async def look() -> bool:
+            return self.got(id_) is not None
+
+        await eventually(look, f"the reply to {id_} arrives")
+
+    def drained(self) -> None:
+        pass
+
+    def ended(self, why: str) -> None:
+        self._subscriber.undeclare()
+        self._token.undeclare()
+
+
+async def test_the_reply_to_an_e_stop_waits_for_no_window() -> None:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
+    router = configuration("router", listen=[f"tcp/127.0.0.1:{port}"])
+    text = _GATEWAY.format(port=port, key=OPERATOR)
+    async with (
+        opened(router, patient=False) as session,
+        serve(parse(text, "test"), ROBOT) as served,
+    ):
+        here = asyncio.Event()
+        token = session.liveliness().declare_subscriber(
+            alive("alpha", "r7"),
+            on_loop(asyncio.get_running_loop(), lambda _: here.set()),
+            history=True,
+        )
+        await here.wait()
+        hub = _Hub(session)
+        hub.send(Priority.CONTROL, type="hello", id="hello", body={"token": OPERATOR})
+        await hub.gets("hello")
+        served.life.host.publish("event/note", "x" * _LONG)
+        hub.pipe.reading = False
+        for number in range(_READS):
+            hub.send(Priority.CONTROL, type="read", id=f"r{number}", path="/event/note")
+        await hub.gets("r0")
+        hub.send(Priority.STOP, type="execute", id="stop", path="/system/estop", body={})
+        await hub.gets("stop")
+        assert hub.got("stop") is Priority.STOP
+        assert hub.got(f"r{_READS - 1}") is None
+        hub.pipe.reading = True
+        hub.pipe.acknowledge()
+        await hub.gets(f"r{_READS - 1}")
+        hub.pipe.end("the test is over")
+        token.undeclare()
