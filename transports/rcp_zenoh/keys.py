@@ -48,12 +48,9 @@ def links_of(tenant: str, gateway: str) -> LinkKeys:
 
 
 def encoding_of(link: str) -> Encoding:
-    """Return the encoding of the messages on a link.
-
-    :raises ValueError: there is none of that name.
-    """
+    """Return the encoding of the messages on a link, MessagePack if its name says none."""
     name = link.partition(".")[2]
-    return Encoding(name) if name else Encoding.MSGPACK
+    return next((one for one in Encoding if one.value == name), Encoding.MSGPACK)
 
 
 def part(key: object, index: int) -> str:
