@@ -38,7 +38,7 @@ from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend, has_watch
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
-from rcp_kernel.tree.samples import READ_PIECE, Sample, masked, project
+from rcp_kernel.tree.samples import Sample, masked, project
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Body, Reply, Request
 
@@ -178,7 +178,7 @@ class ReadHandler:
         ):
             return None
         try:
-            piece = sample.tails.get(READ_PIECE) or sample.read_piece()
+            piece = sample.json_piece or sample.read_piece()
         except RcpError:
             return None
         if (account := session.account) is not None and not passes(account, session.monotonic()):

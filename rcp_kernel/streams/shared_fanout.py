@@ -40,11 +40,10 @@ class _Tails:
     __slots__ = ("count", "length", "longest", "parts")
 
     def __init__(self, samples: list[Sample], encoding: Encoding, fields: Fields) -> None:
-        key = encoding if fields is None else (encoding, fields)
         parts: list[bytes] = [b""]
         for sample in samples:
             try:
-                parts.append(sample.tails.get(key) or sample.tail(encoding, fields))
+                parts.append(sample.tail(encoding, fields))
             except RcpError:  # reported as the backend's fault where it was found
                 continue
         self.parts = parts

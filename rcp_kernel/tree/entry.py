@@ -202,7 +202,8 @@ class Entry:
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
-        if (encoded := encoded_of(value)) is not None:
+        usual = type(value) is self.value_type.type
+        if not usual and (encoded := encoded_of(value)) is not None:
             if self.latest is not None and encoded.seq <= self.seq:
                 return self.latest
             self.numbered = True
@@ -214,8 +215,8 @@ class Entry:
             self.seq += 1
         sample = Sample(self, value, timestamp or received, received, self.seq)
         latest = self.latest
-        if latest is not None and latest.bodies:  # they are made again on use
-            latest.bodies, latest.tails = {}, {}
+        if latest is not None:
+            latest.release()
         self.latest = sample
         self._heard = self._monotonic()
         self.ring.append(sample)

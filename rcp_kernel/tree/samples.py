@@ -16,15 +16,15 @@ from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value
 from rcp_kernel.wire import Body, encode_frame
 from rcp_protocol.plain import is_map
 
-__all__ = ["NATIVE", "READ_PIECE", "Sample", "encoded_of", "masked", "project"]
+__all__ = ["NATIVE", "Sample", "encoded_of", "masked", "project"]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
-READ_PIECE = object()
-"""Key of the piece of read replies in a sample's tails."""
 
 _BYTES = value_type(bytes)
 _JSON = Encoding.JSON  # Python 3.11 takes 0.1 µs to look it up in the enum
+_BODIES = {encoding: f"body in {encoding}" for encoding in Encoding}
+"""Keys of bodies among a sample's encodings."""
 _Form = Literal["value", "native", "encoded"]
 _forms: dict[type, _Form] = {}
 """Which protocol values of a type follow: asking the protocol itself takes 8 µs."""
@@ -84,15 +84,18 @@ class Sample(Body):
     """
 
     __slots__ = (
+        "_checked",
         "_encoding",
+        "_json",
         "_time",
         "_value",
-        "bodies",
+        "encodings",
         "entry",
+        "json_piece",
+        "json_tail",
         "native",
         "received",
         "seq",
-        "tails",
         "timestamp",
     )
 
@@ -102,33 +105,47 @@ class Sample(Body):
         """Source time, ns since the epoch."""
         self.received = received
         self.seq = seq
-        form = _form(value)
-        self.native: Native | None = None if form == "value" else value
-        self._encoding: Encoding | None = value.encoding if form == "encoded" else None
+        self.native: Native | None = None
+        """The backend's own form of the value."""
+        self._encoding: Encoding | None = None
+        """Of the bytes of `native`, where they are the value in an encoding."""
+        if type(value) is not entry.value_type.type:  # the usual value is nothing else
+            self._find_form(value)
         self._value = value
-        self.bodies: dict[Any, bytes] | None = None
-        """The encodings made so far, by encoding, or encoding and fields; None before the check."""
+        self._checked = False
         self._time: str | None = None
-        self.tails: dict[Any, bytes] = {}
-        """The tails made so far, by encoding, or encoding and fields."""
+        self._json: bytes | None = None
+        self.json_tail: bytes | None = None
+        """The tail in JSON, if it was made."""
+        self.json_piece: bytes | None = None
+        """What all JSON replies to a read share, if it was made."""
+        self.encodings: dict[Any, bytes] = {}
+        """The other encodings made so far: tails by encoding, or encoding and fields."""
+
+    def _find_form(self, value: Any) -> None:
+        form = _form(value)
+        if form != "value":
+            self.native = value
+            self._encoding = value.encoding if form == "encoded" else None
 
     @property
     def time(self) -> str:
         """Source time as text."""
-        text = self._time
-        if text is None:
-            try:
-                text = iso(self.timestamp)
-            except Exception as error:  # a robot's clock is as trustworthy as its values
-                self._fault(error)
-                text = iso(self.received)
-            self._time = text
+        return self._time or self._format_time()
+
+    def _format_time(self) -> str:
+        try:
+            text = iso(self.timestamp)
+        except Exception as error:  # a robot's clock is as trustworthy as its values
+            self._fault(error)
+            text = iso(self.received)
+        self._time = text
         return text
 
     @property
     def value(self) -> Any:
         """The typed value, validated."""
-        if self.bodies is None:
+        if not self._checked:
             self._check()
         return self._value
 
@@ -136,47 +153,54 @@ class Sample(Body):
         """Return the value as bytes of the encoding."""
         if self._encoding is encoding and self.native is not None:
             return self.native.data
-        bodies = self.bodies
-        if bodies is None:
-            bodies = self._check()
-        body = bodies.get(encoding)
+        if not self._checked:
+            self._check()
+        body = self._json if encoding is _JSON else self.encodings.get(_BODIES[encoding])
         if body is None:
             try:
                 body = self.entry.value_type.encode(self._value, encoding)
             except Exception as error:
                 raise self._fault(error) from error
-            bodies[encoding] = body
+            if encoding is _JSON:
+                self._json = body
+            else:
+                self.encodings[_BODIES[encoding]] = body
         return body
 
     def encode_in_steps(self) -> Generator[None]:
         """Validate a long value and encode it as JSON, in steps."""
-        if self.bodies is None and self.native is None:
+        if not self._checked and self.native is None:
             try:
                 value, json = yield from self.entry.value_type.check_in_steps(self._value)
             except Exception:  # readers of the value get the error
                 return
-            if self.bodies is None:
-                self._value = value
-                self.bodies = {} if json is None else {Encoding.JSON: json}
+            if not self._checked:
+                self._value, self._json, self._checked = value, json, True
 
     def projected(self, encoding: Encoding, fields: tuple[str, ...]) -> bytes:
         """Return only some fields of the value as bytes of the encoding."""
         value = self.value
-        bodies = self.bodies
-        assert bodies is not None
-        body = bodies.get((encoding, fields))
+        key = (_BODIES[encoding], fields)
+        body = self.encodings.get(key)
         if body is None:
             try:
                 body = ANY.encode(project(value, fields), encoding)
             except Exception as error:
                 raise self._fault(error) from error
-            bodies[encoding, fields] = body
+            self.encodings[key] = body
         return body
 
     def tail(self, encoding: Encoding, fields: tuple[str, ...] | None = None) -> bytes:
         """Return the part of an update that all its receivers share, to be spliced to its head."""
+        if fields is None and encoding is _JSON:
+            tail = self.json_tail
+            if tail is None:
+                if not self._checked and self.native is None:
+                    self._check()
+                tail = self.json_tail = self._splice(_JSON, self._json or self.encoded(_JSON))
+            return tail
         key = encoding if fields is None else (encoding, fields)
-        tail = self.tails.get(key)
+        tail = self.encodings.get(key)
         if tail is None:
             if fields is None:
                 body = self.encoded(encoding)
@@ -184,8 +208,14 @@ class Sample(Body):
                 body = self._serialised(encoding)
             else:
                 body = self.projected(encoding, fields)
-            tail = self.tails[key] = self._splice(encoding, body)
+            tail = self.encodings[key] = self._splice(encoding, body)
         return tail
+
+    def release(self) -> None:
+        """Drop the encodings; they are made again on use."""
+        self._json = self.json_tail = self.json_piece = None
+        if self.encodings:
+            self.encodings.clear()
 
     def _serialised(self, encoding: Encoding) -> bytes:
         if self.native is None:
@@ -202,7 +232,7 @@ class Sample(Body):
 
     def read_piece(self) -> bytes:
         """Return what all JSON replies to a read of this sample share, from path to state."""
-        piece = self.tails[READ_PIECE] = (
+        piece = self.json_piece = (
             b'"path":"%b","status":"completed","body":%b,"seq":%d,"source_timestamp":"%b","state":"'
         ) % (
             self.entry.path.encode(),
@@ -214,32 +244,36 @@ class Sample(Body):
 
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
         if encoding is _JSON:
-            head = b'"seq":%d,"timestamp":"%b","body":' % (self.seq, self.time.encode())
+            time = self._time or self._format_time()  # the property takes twice as long
+            head = b'"seq":%d,"timestamp":"%b","body":' % (self.seq, time.encode())
             return b"".join((head, body, b"}"))
         facts = encode_frame({"seq": self.seq, "timestamp": self.time}, b"", encoding)
         key = b"\xa4body" if encoding is Encoding.MSGPACK else b"\x64body"
         return b"".join((facts[1:], key, body))  # without the map's own head
 
+    @property
+    def encoded_size(self) -> int:
+        """Length of its longest encoding in bytes; 0: none was made."""
+        return max(map(len, (self.json_tail or b"", *self.encodings.values())))
+
     def weight(self) -> int:
         """Estimate the memory of the value in bytes."""
         if self.native is not None:
             return len(self.native.data)
-        if self.bodies is None and is_long(self._value):
+        if not self._checked and is_long(self._value):
             with suppress(Exception):  # `encoded` says why; it checks the value, which takes longer
                 return len(msgspec.msgpack.encode(self._value))
         return len(self.encoded(Encoding.MSGPACK))
 
-    def _check(self) -> dict[Any, bytes]:
+    def _check(self) -> None:
         try:
             if self.native is not None:
                 self._value = self.native.decode()
-                self.bodies = {}
             else:
-                self._value, json = self.entry.value_type.check(self._value)
-                self.bodies = {} if json is None else {_JSON: json}
+                self._value, self._json = self.entry.value_type.check(self._value)
         except Exception as error:
             raise self._fault(error) from error
-        return self.bodies
+        self._checked = True
 
     def _fault(self, error: Exception) -> DeviceRejected:
         why = error.message if isinstance(error, RcpError) else f"{type(error).__name__}: {error}"

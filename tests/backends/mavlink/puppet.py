@@ -190,7 +190,7 @@ class Station:
     def robot(self) -> Any:
         return self.served.life.backend.robots[""]
 
-    async def do(self, name: str, body: Any = None, within: float = 20.0, **more: Any) -> Any:
+    async def do(self, name: str, body: Any = None, within: float = 120.0, **more: Any) -> Any:
         path = f"/tenant/t/{name}"
         return await self.client.request("execute", path, body=body, within=within, **more)
 
