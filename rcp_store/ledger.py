@@ -20,7 +20,7 @@ class Ledger:
     """The log as features use it, on the event loop's thread only."""
 
     def __init__(self, store: Store) -> None:
-        self._store = store
+        self.store = store
         last = store.rows(1)
         self.head: Head = (last[0][0], last[0][1]) if last else (0, GENESIS)
         """The last record added; not necessarily committed yet."""
@@ -35,66 +35,66 @@ class Ledger:
         """
         seq, digest, data = seal(self.head, what, facts)
         self.head = (seq, digest)
-        if self._store.keeps:
-            self._store.append((seq, digest, data))
+        if self.store.keeps:
+            self.store.append((seq, digest, data))
         return data
 
     def past(self, last: int) -> list[dict[str, Any]]:
         """Return the last records of earlier runs. Blocks: use it only at the start."""
-        rows = [decoded(data) for seq, _, data in self._store.rows(last) if seq <= self._found]
+        rows = [decoded(data) for seq, _, data in self.store.rows(last) if seq <= self._found]
         return [record for record in rows if record]
 
     def prune(self, upto: Head) -> None:
         """Delete all records up to this one."""
         seq, digest = upto
         # In one transaction: the chain begins after the record named in the anchor.
-        self._store.put("audit", "anchor", {"seq": seq, "hash": digest})
-        self._store.prune(seq + 1)
+        self.store.put("audit", "anchor", {"seq": seq, "hash": digest})
+        self.store.prune(seq + 1)
 
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
         """Run a query on the store's thread; `then` gets the result on the event loop."""
-        self._store.look(work, then)
+        self.store.look(work, then)
 
     @property
     def path(self) -> Path | None:
         """The database in use, which may have other tables; None if nothing is kept."""
-        return self._store.path
+        return self.store.path
 
     @property
     def keeps(self) -> bool:
         """Whether records survive a restart."""
-        return self._store.keeps
+        return self.store.keeps
 
     @property
     def idle(self) -> bool:
         """Whether everything is committed."""
-        return self._store.idle
+        return self.store.idle
 
     @property
     def waiting(self) -> int:
         """Number of records not committed yet."""
-        return self._store.waiting
+        return self.store.waiting
 
     def behind(self, limit: int) -> bool:
         """Return whether writing fails, or more records than `limit` are not committed yet."""
-        return self._store.trouble is not None or self._store.waiting > limit
+        return self.store.trouble is not None or self.store.waiting > limit
 
     @property
     def trouble(self) -> str | None:
         """Why writing fails; None if it works."""
-        return self._store.trouble
+        return self.store.trouble
 
     @property
     def damage(self) -> str | None:
         """Why the interim database is used instead of the configured one; None if it is not."""
-        return self._store.damage
+        return self.store.damage
 
     @property
     def left(self) -> Head | None:
         """The head that the previous run stored beside the database."""
-        return self._store.left
+        return self.store.left
 
     @property
     def committed(self) -> Head | None:
         """The last record committed in this run."""
-        return self._store.head
+        return self.store.head

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 import structlog
@@ -13,6 +14,9 @@ from rcp_store.chain import Row
 __all__ = ["Batch", "commit", "run_query"]
 
 log = structlog.get_logger("rcp.store")
+_SIZES = (64, 16, 4, 1)
+"""Rows in one statement; few sizes, so that SQLite keeps their statements prepared."""
+_TOGETHER = {size: ", ".join(["(?, ?, ?)"] * size) for size in _SIZES}
 
 
 class Batch:
@@ -41,14 +45,29 @@ class Batch:
 
 def commit(base: sqlite3.Connection, batch: Batch) -> None:
     """Write a batch in one transaction."""
-    kept = [(place, key, data) for (place, key), data in batch.puts.items() if data is not None]
-    gone = [key for key, data in batch.puts.items() if data is None]
     with base:
-        base.executemany("INSERT OR REPLACE INTO kept VALUES (?, ?, ?)", kept)
-        base.executemany("DELETE FROM kept WHERE place = ? AND key = ?", gone)
-        base.executemany("INSERT OR REPLACE INTO audit VALUES (?, ?, ?)", batch.rows)
+        if batch.puts:
+            puts = batch.puts.items()
+            _insert(base, "kept", [(*place, data) for place, data in puts if data is not None])
+            gone = [place for place, data in puts if data is None]
+            base.executemany("DELETE FROM kept WHERE place = ? AND key = ?", gone)
+        _insert(base, "audit", batch.rows)
         if batch.before:
             base.execute("DELETE FROM audit WHERE seq < ?", (batch.before,))
+
+
+def _insert(base: sqlite3.Connection, table: str, rows: Sequence[tuple[Any, ...]]) -> None:
+    """Insert rows of three columns, several in one statement.
+
+    Each statement gives up the interpreter's lock and waits for it again, which the event loop's
+    thread needs meanwhile: for a row each, this took longer than to write them.
+    """
+    done = 0
+    for size in _SIZES:
+        text = f"INSERT OR REPLACE INTO {table} VALUES {_TOGETHER[size]}"  # noqa: S608 - both are constants
+        while len(rows) - done >= size:
+            base.execute(text, tuple(chain.from_iterable(rows[done : done + size])))
+            done += size
 
 
 def run_query(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any]) -> Any:

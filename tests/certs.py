@@ -33,7 +33,7 @@ class Authority:
 
     def __init__(self, folder: Path, name: str = "Test CA") -> None:
         self._folder = folder
-        self._key = ec.generate_private_key(ec.SECP256R1())
+        self.private = ec.generate_private_key(ec.SECP256R1())
         self.subject = _named(name)
         self._revoked: list[x509.Certificate] = []
         usage = x509.KeyUsage(
@@ -48,10 +48,10 @@ class Authority:
             decipher_only=False,
         )
         made = (
-            self._builder(self.subject, self._key.public_key())
+            self._builder(self.subject, self.private.public_key())
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(usage, critical=True)
-            .sign(self._key, hashes.SHA256())
+            .sign(self.private, hashes.SHA256())
         )
         self.file = folder / f"{name.replace(' ', '-').lower()}.pem"
         self.file.write_bytes(made.public_bytes(serialization.Encoding.PEM))
@@ -89,7 +89,7 @@ class Authority:
         )
         if sans:
             builder = builder.add_extension(x509.SubjectAlternativeName(sans), critical=False)
-        made = builder.sign(self._key, hashes.SHA256())
+        made = builder.sign(self.private, hashes.SHA256())
         cert = self._folder / f"{file or name}.pem"
         cert.write_bytes(made.public_bytes(serialization.Encoding.PEM))
         sealed = (
@@ -126,7 +126,7 @@ class Authority:
                 .revocation_date(now - _DAY)
                 .build()
             )
-        made = builder.sign(self._key, hashes.SHA256())
+        made = builder.sign(self.private, hashes.SHA256())
         file = self._folder / "crl.pem"
         file.write_bytes(made.public_bytes(serialization.Encoding.PEM))
         return file

@@ -96,7 +96,7 @@ async def _main(port: int, late: float) -> None:
             await asyncio.sleep(0.05)
 
     configure("critical")
-    server._FIRST_OPEN = 0.0
+    server._FIRST_OPEN = 0.0  # noqa: SLF001 - the port is to open before the robot is there
     config = parse(_CONFIG + listener(port), "late")
     async with serve(config, BackendKind("late", _NoOptions, open_late)):
         sys.stdout.write("open\n")

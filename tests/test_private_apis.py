@@ -157,7 +157,7 @@ def test_an_mcp_session_has_a_connection_that_can_be_hung_upon() -> None:
     outbound: Any = object()
     connection = Connection(outbound, protocol_version="2025-11-25")
     session = ServerSession(outbound, connection)
-    assert session._connection is connection
+    assert session._connection is connection  # noqa: SLF001 - what rcp_mcp uses
     assert callable(connection.exit_stack.callback)
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Coroutine, Mapping
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import msgspec
 import structlog
 import zenoh
 
-from rcp_client.command import Feedback
+from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
@@ -22,7 +22,7 @@ from rcp_fleet.types import RobotTypes
 from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
-from rcp_kernel.errors import AdapterUnavailable, RcpError
+from rcp_kernel.errors import AdapterUnavailable, DeadlineExceeded, RcpError
 from rcp_kernel.spi import Caller, Host, Principal, Progress, caller
 
 __all__ = ["RemoteGateway"]
@@ -203,13 +203,14 @@ class RemoteGateway:
             await self._reached.wait()
             try:
                 async with self._sessions.acting(_who(asked)) as client:
-                    return await client.execute(
+                    begun = client.start(
                         self._paths[name],
                         value,
                         deadline=_left(asked),
                         idempotency_key=_key(asked),
                         on_feedback=feedback,
                     )
+                    return await _followed(begun)
             except ConnectionLost as error:
                 if not error.retryable:  # the gateway has forgotten it, and its key
                     raise
@@ -269,6 +270,29 @@ class RemoteGateway:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         await self._sessions.close()
+
+
+async def _followed(begun: Coroutine[Any, Any, CommandHandle]) -> Any:
+    """Return the result of a command; a cancellation ends with what the robot made of it."""
+    starting = asyncio.ensure_future(begun)
+    running: asyncio.Future[Any] | None = None
+    try:
+        handle = await asyncio.shield(starting)
+        running = asyncio.ensure_future(handle.result())
+        return await asyncio.shield(running)
+    except asyncio.CancelledError:
+        if running is not None and running.done():
+            raise
+    handle = await starting
+    running = running or asyncio.ensure_future(handle.result())
+    while not running.done():
+        with suppress(ConnectionLost, DeadlineExceeded):  # the link is cut: again
+            await handle.cancel()
+            break
+    try:
+        return await running
+    except ConnectionLost as error:
+        raise asyncio.CancelledError from error
 
 
 def _who(asked: Caller | None) -> Principal | None:

@@ -23,19 +23,24 @@ _OWN_WORDS = ("estop",)
 
 
 def requested(request: Request, what: str, *, hide: bool) -> dict[str, Any]:
-    """Return the fields that describe a request."""
-    acts = request.type in ACTS and what not in _OWN_WORDS
-    approval = request.approval
-    return {
-        "request": request.type,
-        "id": request.id,
-        "idempotency_key": request.idempotency_key,
-        "dry_run": request.dry_run or None,
-        # An approval id that covers many commands must stay secret.
-        "approval": approval if approval and approval.startswith(ID) else None,
-        "value": _value(request, hide=hide) if acts else None,
-        "x": bounded(request.custom) if request.custom else None,
-    }
+    """Return the fields that describe a request; without those that it does not have."""
+    facts: dict[str, Any] = {"request": request.type}
+    if request.id is not None:
+        facts["id"] = request.id
+    if request.idempotency_key is not None:
+        facts["idempotency_key"] = request.idempotency_key
+    if request.dry_run:
+        facts["dry_run"] = True
+    # An approval id that covers many commands must stay secret.
+    if request.approval and request.approval.startswith(ID):
+        facts["approval"] = request.approval
+    if request.type in ACTS and what not in _OWN_WORDS:
+        value = _value(request, hide=hide)
+        if value is not None:
+            facts["value"] = value
+    if request.custom:
+        facts["x"] = bounded(request.custom)
+    return facts
 
 
 def accepted(command: Command) -> Event:

@@ -70,6 +70,7 @@ class AuditLog:
         self._host = host
         self._publish = host.publish
         self._ledger = host.ledger
+        self._store = host.ledger.store
         self.throttle = DenialThrottle(host.loop, config.denials, partial(self._write, "denials"))
         self.retention = Retention(host, config)
 
@@ -117,12 +118,14 @@ class AuditLog:
         touches = None if event.touches is None else bounded_touches(event.touches)
         facts = who_did(event, touches)
         # A flood of refusals gets one common record.
-        if (what == "denial" or self._ledger.waiting > _MOST) and not self._passes(
+        if (what == "denial" or self._store.waiting > _MOST) and not self._passes(
             what, event, dict(facts)
         ):
             return False
-        facts["path"] = event.path and event.path[:_TEXT]
-        facts |= more
+        if event.path is not None:
+            facts["path"] = event.path[:_TEXT]
+        if more:
+            facts |= more
         if event.request is not None:
             facts |= requested(event.request, event.what, hide=event.hide)
         for key, value in event.facts.items():

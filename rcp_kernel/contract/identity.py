@@ -35,7 +35,7 @@ def granted(tenants: Iterable[str], roles: Iterable[str]) -> Grants:
     return tuple((tenant, held) for tenant in tenants)
 
 
-class Principal(msgspec.Struct, frozen=True):
+class Principal(msgspec.Struct, frozen=True, cache_hash=True):
     """An identity with its roles in each tenant, and how it proved itself."""
 
     name: str

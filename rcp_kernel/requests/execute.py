@@ -162,21 +162,21 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
-        if (known := self._known(session, request, entry)) is not None:
+        keyed = request.idempotency_key is not None
+        if keyed and (known := self._known(session, request, entry)) is not None:
             self._journal.follow(known, session, request, answer, started)
             return None
         if prepared is not None:
             value = prepared.run.input
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
             value = None
-        else:
-            value = self._input(session, request, entry)
+        elif (value := self._frames.goal(session, request, entry)) is None:
+            value = request.decode_body(entry.input_type, f"input of {entry.label}")
         if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
             return None
-        keyed = request.idempotency_key is not None
         call = Call(session, request, entry, value)
         self._admission.admit(call)
         self._commands.admit(entry)
@@ -343,16 +343,10 @@ class ExecuteHandler:
 
         It is looked up before the input is converted to the robot's frame, which may be impossible by now.
         """
-        if request.idempotency_key is None or entry.path == ESTOP or entry.path in self._services:
+        if entry.path == ESTOP or entry.path in self._services:
             return None
         known = self._keys.find(session, request, entry.path)
         return known if isinstance(known, Command) else None
-
-    def _input(self, session: Session, request: Request, entry: Entry) -> Any:
-        goal = self._frames.goal(session, request, entry)
-        if goal is not None:
-            return goal
-        return request.decode_body(entry.input_type, f"input of {entry.label}")
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Cancel a command by its id, or everything running on a path; robots are notified at once."""

@@ -7,6 +7,7 @@ it is recorded; features decide whether its reply waits until the record is stor
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Protocol
 
 import structlog
@@ -106,19 +107,16 @@ class CommandJournal:
             self._close(command, step)
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
-        self._tell(command, step)
-        for follower in tuple(command.followers):
-            follower(command, step)
-        if status in FINAL:
-            command.asker = command.request = command.work = None
-            command.followers.clear()
-
-    def _tell(self, command: Command, step: Record) -> None:
         for listener in self.listeners:
             try:
                 listener.on_command(command, step)
             except Exception as error:  # a feature must not prevent commands or stops
                 listener.missed_step(command, step, error)
+        for follower in tuple(command.followers):
+            follower(command, step)
+        if status in FINAL:
+            command.asker = command.request = command.work = None
+            command.followers.clear()
 
     def _close(self, command: Command, last: Record) -> None:
         command.finished = last.time
@@ -146,8 +144,12 @@ class CommandJournal:
 
     def tell_cut_off(self) -> None:
         """Report the interrupted commands to the listeners of all commands."""
-        for command in self.cut_off:
-            self._tell(command, command.history[-1])
+        for command, listener in product(self.cut_off, self.listeners):
+            step = command.history[-1]
+            try:
+                listener.on_command(command, step)
+            except Exception as error:
+                listener.missed_step(command, step, error)
 
     def follow(
         self, command: Command, session: Session, request: Request, answer: Answer, started: float

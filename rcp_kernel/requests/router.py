@@ -103,7 +103,10 @@ class RequestRouter:
                 ):
                     raise account.refusal(session.monotonic())
             long = len(request.body) > LONG and self._long_bodies.takes(request)
-            short = request.type == "write" and len(request.body) <= LONG
+            short = len(request.body) <= LONG and (
+                request.type == "write"
+                or (request.type == "execute" and (request.path or "") not in self._actions)
+            )
             if (long or (not short and self._takes_long(session, request))) and not self._stops(
                 session, request
             ):

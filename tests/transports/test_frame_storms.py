@@ -87,7 +87,7 @@ async def test_frames_that_are_no_messages_use_up_a_turn_too(
 
 async def test_empty_fragments_without_end_take_no_room(gateway: Site) -> None:
     parts = set[int]()
-    usual = rcp_asgi.socket.Socket._fragment
+    usual = rcp_asgi.socket.Socket._fragment  # noqa: SLF001 - a bound of memory
 
     def fragment(self: Any, *given: Any) -> None:
         usual(self, *given)

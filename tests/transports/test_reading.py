@@ -44,7 +44,7 @@ SPEED = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 OTHERS = "replayed"
-USUAL = rcp_ws.client._TURN
+USUAL = rcp_ws.client._TURN  # noqa: SLF001 - turns are ended without waiting
 ROBOT = backend() + key("op", KEY, role="operator")
 WITHOUT_SOCKET = configuration()
 
@@ -146,11 +146,11 @@ class Place:
     @contextmanager
     def inside(self) -> Generator[None]:
         """Call as the loop does, and let it have no turn."""
-        asyncio.events._set_running_loop(self._runner.get_loop())
+        asyncio.events._set_running_loop(self._runner.get_loop())  # noqa: SLF001 - the loop is to have no turn
         try:
             yield
         finally:
-            asyncio.events._set_running_loop(None)
+            asyncio.events._set_running_loop(None)  # noqa: SLF001 - the loop is to have no turn
 
     def do(self, work: Coroutine[Any, Any, Any]) -> Any:
         async def bounded() -> Any:
@@ -179,7 +179,7 @@ def place() -> Generator[Place]:
     made = Place()
     yield made
     made.close()
-    rcp_ws.client._TURN = USUAL
+    rcp_ws.client._TURN = USUAL  # noqa: SLF001 - see USUAL
 
 
 class Reading(RuleBasedStateMachine):
@@ -190,7 +190,7 @@ class Reading(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        rcp_ws.client._TURN = NEVER
+        rcp_ws.client._TURN = NEVER  # noqa: SLF001 - see USUAL
         self.number = 0
         self.asked: set[str] = set()
         """The requests of the present connection."""
@@ -217,7 +217,7 @@ class Reading(RuleBasedStateMachine):
     @rule(used_up=st.booleans())
     def pace(self, *, used_up: bool) -> None:
         """Have every message use up its turn, or none."""
-        rcp_ws.client._TURN = -1.0 if used_up else NEVER
+        rcp_ws.client._TURN = -1.0 if used_up else NEVER  # noqa: SLF001 - see USUAL
 
     @rule(count=st.integers(1, 3 * BACKLOG))
     def commit(self, count: int) -> None:

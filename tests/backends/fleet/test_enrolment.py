@@ -36,7 +36,7 @@ _ROBOT = f'{_OFF}[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "alpha"\n'
 def _invited(tmp_path: Path, seconds: float = _BOUND) -> Generator[tuple[Invitation, list[str]]]:
     authority = Authority(tmp_path)
     signer = CertificateSigner(
-        x509.load_pem_x509_certificate(authority.file.read_bytes()), authority._key
+        x509.load_pem_x509_certificate(authority.file.read_bytes()), authority.private
     )
     identity = Identity(configuration='x = "{folder}"\n', ca=authority.file.read_text())
     invitation = Invitation("r7", identity, signer, host="127.0.0.1")
@@ -161,4 +161,4 @@ class _Invite:
 
 def _secret(authority: Authority) -> str:
     form = PrivateFormat.PKCS8
-    return authority._key.private_bytes(Encoding.PEM, form, NoEncryption()).decode()
+    return authority.private.private_bytes(Encoding.PEM, form, NoEncryption()).decode()

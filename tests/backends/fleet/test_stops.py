@@ -176,6 +176,31 @@ async def test_a_robot_that_returns_is_stopped_before_its_command_goes_on() -> N
         assert len(cart.ran) == 1
 
 
+async def test_a_cancel_reaches_a_robot_that_was_away_and_is_not_told_before() -> None:
+    port = free_port()
+    async with AsyncExitStack() as stack:
+        hub = await stack.enter_async_context(serving(_hub(port)))
+        cable = await stack.enter_async_context(Cable(port).laid())
+        cart = (await _carts(stack, cable.port, "r7"))["r7"]
+        client = await _client(stack, hub, "r7")
+        path = "/tenant/alpha/action/r7/go"
+        id_ = await client.send(type="execute", path=path, body=1.0)
+        await cart.started.get()
+        cable.part()
+
+        async def lost() -> bool:
+            return hub.supervisor.unit("r7").state == "down"
+
+        await eventually(lost, "it is away", _BOUND)
+        await client.request("cancel", path)
+        final = await client.final(id_, _BOUND)
+        assert final["error"]["code"] == "deadline_exceeded", final
+        assert "may still be moving" in final["error"]["remedy"]
+        assert cart.stopped.empty()
+        cable.mend()
+        assert await asyncio.wait_for(cart.stopped.get(), _BOUND) == "action/go"
+
+
 async def test_a_cut_link_lets_a_velocity_lapse_and_ends_what_is_tied_to_its_client() -> None:
     port = free_port()
     async with AsyncExitStack() as stack:

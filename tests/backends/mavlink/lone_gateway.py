@@ -144,7 +144,7 @@ async def lone_gateway(
                 await process.wait()
         reader.cancel()  # the guard has the same standard error, and may live a little longer
         await asyncio.gather(reader, return_exceptions=True)
-        process._transport.close()  # type: ignore[attr-defined]
+        process._transport.close()  # noqa: SLF001 - asyncio keeps the pipe that the guard shares  # type: ignore[attr-defined]
 
 
 async def _read(stream: Any, log: list[str], served: asyncio.Future[str]) -> None:

@@ -61,7 +61,9 @@ async def test_reasons_of_before_it_was_ready_are_gone(monkeypatch: Any) -> None
         await eventually(lambda: _ready(found), "it is ready")
         await comes_to(found, [])
         await eventually(
-            lambda: _is(not found.robot.telemetry_events._complaints), "they are forgotten", 5.0
+            lambda: _is(not found.robot.telemetry_events._complaints),  # noqa: SLF001 - nothing shows what is forgotten
+            "they are forgotten",
+            5.0,
         )
         puppet.health = UNFIT
 

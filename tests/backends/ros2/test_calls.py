@@ -82,11 +82,11 @@ async def test_a_cancel_reaches_the_server_before_the_command_ends(robot: Robot)
         robot.backend.execute("action/fibonacci", goal, lambda *_, **__: moving.set())
     )
     await asyncio.wait_for(moving.wait(), BOUND)
-    (run,) = robot.backend.catalog.bindings["action/fibonacci"]._goals
+    (run,) = robot.backend.catalog.bindings["action/fibonacci"]._goals  # noqa: SLF001 - the server's own word on the goal
     command.cancel()
     with pytest.raises(asyncio.CancelledError):
         await asyncio.wait_for(command, BOUND)
-    assert run._result.result()[0] == 5  # STATUS_CANCELED, said by the server
+    assert run._result.result()[0] == 5  # noqa: SLF001 - STATUS_CANCELED, said by the server
 
 
 async def test_halt_cancels_what_runs(robot: Robot) -> None:

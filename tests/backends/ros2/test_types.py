@@ -40,7 +40,7 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
         return real(name, *rest)
 
     monkeypatch.setattr(idl, "importlib", SimpleNamespace(import_module=found))
-    monkeypatch.setattr(idl, "_defined", dict(idl._defined))
+    monkeypatch.setattr(idl, "_defined", dict(idl._defined))  # noqa: SLF001 - types are defined once in a process
 
 
 async def moved(robot: Robot) -> Any:
