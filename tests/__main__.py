@@ -16,6 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from backends.ros2.interfaces import SHARED
 from failures import LISTED, Failure, read
 from verdict import tell
 
@@ -55,6 +56,7 @@ def main(arguments: list[str]) -> int:
         return run(*arguments)
     with tempfile.TemporaryDirectory() as folder:
         listed = Path(folder) / "failures"
+        os.environ[SHARED] = folder
         result = _run_all(arguments, listed)
         return tell(read(listed), passes_alone) if result in (_FAILED, _STOPPED) else result
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable, Coroutine
+from inspect import CORO_CREATED, getcoroutinestate
 from time import perf_counter
 from typing import Any
 
@@ -165,6 +166,8 @@ class _Pending:
         self._finish(None, DeadlineExceeded(text, path=self._path))
         if self._task is not None:
             self._task.cancel()
+            if getcoroutinestate(self._work) == CORO_CREATED:
+                self._work.close()  # the task ends before its first step and never awaits it
 
     def _finish(self, result: Any, error: RcpError | None) -> None:
         answer, self._answer = self._answer, None

@@ -33,8 +33,6 @@ time_scale = 5.0
 _ADMIN = f'[[keys]]\nname = "root"\nrole = "admin"\nkey = "{ADMIN}"\n'
 _PLACE = "a robot of a fleet has its own place in the tree, which no other backend shares"
 
-_LATE = "another commander may have moved it again when the confirmation has crossed the link"
-
 
 class _Far:
     """The robot's gateway, and the cable to it."""
@@ -49,8 +47,6 @@ def alone(request: pytest.FixtureRequest) -> None:
     """Leave out the situations with a second backend of the same robot."""
     if any(part in request.node.name for part in ("two_backends", "other_backend")):
         pytest.skip(_PLACE)
-    if "foreign_commander" in request.node.name:
-        request.node.add_marker(pytest.mark.xfail(reason=_LATE, strict=False))
 
 
 class TestFleetStops(StopSuite):
@@ -58,6 +54,7 @@ class TestFleetStops(StopSuite):
 
     kind = _FLEET
     stop_within: ClassVar[float] = 5.0
+    distant = True
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[_Far]:

@@ -1,13 +1,14 @@
 """Real ROS 2 interface packages that no registry has, built with rosidl's own generators and a C compiler.
 
 `nav2_msgs` and `control_msgs` come with a ROS installation only. Run as `python interfaces.py ROOT` with ROS's
-prefix in AMENT_PREFIX_PATH; `built()` does that once a run.
+prefix in AMENT_PREFIX_PATH; `built()` does that once in a run of `make test`, or once a process.
 """
 
 from __future__ import annotations
 
 import atexit
 import ctypes
+import fcntl
 import os
 import shutil
 import subprocess
@@ -20,6 +21,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+SHARED = "RCP_SHARED"
+"""The variable of the environment that names the folder which the processes of a run share."""
 _POINT = "float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\nfloat64[] effort\n"
 _LIMITS = "float64 position\nfloat64 velocity\nfloat64 acceleration\n"
 PACKAGES = {  # a package comes after those that it refers to
@@ -121,8 +124,29 @@ def have_tools() -> bool:
 @lru_cache(maxsize=1)
 def built() -> Path:
     """Build the packages and make them importable in this process; return their folder."""
+    root = _folder()
+    with (root / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (root / "done").exists():
+            _build_apart(root)
+            (root / "done").touch()
+    use(root)
+    return root
+
+
+def _folder() -> Path:
+    """Return the folder that the processes of a run share, or one of this process alone."""
+    if (shared := os.environ.get(SHARED)) is not None:
+        root = Path(shared, "ros-interfaces")
+        root.mkdir(exist_ok=True)
+        return root
     root = Path(tempfile.mkdtemp(prefix="rcp-ros-interfaces-"))
     atexit.register(shutil.rmtree, root, ignore_errors=True)
+    return root
+
+
+def _build_apart(root: Path) -> None:
+    """Build them in a process of its own: the generators change what is imported."""
     environment = os.environ | {
         "AMENT_PREFIX_PATH": sys.prefix,
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
@@ -135,8 +159,6 @@ def built() -> Path:
         check=False,
     )
     assert done.returncode == 0, done.stderr[-4000:]
-    use(root)
-    return root
 
 
 def use(root: Path) -> None:
