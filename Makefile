@@ -14,10 +14,11 @@ PAGES := $(shell find $(WEB) clients/typescript/src -name node_modules -prune -o
 CLIENT := clients/python
 NEEDS := Makefile pyproject.toml $(CLIENT)/pyproject.toml constraints.txt $(PAGES)
 
-.PHONY: help demo test dashboard lint format bench constraints picture clean
+.PHONY: help demo fleet test dashboard lint format bench constraints picture clean
 
 help:
 	@echo "make demo [PORT=8080]   serve simulated robots"
+	@echo "make fleet [PORT=8080]  serve a hub, and three simulated robots with gateways of their own"
 	@echo "make test [ARGS=...]    run the full test suite; ARGS is passed to pytest"
 	@echo "make dashboard          build the dashboard's pages, if that failed before"
 	@echo "make lint               ruff, pyright, import-linter"
@@ -29,6 +30,9 @@ help:
 
 demo: $(DEMO)
 	@exec $(BIN)/rcpd demo --port $(PORT)
+
+fleet: $(DEMO)
+	@exec $(BIN)/python examples/fleet/run.py --port $(PORT)
 
 test: $(TEST)
 	@$(BIN)/python tests $(ARGS)
@@ -89,7 +93,7 @@ endef
 # The tests' dependencies include those of the demo.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
-	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,mavlink,mcp,mujoco]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,fleet,mavlink,mcp,mujoco]'
 	@$(report_missing_pages)
 	@touch $@
 

@@ -267,7 +267,7 @@ class GuardLink:
             yield gauge(name, text, (), [([], float(value))])
 
     def _warn(self, supervisor: SupervisedBackend) -> None:
-        if supervisor.plans and self._on:
+        if (supervisor.plans and self._on) or supervisor.has_gateways:
             return
         verified = [
             one for one in _watchdogs(supervisor) if one.verified and one.within is not None

@@ -303,7 +303,7 @@ class StatusReport:
             [([s.name, s.tenant], float(s.backend is not None)) for s in self._supervisors],
         )
         robots = [(s, unit) for s in self._supervisors for unit in s.robots]
-        for begin in range(0, len(robots), _PART):
+        for begin in range(0, max(1, len(robots)), _PART):
             yield gauge(
                 "rcp_robot_up",
                 "Whether one of several robots of a backend is ready.",

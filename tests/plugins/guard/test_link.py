@@ -104,21 +104,23 @@ async def test_what_is_wrong_with_one_backend_ends_no_heartbeat() -> None:
 
 
 @pytest.mark.parametrize(
-    ("watchdogs", "plan", "warned"),
+    ("watchdogs", "plan", "gateways", "warned"),
     [
-        ([], False, True),
-        ([Watchdog("a time-out", 0.5)], False, True),
-        ([Watchdog("none", None, verified=True)], False, True),
-        ([Watchdog("a time-out", 0.5, verified=True)], False, False),
-        ([], True, False),
+        ([], False, False, True),
+        ([Watchdog("a time-out", 0.5)], False, False, True),
+        ([Watchdog("none", None, verified=True)], False, False, True),
+        ([Watchdog("a time-out", 0.5, verified=True)], False, False, False),
+        ([], True, False, False),
+        ([], False, True, False),
     ],
 )
 async def test_a_robot_that_nothing_would_stop_is_a_warning_once(
-    stepped: SteppedClock, watchdogs: list[Watchdog], *, plan: bool, warned: bool
+    stepped: SteppedClock, watchdogs: list[Watchdog], *, plan: bool, gateways: bool, warned: bool
 ) -> None:
     def make(host: Any) -> Robot:
         robot = Robot(host)
         robot.watchdogs = lambda: watchdogs  # type: ignore[method-assign]
+        robot.has_gateways = gateways
         if plan:
             data = {"to": ["127.0.0.1", 9], "frames": []}
             host.guard("stop", StopPlan("udp", data))
