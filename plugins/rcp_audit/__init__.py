@@ -40,6 +40,7 @@ def _make(tables: AuditTables, host: FeatureHost) -> Feature:
         resources=(SystemResource(resource=_RESOURCE, shows=disclosure.shown),),
         on_event=log.hear,
         on_command=log.follow,
+        feedback=False,
         durability=DelayedReplies(host.ledger, host.loop) if host.ledger.keeps else None,
         status=status,
         reconfigure=reconfigure,

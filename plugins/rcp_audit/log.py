@@ -155,7 +155,10 @@ class AuditLog:
             data = self._ledger.add(what, facts)
         except (TypeError, ValueError, OverflowError, RecursionError):
             data = self._ledger.add(what, {k: v and bounded(v) for k, v in facts.items()})
-        self._ledger.settled(partial(self._publish, PATH, _Sealed(data)))
+        if self._store.keeps:
+            self._ledger.settled(partial(self._publish, PATH, _Sealed(data)))
+        else:
+            self._publish(PATH, _Sealed(data))
 
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the log for `/system/status`; `head` adds its head, which not everybody may see."""

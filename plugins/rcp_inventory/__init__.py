@@ -36,21 +36,22 @@ class _Updates:
     def __init__(self, config: InventoryConfig, host: FeatureHost) -> None:
         self.config = config
         self._host = host
-        self._due: asyncio.TimerHandle | None = None
+        self.due: asyncio.TimerHandle | None = None
+        """The announcement that any change until then is a part of."""
 
     def changed(self) -> None:
         """Announce a change, after the interval: others will follow."""
-        if self._due is None:
-            self._due = self._host.loop.call_later(self.config.interval, self._announce)
+        if self.due is None:
+            self.due = self._host.loop.call_later(self.config.interval, self._announce)
 
     def _announce(self) -> None:
-        self._due = None
+        self.due = None
         self._host.changed(PATH)
 
     def close(self) -> None:
         """Announce nothing more."""
-        if self._due is not None:
-            self._due.cancel()
+        if self.due is not None:
+            self.due.cancel()
 
 
 def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
@@ -64,9 +65,8 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
         if event.what == "lease":
             updates.changed()
 
-    def stepped(command: Command, step: Record) -> None:
-        # A hold begins with feedback; that of other commands changes nothing here.
-        if step.status != "in_progress" or (command.entry is not None and command.entry.is_hold):
+    def stepped(_command: Command, _step: Record) -> None:
+        if updates.due is None:
             updates.changed()
 
     def halted(paths: frozenset[str], _by: str, _reason: str) -> None:
@@ -91,6 +91,7 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
         observer=controllers,
         on_event=heard,
         on_command=stepped,
+        feedback=False,
         halted=halted,
         reconfigure=configure,
         running=running,

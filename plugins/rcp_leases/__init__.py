@@ -11,7 +11,6 @@ from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_leases.config import LeasesConfig, check, from_gateway
 from rcp_leases.control import LeaseControl
-from rcp_leases.guard import LeaseGuard
 from rcp_leases.leases import Leases
 from rcp_leases.requests import PATH, LeaseRequest, LeaseRequests, LeaseState, releases
 
@@ -45,7 +44,7 @@ def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
     )
     return Feature(
         resources=(shown,),
-        guard=LeaseGuard(leases),
+        guard=leases,
         services={CONTROL: control, HOLDERS: control},
         session_ended=leases.session_ended,
         rights_changed=leases.review,

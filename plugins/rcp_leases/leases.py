@@ -18,7 +18,7 @@ import structlog
 from rcp_kernel.clock import iso
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
-from rcp_kernel.features import FeatureHost, Scope
+from rcp_kernel.features import Call, FeatureHost, Scope, Slot
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
@@ -35,7 +35,11 @@ _NEEDED = 100_000  # cached paths
 
 
 class Leases:
-    """All leases of the gateway, and the check of each write and execute against them."""
+    """All leases of the gateway: the guard that checks each write and execute against them."""
+
+    slot = Slot.LEASE
+    active = True
+    """A lease may be acquired at any time."""
 
     def __init__(
         self, config: LeasesConfig, host: FeatureHost, *, changed: Callable[[], None]
@@ -54,8 +58,8 @@ class Leases:
         self._needed: dict[str, bool] = {}
         """Cache of `_requires`."""
         self._required: tuple[Pattern, ...] = ()
-        self.in_use = False
-        """Whether there is anything to check."""
+        self.idle = True
+        """Whether there is nothing to check; false from the moment at which there is a lease."""
         self.configure(config)
 
     def configure(self, config: LeasesConfig) -> None:
@@ -80,7 +84,7 @@ class Leases:
 
     def _refresh(self) -> None:
         self._over.clear()
-        self.in_use = bool(self.held or self._lost or self._required)
+        self.idle = not (self.held or self._lost or self._required)
 
     def _restore(self) -> None:
         for id_, kept in self._store.load().items():
@@ -100,6 +104,17 @@ class Leases:
 
     # -- checking commands ---------------------------------------------------------------------
 
+    def admit(self, call: Call) -> None:
+        """Check the leases of a path.
+
+        :raises LeaseHeld, LeaseLost, LeaseRequired: see `check`.
+        """
+        self.check(call.session, call.entry)
+
+    def confirm(self, call: Call) -> None:
+        """Repeat the check of `admit`: leases may have changed since."""
+        self.check(call.session, call.entry)
+
     def check(self, session: Session, entry: Entry) -> None:
         """Check that the session may command a resource.
 
@@ -107,7 +122,7 @@ class Leases:
                 :raises LeaseLost: the session lost its lease and has not acquired one since.
                 :raises LeaseRequired: the path requires a lease.
         """
-        if not self.in_use or entry.tenant is None:
+        if self.idle or entry.tenant is None:
             return
         path, holders = entry.path, session.holders
         lease = self.over(path)

@@ -252,11 +252,12 @@ class Features:
 
 
 def _listener(health: FeatureHealth, feature: Feature) -> Listener | None:
+    events, steps, feedback = feature.on_event, feature.on_command, feature.feedback
     if feature.durability is not None:
-        return Recorder(feature.on_event, feature.on_command, health, feature.durability)
-    if feature.on_event is None and feature.on_command is None:
+        return Recorder(events, steps, health, feature.durability, feedback=feedback)
+    if events is None and steps is None:
         return None
-    return Listener(feature.on_event, feature.on_command, health)
+    return Listener(events, steps, health, feedback=feedback)
 
 
 def _state(health: FeatureHealth) -> dict[str, Any]:

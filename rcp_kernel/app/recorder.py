@@ -25,12 +25,18 @@ class Listener:
     """A feature's listeners, and what follows from their errors."""
 
     def __init__(
-        self, on_event: Hear | None, on_command: CommandListener | None, health: FeatureHealth
+        self,
+        on_event: Hear | None,
+        on_command: CommandListener | None,
+        health: FeatureHealth,
+        *,
+        feedback: bool,
     ) -> None:
         self.hears_events = on_event is not None
         self.on_event = on_event or _ignore_event
         self.failing = False
         self.hears_commands = on_command is not None
+        self.hears_feedback = feedback
         self.on_command = on_command or _ignore
         self.health = health
 
@@ -58,8 +64,10 @@ class Recorder(Listener):
         on_command: CommandListener | None,
         health: FeatureHealth,
         durability: Durability,
+        *,
+        feedback: bool,
     ) -> None:
-        super().__init__(on_event, on_command, health)
+        super().__init__(on_event, on_command, health, feedback=feedback)
         self._durability = durability
         self.send_when_stored = durability.send_when_stored
         self.lost = 0

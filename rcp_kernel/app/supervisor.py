@@ -168,6 +168,10 @@ class BackendSupervisor:
             retry_after=1.0 if self.state in ("opening", "down") else None,
         )
 
+    def state_changed(self) -> None:
+        """Announce that the state of one of its robots may have changed."""
+        self._registry.state_changed()
+
     def fault(self, detail: str) -> None:
         """Note a bad value; a stream of them is logged once a second."""
         self.faults += 1

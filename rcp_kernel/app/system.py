@@ -204,6 +204,9 @@ class System(BaseBackend):
         """Never called."""
         return UnknownPath("the gateway is closing")
 
+    def state_changed(self) -> None:
+        """Nothing of the gateway's own is held."""
+
     def fault(self, detail: str) -> None:
         """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
 

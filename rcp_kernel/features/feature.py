@@ -63,6 +63,8 @@ class Feature:
     """Receives writes, refusals, logins, e-stops, stops by the gateway, starts and reloads."""
     on_command: CommandListener | None = None
     """Receives each step of each command, including plans, before any client does."""
+    feedback: bool = True
+    """Whether `on_command` also receives feedback, the most frequent step."""
     durability: Durability | None = None
     """Delays replies until their records are stored, and refuses commands that could not be
     recorded."""

@@ -60,6 +60,8 @@ class Guard(Protocol):
     """Refuses calls by raising an `RcpError`; any other exception refuses as `internal`.
 
     Both methods run on the event loop for each write and execute, and must neither block nor await.
+    A guard may have an attribute `idle`, read for each call: while it is true, both would do
+    nothing, and neither is called.
     """
 
     @property

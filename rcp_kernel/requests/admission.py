@@ -71,28 +71,31 @@ class Admission:
         if entry.is_hold:  # everyone with the right to execute it may bring a robot to rest
             self._shutdown.check()
             return
-        if entry.barred and entry.unit.latch is not None:
+        unit = entry.unit
+        if entry.barred and (unit.latched or unit.whole.retired is not None):
             check_motion(entry)
-        if self.control and entry.tenant is not None:
-            _ask(self.control, call)
-        if entry.barred and entry.unit.is_held:
+        if entry.tenant is not None:
+            for guard in self.control:  # as `_admit_all`, but for nearly every command
+                if not getattr(guard, "idle", False):
+                    _admit(guard, call)
+        if entry.barred and (unit.holds or unit.whole.holds):
             check_hold(entry, call.value)
         if self._shutdown.begun:
             self._shutdown.check()
         for demand in self._replies.demands:
             demand.check()
-        if entry.unit.link is None:
-            raise entry.unit.unavailable()
-        if self._early:
-            self._ask(self._early, call)
+        if unit.link is None:
+            raise unit.unavailable()
+        if self._early and _concerns_guards(call):
+            _admit_all(self._early, call)
 
     def ask(self, call: Call) -> None:
         """Call the last guards, when nothing else refuses the call.
 
         :raises RcpError: one refuses.
         """
-        if self._late:
-            self._ask(self._late, call)
+        if self._late and _concerns_guards(call):
+            _admit_all(self._late, call)
 
     def ask_all(self, calls: Sequence[Call]) -> None:
         """Call the last guards for several calls: each guard for all of them before the next.
@@ -103,11 +106,8 @@ class Admission:
         """
         for guard in self._late:
             for call in calls:
-                self._ask((guard,), call)
-
-    def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
-        if _concerns_guards(call):
-            _ask(guards, call)
+                if _concerns_guards(call):
+                    _admit_all((guard,), call)
 
     def check_control(self, call: Call) -> None:
         """Refuse a call that must no longer reach its robot, even to bring something to rest.
@@ -117,7 +117,7 @@ class Admission:
         """
         check_motion(call.entry)
         if self.control and call.entry.tenant is not None:
-            _confirm(self.control, call)
+            _confirm_all(self.control, call)
 
     def confirm(self, call: Call) -> Backend:
         """Check a call again with the session's current rights, and return its backend.
@@ -129,6 +129,7 @@ class Admission:
         :raises RcpError: a guard refuses.
         """
         entry, request = call.entry, call.request
+        unit = entry.unit
         called = Operation.EXECUTE if request.type == "execute" else Operation.WRITE
         if not call.session.rights.masks.get(entry.path, 0) & called.value:
             self._resolver.check(call.session, entry, called)
@@ -136,19 +137,21 @@ class Admission:
             check_age(entry, request.timestamp)
         if not entry.is_hold:
             if entry.barred:
-                if entry.unit.latch is not None:
+                if unit.latched or unit.whole.retired is not None:
                     check_motion(entry)
-                if entry.unit.is_held:
+                if unit.holds or unit.whole.holds:
                     check_hold(entry, call.value)
-            if self.control and entry.tenant is not None:
-                _confirm(self.control, call)
-        backend = entry.unit.link
+            if entry.tenant is not None:
+                for guard in self.control:
+                    if not getattr(guard, "idle", False):
+                        _confirm(guard, call)
+        backend = unit.link
         if backend is None:
-            raise entry.unit.unavailable()
+            raise unit.unavailable()
         if entry.is_hold:
             return backend
         if self.active and _concerns_guards(call):
-            _confirm(self.active, call)
+            _confirm_all(self.active, call)
         self._events.sent(call)
         return backend
 
@@ -162,24 +165,34 @@ def _concerns_guards(call: Call) -> bool:
     return call.entry.tenant is not None and not call.rests
 
 
-def _ask(guards: Sequence[Guard], call: Call) -> None:
+def _admit_all(guards: Sequence[Guard], call: Call) -> None:
     for guard in guards:
-        try:
-            guard.admit(call)
-        except RcpError:
-            raise
-        except Exception as error:
-            raise _broken(guard, call, error) from None
+        if not getattr(guard, "idle", False):  # which few guards have
+            _admit(guard, call)
 
 
-def _confirm(guards: Sequence[Guard], call: Call) -> None:
+def _confirm_all(guards: Sequence[Guard], call: Call) -> None:
     for guard in guards:
-        try:
-            guard.confirm(call)
-        except RcpError:
-            raise
-        except Exception as error:
-            raise _broken(guard, call, error) from None
+        if not getattr(guard, "idle", False):
+            _confirm(guard, call)
+
+
+def _admit(guard: Guard, call: Call) -> None:
+    try:
+        guard.admit(call)
+    except RcpError:
+        raise
+    except Exception as error:
+        raise _broken(guard, call, error) from None
+
+
+def _confirm(guard: Guard, call: Call) -> None:
+    try:
+        guard.confirm(call)
+    except RcpError:
+        raise
+    except Exception as error:
+        raise _broken(guard, call, error) from None
 
 
 def _broken(guard: Guard, call: Call, error: Exception) -> RcpError:

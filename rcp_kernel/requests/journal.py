@@ -38,6 +38,7 @@ class StepListener(Protocol):
     """A feature that hears each step of all commands."""
 
     on_command: CommandListener
+    hears_feedback: bool
 
     def missed_step(self, command: Command, step: Record, error: Exception, /) -> None:
         """Handle a step at which the feature failed."""
@@ -108,6 +109,8 @@ class CommandJournal:
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
         for listener in self.listeners:
+            if status == "in_progress" and not listener.hears_feedback:
+                continue
             try:
                 listener.on_command(command, step)
             except Exception as error:  # a feature must not prevent commands or stops

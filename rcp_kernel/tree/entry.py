@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any, Literal, Protocol
 
@@ -87,6 +87,10 @@ class Owner(Protocol):
 
     def fault(self, detail: str) -> None:
         """Note a fault of the backend's own making."""
+        ...
+
+    def state_changed(self) -> None:
+        """Announce that the state of one of its robots may have changed."""
         ...
 
 
@@ -254,7 +258,6 @@ class StopGroup:
     """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
     __slots__ = (
-        "_holds",
         "_latches",
         "_released",
         "_stopped",
@@ -263,8 +266,10 @@ class StopGroup:
         "detail",
         "facts",
         "frames",
+        "holds",
         "identity",
         "keys",
+        "latched",
         "link",
         "lost",
         "name",
@@ -312,13 +317,16 @@ class StopGroup:
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches
+        self.latched: Mapping[str, Latch] = {} if latches is None else latches.held
+        """All latches there are, whomever they hold: without one, and without `retired`, nothing
+        needs to be looked up."""
         self.own: dict[str, Entry] = {}
         """The resources that are its own: of all of a backend, those of none of its robots."""
         self._stops = 0
         self._stopped = float("-inf")
         self._released = 0
-        self._holds = 0
-        """Number of holds that are bringing it to rest."""
+        self.holds = 0
+        """Number of holds that are bringing it to rest; see `is_held`, and `whole`."""
 
     @property
     def place(self) -> str | None:
@@ -391,16 +399,18 @@ class StopGroup:
     @property
     def is_held(self) -> bool:
         """Whether it is being brought to rest without an e-stop."""
-        return self._holds > 0 or (self.robot is not None and self.whole.is_held)
+        return self.holds > 0 or self.whole.holds > 0
 
     @contextmanager
     def held(self) -> Generator[None]:
         """Let nothing but its rest reach it while entered: the hold would override it."""
-        self._holds += 1
+        self.holds += 1
         try:
+            self.owner.state_changed()
             yield
         finally:
-            self._holds -= 1
+            self.holds -= 1
+            self.owner.state_changed()
 
     def release(self, moment: int) -> None:
         """Let nothing that was sent before `moment`, in ns, reach it."""

@@ -55,6 +55,7 @@ class Latches:
         self.on_change: list[Callable[[], None]] = []
         """Called after every change."""
         self.held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
+        """Changed in place: each robot refers to it."""
 
     def of(self, keys: tuple[str, ...]) -> Latch | None:
         """Return what holds a robot: its keys below the gateway's, the narrowest first."""

@@ -31,17 +31,16 @@ _forms: dict[type, _Form] = {}
 
 
 def _form(value: Any) -> _Form:
-    kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
-    form = _forms.get(kind)
-    if form is None:
-        form = "native" if isinstance(value, Native) else "value"
-        form = _forms[kind] = "encoded" if isinstance(value, Encoded) else form
+    """Find out the form of a type's first value; callers look at `_forms` first."""
+    form: _Form = "native" if isinstance(value, Native) else "value"
+    form = _forms[type(value)] = "encoded" if isinstance(value, Encoded) else form
     return form
 
 
 def encoded_of(value: Any) -> Encoded | None:
     """Return a value that has its number and encoding from elsewhere; None for any other."""
-    return value if _form(value) == "encoded" else None
+    kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+    return value if (_forms.get(kind) or _form(value)) == "encoded" else None
 
 
 class Publisher(Protocol):
@@ -110,7 +109,11 @@ class Sample(Body):
         self._encoding: Encoding | None = None
         """Of the bytes of `native`, where they are the value in an encoding."""
         if type(value) is not entry.value_type.type:  # the usual value is nothing else
-            self._find_form(value)
+            kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+            form = _forms.get(kind) or _form(value)
+            if form != "value":
+                self.native = value
+                self._encoding = value.encoding if form == "encoded" else None
         self._value = value
         self._checked = False
         self._time: str | None = None
@@ -121,12 +124,6 @@ class Sample(Body):
         """What all JSON replies to a read share, if it was made."""
         self.encodings: dict[Any, bytes] = {}
         """The other encodings made so far: tails by encoding, or encoding and fields."""
-
-    def _find_form(self, value: Any) -> None:
-        form = _form(value)
-        if form != "value":
-            self.native = value
-            self._encoding = value.encoding if form == "encoded" else None
 
     @property
     def time(self) -> str:

@@ -42,6 +42,7 @@ class Zone:
     def __init__(self, host: FeatureHost) -> None:
         self.host = host
         self.active = True
+        self.idle = False
         self.closed = False
         self.broken = False
         self.heard: list[tuple[str, str]] = []
@@ -162,6 +163,27 @@ async def test_an_observer_that_fails_keeps_no_command_and_no_stop_from_a_robot(
         await zone.until("rested")
         assert world.robot.writes[-1][1] == world.robot.writes[-1][1].__class__()
         assert (await client.ask(type="execute", path="/system/estop", body={}))["body"]["active"]
+
+
+@pytest.mark.parametrize("slot", Slot)
+async def test_an_idle_guard_is_not_called_until_it_is_idle_no_more(
+    slot: Slot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Zone, "slot", slot)
+    async with zoned() as world:
+        client, zone = world.client(), world.zone
+        zone.idle = zone.closed = True
+        running = client.send(type="execute", path="/action/wait_in_line", body=1)
+        waiting = client.send(type="execute", path="/action/wait_in_line", body=2)
+        async with asyncio.timeout(BOUND):
+            await world.robot.started.get()
+        zone.idle = False  # from here on, whether a command is new or has waited
+        assert (await client.ask(**GO))["error"]["code"] == "mode_forbids"
+        world.robot.release.set()
+        assert (await client.final(running))["status"] == "completed"
+        assert (await client.final(waiting))["error"]["code"] == "mode_forbids"
+        zone.idle = True
+        assert (await client.ask(**GO))["status"] == "completed"
 
 
 async def test_a_feature_whose_guard_is_not_active_hears_nothing() -> None:

@@ -39,6 +39,7 @@ class BlackBox:
     def __init__(self) -> None:
         self.heard: list[str] = []
         self.full = False
+        self.feedback = True
         self.broken: frozenset[str] = frozenset()
         """What it cannot take: events and steps of commands by their names, or `everything`."""
         self.holding = asyncio.Event()
@@ -46,7 +47,12 @@ class BlackBox:
         self.kept.set()
 
     def make(self, _table: NoKeys, _host: FeatureHost) -> Feature:
-        return Feature(on_event=self.hear, on_command=self.follow, durability=self)
+        return Feature(
+            on_event=self.hear,
+            on_command=self.follow,
+            feedback=self.feedback,
+            durability=self,
+        )
 
     def hear(self, event: Event) -> bool:
         self._break(event.what)
@@ -103,6 +109,16 @@ async def test_it_hears_commands_writes_refusals_and_stops_in_their_order() -> N
     places = [received.index(fact) for fact in wanted]
     assert places == sorted(places)
     assert [fact for fact in box.heard if fact.startswith("write ok by ")] != []
+
+
+async def test_what_declines_feedback_hears_all_other_steps_and_clients_all() -> None:
+    box = BlackBox()
+    box.feedback = False
+    async with recorded(box) as (client, _):
+        id_ = client.send(**GO)
+        await client.until(lambda m: m.get("id") == id_ and m.get("status") == "in_progress")
+        assert (await client.final(id_))["status"] == "completed"
+    assert [fact for fact in box.heard if fact.startswith("go ")] == ["go accepted", "go completed"]
 
 
 async def test_a_reply_leaves_when_its_record_is_kept_and_the_robot_does_not_wait() -> None:

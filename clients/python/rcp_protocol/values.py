@@ -225,7 +225,7 @@ class ValueType:
             value = self.convert(value)
         if not (self.probes_null or self._wide):
             return value, None
-        return value, self._encode_json(value)
+        return value, self.encode(value, _JSON)
 
     def _compile(self, value: Any) -> bool:
         """Compile the check of values, most of which nobody publishes, and call it."""
@@ -248,16 +248,13 @@ class ValueType:
 
         :raises InvalidValue: it contains a non-finite number or an integer that its type forbids.
         """
-        if encoding is _JSON:
-            return self._encode_json(value)
-        try:
-            if encoding is _MSGPACK:
-                return _to_msgpack(value)
-            return cbor2.dumps(to_plain(value))
-        except OverflowError as error:
-            raise InvalidValue(f"an integer is too large: {error}") from None
-
-    def _encode_json(self, value: Any) -> bytes:
+        if encoding is not _JSON:
+            try:
+                if encoding is _MSGPACK:
+                    return _to_msgpack(value)
+                return cbor2.dumps(to_plain(value))
+            except OverflowError as error:
+                raise InvalidValue(f"an integer is too large: {error}") from None
         data = _to_json(value if self._blobs is None else lifted(value, self._blobs))
         if (
             self.probes_null and data.find(b"null") >= 0 and data.count(b"null") != _nones(value)

@@ -26,6 +26,8 @@ class Order:
     def kept(self, command: Command) -> None:
         self.noted.append(("kept", command.status))
 
+    hears_feedback = True
+
     def on_command(self, command: Command, step: Record) -> None:
         assert command.history[-1] is step
         self.noted.append(("heard", step.status))

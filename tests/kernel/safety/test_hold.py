@@ -51,6 +51,21 @@ async def test_it_ends_what_moves_the_robot_and_latches_nothing(world: World) ->
     assert write["status"] == "completed"
 
 
+async def test_a_hold_and_its_end_are_changes_of_the_robots_state(world: World) -> None:
+    robot, operator = scripted(world), world.client()
+    unit = world.server.supervisors[0].whole
+    held: list[bool] = []
+    world.server.kernel.registry.on_state.append(lambda: held.append(unit.is_held))
+    robot.rests.clear()
+    hold = operator.send(type="execute", path=HOLD)
+    async with asyncio.timeout(BOUND):
+        await robot.holding.wait()
+    assert held == [True]
+    robot.rests.set()
+    assert (await operator.final(hold))["status"] == "completed"
+    assert held == [True, False]
+
+
 async def test_nothing_moves_a_robot_that_is_being_brought_to_rest(world: World) -> None:
     robot, admin, operator = scripted(world), world.client(ADMIN), world.client()
     robot.rests.clear()

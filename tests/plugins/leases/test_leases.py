@@ -229,6 +229,16 @@ async def test_a_command_that_waited_through_an_acquire_is_refused_at_its_turn(
     assert code(await one.final(waiting)) == "lease_held"
 
 
+async def test_leases_are_checked_whenever_there_is_one_and_only_then(world: World) -> None:
+    holder, other = world.client(), world.client(ADMIN)
+    for _ in range(2):  # the guard is idle in between
+        assert code(await drive(other)) == "completed"
+        held = (await lease(holder))["body"]
+        assert code(await drive(other)) == "lease_held"
+        await lease(holder, "release", scope=held["scope"])
+    assert code(await drive(other)) == "completed"
+
+
 async def test_a_lease_is_handed_over_with_its_commands(world: World) -> None:
     agent, person = world.client(AGENT), world.client()
     await lease(agent)
