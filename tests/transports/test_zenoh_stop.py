@@ -17,9 +17,10 @@ from rcp_kernel.testing import OPERATOR, eventually, serve
 from rcp_kernel.testing.wire import ROBOT
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.keys import LinkKeys, alive
-from rcp_zenoh.lane import Priority
+from rcp_zenoh.lane import Lane, Priority
 from rcp_zenoh.pipe import Message, Pipe
 from rcp_zenoh.session import configuration, on_loop, opened
+from transports.cable import Cable
 
 _GATEWAY = """
 [transports]
@@ -40,6 +41,8 @@ role = "operator"
 key = "{key}"
 """
 _READS = 40
+_MANY = 300  # robots
+_FILL = 400  # messages: more than the buffers of a connection hold
 _LONG = 50_000  # bytes of a reply: all of them are more than the window and the kernel's buffers
 
 
@@ -87,11 +90,51 @@ class _Hub:
         self._token.undeclare()
 
 
-async def test_the_reply_to_an_e_stop_waits_for_no_window() -> None:
+def _router() -> tuple[int, zenoh.Config]:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         port = one.getsockname()[1]
-    router = configuration("router", listen=[f"tcp/127.0.0.1:{port}"])
+    return port, configuration("router", listen=[f"tcp/127.0.0.1:{port}"], silence=60.0)
+
+
+async def test_no_stop_of_many_at_once_is_dropped_while_the_link_is_held_up() -> None:
+    loop, arrived = asyncio.get_running_loop(), list[str]()
+    port, router = _router()
+    async with opened(router, patient=False) as far, Cable(port).laid() as cable:
+        joining = configuration("client", connect=[f"tcp/127.0.0.1:{cable.port}"], silence=60.0)
+        async with opened(joining, patient=False) as near:
+            subscriber = far.declare_subscriber(
+                "stop/*", on_loop(loop, lambda sample: arrived.append(str(sample.key_expr)))
+            )
+            filled = far.declare_subscriber("fill", on_loop(loop, lambda _: None))
+            filling = Lane(near, "fill", Priority.UPDATES)
+            stops = [Lane(near, f"stop/{number}", Priority.STOP) for number in range(_MANY)]
+            ready = Lane(near, "stop/ready", Priority.CONTROL)
+
+            async def known() -> bool:
+                ready.put(b"", b"")
+                return bool(arrived)
+
+            await eventually(known, "the subscriber is known")
+            cable.freeze()
+            for _ in range(_FILL):  # what does not fit is dropped
+                filling.put(bytes(_LONG), b"")
+            for stop in stops:
+                stop.put(b"x" * 200, b"")
+            cable.mend()
+
+            async def all_there() -> bool:
+                return {f"stop/{number}" for number in range(_MANY)} <= set(arrived)
+
+            await eventually(all_there, "every stop arrives")
+            subscriber.undeclare()
+            filled.undeclare()
+            for lane in (filling, ready, *stops):
+                lane.close()
+
+
+async def test_the_reply_to_an_e_stop_waits_for_no_window() -> None:
+    port, router = _router()
     text = _GATEWAY.format(port=port, key=OPERATOR)
     async with (
         opened(router, patient=False) as session,

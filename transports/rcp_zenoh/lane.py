@@ -127,7 +127,8 @@ class Lane:
                 self._key,
                 congestion_control=zenoh.CongestionControl.DROP,  # never blocks the event loop
                 priority=_ZENOH[self._priority],
-                express=self._priority is Priority.STOP,
+                # Not even stops are `express`: each would take a batch of its own, and those to a
+                # hundred robots more batches than a queue has, so that the rest were dropped.
             )
         self._publisher.put(data, attachment=attachment)
 
