@@ -72,7 +72,7 @@ class Robots(Protocol):
     def follow_state(self, changed: Callable[[], None]) -> None:
         """Report when the state of a robot may have changed.
 
-        That is its availability, an e-stop, or what its backend says of it.
+        That is its availability, an e-stop, a hold, or what its backend says of it.
         """
         ...
 
