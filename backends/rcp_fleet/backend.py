@@ -28,7 +28,7 @@ from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.tls import check_links
 
-__all__ = ["FleetBackend", "open_fleet"]
+__all__ = ["FleetBackend", "open_gateways"]
 
 
 class FleetBackend(BaseBackend):
@@ -161,7 +161,7 @@ class FleetBackend(BaseBackend):
 
 
 @asynccontextmanager
-async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
+async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
     """Serve the gateways that a router knows, and be that router if `listen` says so."""
     if not config.listen and not config.connect:
         raise ConfigError(
