@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rcp_fleet.config import FleetConfig
+from rcp_fleet.config import FleetConfig, check_hub
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 
@@ -16,4 +16,5 @@ def rcp_backends() -> Iterable[BackendKind]:
     """Offer the fleet."""
     from rcp_fleet.backend import open_fleet  # the engine is an extra
 
-    return [BackendKind("fleet", FleetConfig, open_fleet, __doc__ or "", needs=("zenoh",))]
+    needs = ("zenoh",)
+    return [BackendKind("fleet", FleetConfig, open_fleet, __doc__ or "", needs, check_hub)]
