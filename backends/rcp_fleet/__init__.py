@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
-from rcp_fleet.config import FleetConfig
+from rcp_fleet.config import FleetConfig, check_hub
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import Backend, BackendKind, Host
 
@@ -28,4 +28,4 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[Backend]
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer the fleet."""
     text = "Gateways of robots that dial in over Zenoh, as one tree."
-    return [BackendKind("fleet", FleetConfig, open_fleet, text, needs=("zenoh",))]
+    return [BackendKind("fleet", FleetConfig, open_fleet, text, ("zenoh",), check_hub)]

@@ -12,9 +12,10 @@ from typing import Any
 from rcp_kernel.api import GatewayConfig
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.client_kinds import TransportKind
+from rcp_kernel.errors import ConfigError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_zenoh.config import ZenohConfig
-from rcp_zenoh.tls import check_links
+from rcp_zenoh.tls import check_links, check_name
 
 __all__ = ["ZenohConfig", "open_zenoh", "rcp_transports"]
 
@@ -29,7 +30,11 @@ async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerat
 
 
 def _check(config: ZenohConfig, _gateway: GatewayConfig) -> None:
-    check_links(config.connect, config.tls, "[transports.zenoh]")
+    try:
+        check_links(config.connect, config.tls)
+        check_name(config.gateway, config.tls)
+    except ConfigError as error:
+        raise ConfigError(f"[transports.zenoh]: {error}") from None
 
 
 @hookimpl
