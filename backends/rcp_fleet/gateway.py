@@ -9,12 +9,12 @@ from typing import Any
 
 import msgspec
 import structlog
-import zenoh
 
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
+from rcp_fleet.link import FleetLinks
 from rcp_fleet.resources import facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.stops import RobotStop
@@ -50,7 +50,7 @@ class RemoteGateway:
     def __init__(
         self,
         config: FleetConfig,
-        session: zenoh.Session,
+        links: FleetLinks,
         host: Host,
         types: RobotTypes,
         signer: HubSigner | None,
@@ -66,7 +66,7 @@ class RemoteGateway:
         self._paths: dict[str, str] = {}
         self._numbers = RobotNumbers()
         self._streams: dict[tuple[str, float | None], _Stream] = {}
-        self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
+        self._sessions = GatewaySessions(config, links, host.tenant, name, signer)
         self._client = self._sessions.own
         self.stops = RobotStop(self._client, config.hub)
         self._client.channel.listeners.append(self._heard)
