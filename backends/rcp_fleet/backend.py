@@ -178,13 +178,16 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
     check_links((*config.listen, *config.connect), config.tls, "the fleet")
-    if (config.robots or config.hubs) and (config.tls is None or not config.listen):
+    if (config.robots or config.hubs or config.routers) and (
+        config.tls is None or not config.listen
+    ):
         raise ConfigError(
-            "the fleet: `robots` and `hubs` are the rules of a router with `listen` and `tls`"
+            "the fleet: `robots`, `hubs` and `routers` are the rules of a router with `listen` and "
+            "`tls`"
         )
     access = None
     if config.tls is not None and config.listen:
-        access = access_rules(host.tenant, config.robots, config.hubs)
+        access = access_rules(host.tenant, config.robots, config.hubs, config.routers)
     zenoh_config = configuration(
         mode,
         listen=config.listen,

@@ -28,6 +28,8 @@ class FleetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Ids of the gateways that its router serves, which are the names in their certificates."""
     hubs: tuple[Chunk, ...] = ()
     """Ids of other hubs that it serves."""
+    routers: tuple[Chunk, ...] = ()
+    """Ids of other hubs whose routers are linked with its own: they speak for their robots."""
     key: str | None = None
     """File of its Ed25519 private key in PEM, with which it asserts persons to the gateways."""
     revoked: str | None = None

@@ -5,15 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
 
 pytest.importorskip("zenoh")
 
 from backends.fleet.cart import Cart
 from backends.fleet.rig import appears, catalogue, free_port, process_of, serving
+from certs import Authority, Signed
 from configuration import backend, configuration, key, listener, table
 from hubkeys import HubKey
 from plugins.client.heard import Heard
@@ -31,8 +34,9 @@ _COUNT, _GO = "/tenant/alpha/sensor/r7/count", "/tenant/alpha/action/r7/go"
 class Pair:
     """Two hubs, each with a router that is linked with the other's, and what robots need of them."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, tls: bool = False) -> None:
         self._folder = folder
+        self._authority = Authority(folder) if tls else None
         self.ports = {"h1": free_port(), "h2": free_port()}
         self.web = {"h1": free_port(), "h2": free_port()}
         self._keys = {hub: HubKey(hub) for hub in self.ports}
@@ -46,17 +50,32 @@ class Pair:
         """Where persons find the hubs, if these listen."""
         return ",".join(f"http://127.0.0.1:{port}" for port in self.web.values())
 
+    def _ends(self, *hubs: str) -> list[str]:
+        scheme = "tcp" if self._authority is None else "tls"
+        return [f"{scheme}/127.0.0.1:{self.ports[hub]}" for hub in hubs]
+
+    def _files(self, signed: Signed) -> dict[str, Any]:
+        assert self._authority is not None
+        signed.key.chmod(0o600)
+        return {"ca": self._authority.file, "certificate": signed.cert, "key": signed.key}
+
     def hub(self, name: str, *, listens: bool = False, store: bool = False) -> str:
         """Return the configuration of one of the hubs."""
         (other,) = self.ports.keys() - {name}
+        secured: dict[str, Any] = {}
+        if self._authority is not None:
+            loopback = x509.IPAddress(ip_address("127.0.0.1"))
+            signed = self._authority.sign(name, sans=(loopback,), file=f"{name}-link")
+            secured = {"robots": ["r1", "r2", "r7"], "routers": [other], "tls": self._files(signed)}
         fleet = backend(
             "fleet",
             use="fleet",
             hub=name,
-            listen=[f"tcp/127.0.0.1:{self.ports[name]}"],
-            connect=[f"tcp/127.0.0.1:{self.ports[other]}"],
+            listen=self._ends(name),
+            connect=self._ends(other),
             key=str(self._folder / f"{name}.key"),
             silence=1.0,
+            **secured,
         )
         kept = table("store", path=str(self._folder / f"{name}.db")) if store else ""
         head = listener(self.web[name]) if listens else configuration()
@@ -64,8 +83,11 @@ class Pair:
 
     def robot(self, name: str = "r7", *hubs: str) -> str:
         """Return the configuration of a robot that dials some of the hubs, or both."""
-        ends = [f"tcp/127.0.0.1:{self.ports[hub]}" for hub in hubs or self.ports]
-        zenoh = table("transports.zenoh", gateway=name, tenant="alpha", connect=ends, silence=1.0)
+        ends = self._ends(*(hubs or self.ports))
+        link: dict[str, Any] = {"gateway": name, "tenant": "alpha", "connect": ends}
+        if self._authority is not None:
+            link["tls"] = self._files(self._authority.sign(name))
+        zenoh = table("transports.zenoh", silence=1.0, **link)
         tables = [
             made.table('["operator", "admin"]', 'people = "staff"') for made in self._keys.values()
         ]
@@ -100,8 +122,11 @@ async def _opened(
     return person
 
 
-async def test_both_hubs_show_all_robots_whichever_of_them_these_dial(tmp_path: Path) -> None:
-    pair = Pair(tmp_path)
+@pytest.mark.parametrize("tls", [False, True])
+async def test_both_hubs_show_all_robots_whichever_of_them_these_dial(
+    tmp_path: Path, *, tls: bool
+) -> None:
+    pair = Pair(tmp_path, tls=tls)
     async with AsyncExitStack() as stack:
         hubs = [await stack.enter_async_context(serving(pair.hub(hub))) for hub in pair.ports]
         carts = [
