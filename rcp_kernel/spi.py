@@ -501,3 +501,6 @@ class BackendKind(msgspec.Struct, frozen=True):
     needs: tuple[str, ...] = ()
     """Modules of an extra that it cannot be opened without; where one is not installed, the
     gateway says which extra to install and goes on without it."""
+    check: Callable[[Any], None] | None = None
+    """Raise `ConfigError` for what the type of the table cannot refuse, such as a file that is not
+    there; asked by `rcpd check` too, so it opens nothing."""

@@ -20,7 +20,6 @@ from rcp_hubs.signer import HubSigner, read_private_key
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.errors import (
     AdapterUnavailable,
-    ConfigError,
     DeviceTimeout,
     RcpError,
     UnsupportedOperation,
@@ -28,9 +27,8 @@ from rcp_kernel.errors import (
 from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
-from rcp_zenoh.tls import check_links
 
-__all__ = ["FleetBackend", "open_fleet"]
+__all__ = ["FleetBackend", "open_gateways"]
 
 log = structlog.get_logger("rcp.fleet")
 
@@ -173,30 +171,16 @@ class FleetBackend(BaseBackend):
 
 
 @asynccontextmanager
-async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
+async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
     """Serve the gateways that a router knows, and be that router if `listen` says so."""
-    if not config.listen and not config.connect:
-        raise ConfigError(
-            "the fleet has no router: `listen` makes this hub one, `connect` names others"
-        )
-    if (config.key is None) == (config.token is None):
-        raise ConfigError(
-            "the fleet needs `key`, the file of this hub's private key, or `token` for a trial in "
-            "which everybody acts as the hub"
-        )
     signer = None
     if config.key is not None:
         signer = HubSigner(config.hub, read_private_key(config.key, "`key`"), SYSTEM_CLOCK)
     mode = "router" if config.listen else "client"
     loop = asyncio.get_running_loop()
-    check_links((*config.listen, *config.connect), config.tls, "the fleet")
-    if (config.robots or config.hubs) and (config.tls is None or not config.listen):
-        raise ConfigError(
-            "the fleet: `robots` and `hubs` are the rules of a router with `listen` and `tls`"
-        )
     access = None
     if config.tls is not None and config.listen:
-        access = access_rules(host.tenant, config.robots, config.hubs)
+        access = access_rules(host.tenant, config.robots, config.hubs, config.routers)
     zenoh_config = configuration(
         mode,
         listen=config.listen,

@@ -36,7 +36,11 @@ def _shared(*names: str, **facts: Any) -> Callable[[F], F]:
 def _common(function: F) -> F:
     """Add the options that may precede or follow the subcommand."""
     options = (
-        _shared("--url", metavar="URL", help="Gateway [RCP_URL; http://127.0.0.1:8080]."),
+        _shared(
+            "--url",
+            metavar="URL",
+            help="Gateway, or several with commas [RCP_URL; http://127.0.0.1:8080].",
+        ),
         _shared("--token", metavar="TEXT", help="API key or JWT [RCP_TOKEN; rcpd demo's]."),
         _shared("--tenant", metavar="NAME", help="Tenant for relative paths [RCP_TENANT]."),
         _shared(

@@ -40,7 +40,7 @@ async def fleet(client: Client, out: Output, _: dict[str, Any]) -> int:
 async def _nothing(client: Client, out: Output) -> int:
     """Say why there is nothing to show."""
     backends = (await client.status()).get("backends") or []
-    if any(one.get("plugin") == "fleet" for one in backends):
+    if any(one.get("gateways") for one in backends):
         out.aside("No robot that you may see has dialled in yet.")
         return 0
     out.aside("rcpctl: this gateway is not the hub of a fleet. Pass the hub's address with --url.")
