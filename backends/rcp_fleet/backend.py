@@ -24,7 +24,7 @@ from rcp_kernel.errors import (
     RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotLink, caller
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
 
@@ -126,6 +126,11 @@ class FleetBackend(BaseBackend):
         if gateway is None:
             raise AdapterUnavailable(f"the gateway of '{robot}' has not been seen")
         return gateway
+
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report what the links with the gateway of a robot have carried."""
+        gateway = self.gateways.get(robot)
+        return None if gateway is None else gateway.link.carried()
 
     def motion(self, robot: str | None) -> MotionState | None:
         """Report what the gateways say of their stops."""

@@ -10,7 +10,7 @@ from typing import Any
 from rcp_fleet.messages import GatewayLink, LinkState
 from rcp_kernel.clock import iso, now
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.spi import Host
+from rcp_kernel.spi import Host, RobotLink
 from rcp_zenoh.statistics import LinkStatistics
 
 __all__ = ["LinkStatus"]
@@ -96,6 +96,17 @@ class LinkStatus:
             lost=row["lost"],
             last_seen=None if heard is None else self._time(heard),
             last_end=row.get("last_end"),
+        )
+
+    def carried(self) -> RobotLink:
+        """Return what metrics tell of it."""
+        self._statistics.count()
+        row = self._statistics.row
+        return RobotLink(
+            latency=None if self._state == "down" else row.get("latency"),
+            sent=row["sent"],
+            received=row["received"],
+            lost=row["lost"],
         )
 
     def _time(self, moment: float) -> str:

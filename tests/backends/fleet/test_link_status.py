@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 from structlog.testing import capture_logs
 
 pytest.importorskip("zenoh")
@@ -18,12 +19,22 @@ from plugins.client.rcpctl import BIN, BOUND
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import OPERATOR, Client, ScriptedRobot, eventually, scripted
+from rcp_kernel.testing import (
+    OPERATOR,
+    Client,
+    MemoryClient,
+    ScriptedRobot,
+    Served,
+    eventually,
+    scripted,
+)
 from rcp_zenoh.session import configuration, opened
 from serving import serving as process
+from steps import finished
 
 pytestmark = pytest.mark.anyio
 _LINK, _POSE = "/tenant/alpha/sensor/r7/link", "/tenant/alpha/sensor/r7/pose"
+_WAYS = "sent", "received"
 _LONG = 60.0  # s, on any machine
 
 
@@ -155,6 +166,43 @@ async def test_a_gateway_of_another_major_version_is_down_with_one_sentence(
             await appears(client, _POSE)
             await comes(client, state="ready", protocol="1")
         await client.close()
+
+
+async def test_metrics_tell_of_each_robots_link() -> None:
+    port = free_port()
+    async with serving(hub_at(port)) as hub:
+        client = hub.client(OPERATOR)
+        async with serving(robot_at(port, gateway="r7")), serving(robot_at(port, gateway="r8")):
+            for robot in ("r7", "r8"):
+                await appears(client, f"/tenant/alpha/sensor/{robot}/pose")
+
+            async def measured() -> bool:
+                return len(samples(hub, client, "latency_seconds")) == 2
+
+            await eventually(measured, "a heartbeat of each has been answered", _LONG)
+            sent, received = (samples(hub, client, f"{one}_bytes_total") for one in _WAYS)
+            found = await link(client)
+            assert 0 < sent["r7"] <= found["sent"]
+            assert 0 < received["r7"] <= found["received"]
+            assert samples(hub, client, "lost_total", "rcp_robot_links") == {"r7": 0, "r8": 0}
+        await comes(client, state="down")
+        assert "r7" not in samples(hub, client, "latency_seconds")
+        assert samples(hub, client, "sent_bytes_total")["r7"] >= sent["r7"]
+        await client.close()
+
+
+def samples(
+    hub: Served, client: MemoryClient, name: str, prefix: str = "rcp_robot_link"
+) -> dict[str, float]:
+    """Return the values of a metric at a scrape, by robot."""
+    text = finished(hub.server.client_api.metrics(client.connection.session)).decode()
+    return {
+        one.labels["robot"]: one.value
+        for family in text_string_to_metric_families(text)
+        for one in family.samples
+        if one.name == f"{prefix}_{name}"
+        and (one.labels["backend"], one.labels["tenant"]) == ("fleet", "alpha")
+    }
 
 
 async def test_a_link_is_no_robot() -> None:
