@@ -95,7 +95,13 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
             backends.append(None)
             continue
         where = f"{source}: backend '{backend.name}' ({backend.use}): "
-        backends.append(decode_table(backend.options, kind.config, where))
+        table = decode_table(backend.options, kind.config, where)
+        if kind.check is not None:
+            try:
+                kind.check(table)
+            except ConfigError as error:
+                raise ConfigError(f"{where}{error}") from None
+        backends.append(table)
     transports = _tables(config.transports, plugins.transports, f"{source}: [transports.")
     for name, table in transports.items():
         if (check := plugins.transports[name].check) is not None:
