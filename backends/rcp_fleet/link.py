@@ -49,7 +49,7 @@ class FleetLink(Carrier):
         """Messages for which the window has no room yet."""
         self._pipe = Pipe(session, keys.up, silence, self, Allowance(), self._note)
         self._token = session.liveliness().declare_token(keys.token)
-        statistics.opened()
+        statistics.opened(self._pipe)
 
     @property
     def closed(self) -> bool:

@@ -45,7 +45,8 @@ class GatewaySessions:
         self._tenant, self._gateway = tenant, gateway
         self._alive = asyncio.Event()
         self._links: set[FleetLink] = set()
-        self._statistics = LinkStatistics({"gateway": gateway})
+        self.statistics = LinkStatistics({})
+        """Of all links with the gateway."""
         self._persons: dict[tuple[str, str, tuple[str, ...]], _PersonSession] = {}
         self.own = self._client(
             config.token
@@ -98,7 +99,7 @@ class GatewaySessions:
             self._links.discard(link)  # pyright: ignore[reportArgumentType] - made below
             lost(link)
 
-        link = self._fleet.open(self._gateway, self._statistics, is_feed, codec, received, ended)
+        link = self._fleet.open(self._gateway, self.statistics, is_feed, codec, received, ended)
         self._links.add(link)
         return link
 
