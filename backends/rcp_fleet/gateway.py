@@ -68,7 +68,7 @@ class RemoteGateway:
         self._streams: dict[tuple[str, float | None], _Stream] = {}
         self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
         self._client = self._sessions.own
-        self.stops = RobotStop(self._client, config.hub)
+        self.stops = RobotStop(self._client, config.hub, host, name)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
