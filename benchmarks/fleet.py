@@ -219,6 +219,30 @@ class Hub:
                 return
             body["cursor"] = reply["body"]["cursor"]
 
+    async def links(self) -> None:
+        """List the links as `rcpctl fleet` does."""
+        begun, spent = time.perf_counter(), cpu()
+        rows: list[dict] = []
+        for type_, body in (("discover", {"limit": 1000, "schemas": False}), ("read", {})):
+            reply = await self.sink.request(type_, "/tenant/*/sensor/**/link", body=body, within=60)
+            rows = reply["body"]
+        took = round(time.perf_counter() - begun, 3)
+        say(links=len(rows), seconds=took, cpu=round(cpu() - spent, 3))
+
+    async def metrics(self) -> None:
+        """Write `/metrics`, in its steps."""
+        steps, spent = self.served.server.client_api.metrics(self.sink.connection.session), cpu()
+        longest, text = 0.0, None
+        while text is None:
+            begun = time.perf_counter()
+            try:
+                next(steps)
+            except StopIteration as end:
+                text = end.value
+            longest = max(longest, time.perf_counter() - begun)
+        series = sum(not line.startswith(b"#") for line in text.splitlines())
+        say(series=series, cpu=round(cpu() - spent, 3), longest_step_ms=round(longest * 1e3, 2))
+
     async def subscribe(self, gateways: list[str]) -> None:
         """Subscribe to poses, and wait for one of each."""
         paths = [f"/tenant/t/sensor/{one}/pose" for one in gateways]
@@ -294,6 +318,10 @@ async def serve_hub(port: str, count: str) -> None:
             match command:
                 case ["discover"]:
                     await hub.discover()
+                case ["links"]:
+                    await hub.links()
+                case ["metrics"]:
+                    await hub.metrics()
                 case ["subscribe", *names]:
                     await hub.subscribe(names)
                     say(subscribed=len(names))
@@ -399,6 +427,8 @@ def main(robots: int, processes: int) -> None:
     report("a client discovers all", hub.ask("discover"))
     report("  CPU s", spending.look())
     report("kB of the hub a robot", hub.ask("memory"))
+    report("links are listed", hub.ask("links"))
+    report("metrics are written", hub.ask("metrics"))
     near = min(NEAR, robots) // processes
     names = [f"r{p * share + i}" for p in range(processes) for i in range(near)]
     for child in fleet:

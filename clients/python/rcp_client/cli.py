@@ -325,6 +325,19 @@ def robots(ctx: click.Context, **arguments: Any) -> int:
     return _run(ctx, "robots", **arguments)
 
 
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.pass_context
+def fleet(ctx: click.Context, **arguments: Any) -> int:
+    """List the robots of a hub with their gateways and links, those with a problem first.
+
+    GATEWAY and RCP are the versions that the robot's gateway runs and speaks, CLOCK is how far its
+    clock is ahead of the hub's, with the bound of the error, and LOST counts the links that ended
+    because messages were lost. --json has more, such as why a link ended.
+    """
+    return _run(ctx, "fleet", **arguments)
+
+
 @rcpctl.group(context_settings=_CONTEXT)
 @_common
 def lease() -> None:
