@@ -73,7 +73,7 @@ class RemoteGateway:
         self._sessions = GatewaySessions(config, links, host.tenant, name, signer)
         self._client = self._sessions.own
         self.link = LinkStatus(host, name, self._sessions.statistics)
-        self.stops = RobotStop(self._client, config.hub)
+        self.stops = RobotStop(self._client, config.hub, host, name)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
