@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from rcp_client.messages import ResourceInfo
@@ -23,14 +24,12 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
 
     The robot's own serialized bytes do not cross the link, so that `native` is left out.
     """
-    operations = Operation.NONE
-    for name in info.operations if info.offers is None else info.offers:
-        operations |= Operation[name.upper()]
+    offered = info.operations if info.offers is None else info.offers
     return Resource(
         name=name_of(info.path, gateway),
         description=info.description,
         robot=gateway,
-        operations=operations & ~Operation.DISCOVER,
+        operations=_operations(tuple(offered)),
         examples=tuple(info.examples),
         deadline=info.deadline,
         timeout=info.timeout,
@@ -45,6 +44,15 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
         profiles=tuple(info.profiles),
         **{name: type_of(id_) for name, id_ in info.schema_ids.items()},
     )
+
+
+@lru_cache
+def _operations(names: tuple[str, ...]) -> Operation:
+    """Return what a resource offers here, where discovery is the hub's own."""
+    operations = Operation.NONE
+    for name in names:
+        operations |= Operation[name.upper()]
+    return operations & ~Operation.DISCOVER
 
 
 def facts_of(robots: list[dict[str, Any]]) -> RobotFacts:
