@@ -15,7 +15,7 @@ from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
-from rcp_fleet.resources import facts_of, name_of, resource_of
+from rcp_fleet.resources import CONFIGURATION, facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -126,7 +126,8 @@ class RemoteGateway:
     async def _discover(self) -> list[ResourceInfo]:
         while True:
             try:
-                return await self._types.discover(self._client, "/tenant/**")
+                found = await self._types.discover(self._client, "/tenant/**")
+                return found + await self._types.discover(self._client, CONFIGURATION)
             except RcpError as error:
                 log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
             await asyncio.sleep(_LONGEST_PAUSE)
