@@ -31,6 +31,8 @@ class TransportKind(msgspec.Struct, frozen=True):
     together; asked by `rcpd check` too, so it opens nothing."""
     listens: bool = False
     """Opened after all others, because it begins to accept clients."""
+    needs: tuple[str, ...] = ()
+    """As of `BackendKind`."""
 
 
 class AdapterKind(msgspec.Struct, frozen=True):

@@ -39,6 +39,7 @@ __all__ = [
     "Progress",
     "Publication",
     "RobotFacts",
+    "RobotLink",
     "StopPlan",
     "Watchdog",
     "caller",
@@ -99,6 +100,18 @@ class MotionState(msgspec.Struct, frozen=True):
     """Why it is not at rest, or what is unknown: `moves at 0.8 m/s`, `no feedback for 1.2 s`."""
     energised: bool | None = None
     """Whether it is armed or its motors hold torque; None: unknown."""
+
+
+class RobotLink(msgspec.Struct, frozen=True, kw_only=True):
+    """What the link with the gateway of a robot has carried since this backend was opened."""
+
+    latency: float | None
+    """Seconds of the last round trip; None: unknown, or the link is down."""
+    sent: int
+    """Bytes to the robot."""
+    received: int
+    lost: int
+    """Links that ended because messages were lost on the way."""
 
 
 class Watchdog(msgspec.Struct, frozen=True):
@@ -419,6 +432,14 @@ class Backend(Protocol):
         """List what stops the robots when the gateway falls silent, as verified on the device."""
         ...
 
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report what the link with a robot's own gateway carries, if it was ever there.
+
+        Asked only of a backend that `has_gateways`, for each robot at each scrape of `/metrics`: no
+        I/O.
+        """
+        ...
+
 
 class BaseBackend:
     """A backend that refuses everything: a subclass writes only what its robot has."""
@@ -475,6 +496,10 @@ class BaseBackend:
     def watchdogs(self) -> Sequence[Watchdog]:
         """List none."""
         return ()
+
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report none."""
+        return None
 
 
 def has_watch(backend: Backend) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import AsyncGenerator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
+import structlog
 import zenoh
 
 from rcp_fleet.access import access_rules
@@ -20,13 +21,16 @@ from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceTimeout,
+    RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotLink, caller
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, on_loop, opened
 
-__all__ = ["FleetBackend", "open_fleet"]
+__all__ = ["FleetBackend", "open_gateways"]
+
+log = structlog.get_logger("rcp.fleet")
 
 
 class FleetBackend(BaseBackend):
@@ -55,19 +59,24 @@ class FleetBackend(BaseBackend):
             self._revocations.hasten()
         known = self.gateways.get(name)
         if known is None and here:
-            known = self.gateways[name] = RemoteGateway(
-                self._config,
-                self._session,
-                self._host,
-                self._types,
-                self._signer,
-                name,
-            )
+            known = self._add(name)
         if known is not None:
             known.alive(here=here)
 
+    def _add(self, name: str) -> RemoteGateway | None:
+        """Begin a session with a gateway, unless it has a name that no robot can have here."""
+        try:
+            gateway = RemoteGateway(
+                self._config, self._session, self._host, self._types, self._signer, name
+            )
+        except RcpError as error:
+            log.warning("fleet_gateway_ignored", gateway=name, reason=error.message)
+            return None
+        self.gateways[name] = gateway
+        return gateway
+
     def _of(self, name: str) -> RemoteGateway:
-        return self.gateways[name.split("/", 2)[1]]
+        return self._gateway(name.split("/", 2)[1])
 
     async def read(self, name: str) -> Any:
         """Read at the robot's gateway."""
@@ -106,14 +115,22 @@ class FleetBackend(BaseBackend):
         await self._stops(robot).stop()
 
     def _stops(self, robot: str) -> RobotStop:
-        """Return the stop of a robot.
+        return self._gateway(robot).stops
 
-        :raises AdapterUnavailable: its gateway has not been seen since the hub began.
+    def _gateway(self, robot: str) -> RemoteGateway:
+        """Return the gateway of a robot.
+
+        :raises AdapterUnavailable: it has not been seen since the hub began.
         """
         gateway = self.gateways.get(robot)
         if gateway is None:
             raise AdapterUnavailable(f"the gateway of '{robot}' has not been seen")
-        return gateway.stops
+        return gateway
+
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report what the links with the gateway of a robot have carried."""
+        gateway = self.gateways.get(robot)
+        return None if gateway is None else gateway.link.carried()
 
     def motion(self, robot: str | None) -> MotionState | None:
         """Report what the gateways say of their stops."""
@@ -159,7 +176,7 @@ class FleetBackend(BaseBackend):
 
 
 @asynccontextmanager
-async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
+async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBackend]:
     """Serve the gateways that a router knows, and be that router if `listen` says so."""
     signer = None
     if config.key is not None:
@@ -168,7 +185,7 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[FleetBac
     loop = asyncio.get_running_loop()
     access = None
     if config.tls is not None and config.listen:
-        access = access_rules(host.tenant, config.robots, config.hubs)
+        access = access_rules(host.tenant, config.robots, config.hubs, config.routers)
     zenoh_config = configuration(
         mode,
         listen=config.listen,

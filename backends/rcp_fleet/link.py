@@ -51,7 +51,7 @@ class FleetLink(Carrier):
         self._messages = session.declare_subscriber(keys.down, on_loop(loop, self._take))
         self._pipe = Pipe(session, keys.up, silence, self, Allowance(), self._note)
         self._token = session.liveliness().declare_token(keys.token)
-        statistics.opened()
+        statistics.opened(self._pipe)
 
     @property
     def closed(self) -> bool:

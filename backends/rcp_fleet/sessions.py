@@ -46,7 +46,8 @@ class GatewaySessions:
         self._tenant, self._gateway = tenant, gateway
         self._alive = asyncio.Event()
         self._links: set[FleetLink] = set()
-        self._statistics = LinkStatistics({"gateway": gateway})
+        self.statistics = LinkStatistics({})
+        """Of all links with the gateway."""
         self._persons: dict[tuple[str, str, tuple[str, ...]], _PersonSession] = {}
         self.own = self._client(
             config.token
@@ -102,7 +103,7 @@ class GatewaySessions:
         place = (self._tenant, self._gateway, self._config.hub)
         silence = self._config.silence
         link = FleetLink(
-            self._session, place, silence, self._statistics, is_feed, codec, received, ended
+            self._session, place, silence, self.statistics, is_feed, codec, received, ended
         )
         self._links.add(link)
         return link

@@ -40,7 +40,7 @@ GROUPS = {
 }
 _OWN = "rcp-gateway"
 """The distribution of the built-in features."""
-_KINDS = ("rcp_backends", "rcp_adapters", "rcp_features")
+_KINDS = ("rcp_backends", "rcp_transports", "rcp_adapters", "rcp_features")
 """Hooks whose records may need libraries of an extra."""
 
 
@@ -87,7 +87,7 @@ def published_profiles() -> dict[str, Profile]:
     return found
 
 
-def _lacking(kind: BackendKind | AdapterKind | FeatureKind) -> str | None:
+def _lacking(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> str | None:
     """Return the first required module that is not installed; None if all are."""
     return next((name for name in kind.needs if find_spec(name) is None), None)
 
@@ -142,10 +142,13 @@ class Plugins:
         _collect(self.adapters, self._offers("rcp_adapters"), "adapter")
         _collect(self.features, self._offers("rcp_features"), "feature")
         self._check_needs("backends", self.backends)
-        for name in self._check_needs("plugins", self.adapters):
-            del self.adapters[name]
-        for name in self._check_needs("features", self.features):
-            del self.features[name]
+        for group, kinds in (
+            ("transports", self.transports),
+            ("plugins", self.adapters),
+            ("features", self.features),
+        ):
+            for name in self._check_needs(group, kinds):
+                del kinds[name]
         self._check_features()
 
     def _load_features(self, config: GatewayConfig) -> None:
@@ -214,7 +217,7 @@ class Plugins:
     def _check_needs(
         self,
         group: str,
-        kinds: Mapping[str, BackendKind] | Mapping[str, AdapterKind] | Mapping[str, FeatureKind],
+        kinds: Mapping[str, BackendKind | TransportKind | AdapterKind | FeatureKind],
     ) -> list[str]:
         """Note the kinds that lack a library, and return their names."""
         points, found = installed(group), list[str]()

@@ -523,6 +523,7 @@ class BackendSupervisor:
             "plugin": self.config.use,
             "tenant": self.tenant,
             "robot": self.robot,
+            "gateways": self.has_gateways,
             "state": self.availability,
             "since": iso(self.since),
             "detail": self.detail,

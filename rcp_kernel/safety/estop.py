@@ -24,7 +24,7 @@ from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.safety.stop import Stop, StopController
+from rcp_kernel.safety.stop import Stop, StopController, merged
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Owner, StopGroup
@@ -187,7 +187,7 @@ class Estop:
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
             latches.set(key, by, request.reason)
-        for robot in _merged(robots):
+        for robot in merged(robots):
             robot.count_stop()
         stops = self._stops.begin(robots)
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
@@ -230,7 +230,7 @@ class Estop:
             latches.reset(robot.name, robot.keys)
         for key, tenant in keys.items():
             latches.reset(key, () if tenant is None else (tenant_key(tenant),))
-        for robot in _merged(freed):
+        for robot in merged(freed):
             robot.release(self._now())
         self._stops.end(robot for robot in robots if robot.latch is None)
         return freed
@@ -428,18 +428,7 @@ class Estop:
         )
 
 
-def _merged(units: list[StopGroup]) -> list[StopGroup]:
-    """Halt a backend as a whole if all its robots are to stop."""
-    meant = set(units)
-    return list(
-        dict.fromkeys(
-            unit.whole if unit.whole in meant or meant.issuperset(unit.owner.units) else unit
-            for unit in units
-        )
-    )
-
-
 def _keys(units: list[StopGroup]) -> dict[str, str | None]:
     """Return the keys of the latches for robots, those of whole backends where they can be."""
-    names = {unit.name: unit.tenant for unit in _merged(units)}
+    names = {unit.name: unit.tenant for unit in merged(units)}
     return names | {unit.identity: unit.tenant for unit in units}

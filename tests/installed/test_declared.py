@@ -21,12 +21,14 @@ EXTRAS = {
     "rcp_a2a": ("a2a",),
     "rcp_can": ("can",),
     "rcp_dashboard": ("dashboard",),
+    "rcp_fleet": ("zenoh",),
     "rcp_guard": ("can", "ros2"),
     "rcp_mavlink": ("mavlink",),
     "rcp_mavlink_sim": ("mavlink",),
     "rcp_mcp": ("mcp", "dashboard"),  # pictures of raw images, where the dashboard's library is
     "rcp_mujoco": ("mujoco",),
     "rcp_ros2": ("ros2",),
+    "rcp_zenoh": ("zenoh",),
 }
 """The extras that bring what a package imports; any other has the dependencies alone."""
 BROUGHT = packages_distributions()

@@ -18,11 +18,18 @@ from installed.fresh import importable, said, venv, wheels
 
 pytestmark = pytest.mark.timeout(900)
 
-OF_EXTRAS = "a2a starlette mcp pymavlink fastcrc can canopen cantools simplejpeg mujoco numpy rclpy"
+OF_EXTRAS = (
+    "a2a starlette mcp pymavlink fastcrc can canopen cantools simplejpeg mujoco numpy rclpy zenoh"
+)
 
 ADAPTERS = """
 [transports.asgi]
 port = 0
+
+[transports.zenoh]
+tenant = "a"
+gateway = "r1"
+connect = ["tcp/127.0.0.1:7447"]
 
 [plugins.a2a]
 
@@ -43,8 +50,16 @@ links = ["sim:copter"]
 use = "mujoco"
 tenant = "c"
 model = "rover"
+
+[[backends]]
+use = "fleet"
+tenant = "d"
+hub = "h1"
+listen = ["tcp/127.0.0.1:7447"]
+token = "key of the robots"
 """
-WANTED = ["a2a", "mcp", "can", "mavlink", "mujoco"]
+OF_DEMO = {"a2a", "mcp", "can", "mavlink", "mujoco"}
+WANTED = OF_DEMO | {"fleet", "zenoh"}
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +86,7 @@ def test_it_brings_nothing_that_an_extra_is_for(programs: Path) -> None:
 
 def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Path) -> None:
     with demo(tmp_path, programs=programs) as running:
-        assert remedies(running.banner) == set(WANTED)
+        assert remedies(running.banner) == OF_DEMO
         assert urlopen(running.url + "/healthz").status == 200
         output = said(programs, "rcpctl", "--url", running.url, "read", "/tenant/alpha/sensor/pose")
         assert "position" in output
@@ -83,11 +98,11 @@ def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Pat
 def test_plugins_says_what_to_install(programs: Path) -> None:
     output = said(programs, "rcpd", "plugins")
     unavailable = {line for line in output.splitlines() if "unavailable" in line}
-    assert remedies("\n".join(unavailable)) == set(WANTED)
+    assert remedies("\n".join(unavailable)) == WANTED
 
 
 def test_check_says_what_to_install(programs: Path, wanting: str) -> None:
-    assert remedies(said(programs, "rcpd", "check", wanting, status=1)) == set(WANTED)
+    assert remedies(said(programs, "rcpd", "check", wanting, status=1)) == WANTED
 
 
 def test_mcp_on_stdio_says_what_to_install(programs: Path) -> None:
@@ -103,7 +118,7 @@ def test_serve_goes_on_without_and_says_what_to_install(programs: Path, wanting:
         finally:
             process.terminate()
             process.communicate(timeout=60)
-    assert remedies(status) == set(WANTED)
+    assert remedies(status) == WANTED
     body = msgspec.json.decode(status)["body"]
     assert {backend["state"] for backend in body["backends"]} == {"down"}
 

@@ -1,18 +1,32 @@
-"""The session API over Zenoh: a gateway that dials out to the routers of its fleet."""
+"""The session API over Zenoh: a gateway that dials out to the routers of its fleet.
+
+Importing this costs nothing; zenoh is imported when the transport is opened.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
+from typing import Any
 
 from rcp_kernel.api import GatewayConfig
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.client_kinds import TransportKind
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.tls import check_links, check_name
-from rcp_zenoh.transport import open_zenoh
 
 __all__ = ["ZenohConfig", "open_zenoh", "rcp_transports"]
+
+
+@asynccontextmanager
+async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
+    """Join the fleet while entered, also if its routers come later."""
+    from rcp_zenoh.transport import joined
+
+    async with joined(config, client_api) as facts:
+        yield facts
 
 
 def _check(config: ZenohConfig, _gateway: GatewayConfig) -> None:
@@ -26,4 +40,5 @@ def _check(config: ZenohConfig, _gateway: GatewayConfig) -> None:
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
     """Provide Zenoh."""
-    return [TransportKind("zenoh", ZenohConfig, open_zenoh, __doc__ or "", check=_check)]
+    text = "Joins a fleet: the gateway dials out to routers, over Zenoh."
+    return [TransportKind("zenoh", ZenohConfig, open_zenoh, text, check=_check, needs=("zenoh",))]

@@ -8,7 +8,7 @@ from collections import deque
 __all__ = ["DelayWindow"]
 
 _TARGET = 0.008  # s that parts may wait for each other on the way
-_MOST = 524_288  # bytes
+_MOST = 393_216  # bytes: 8 batches of Zenoh, each with three parts
 _DRIFT = 1.01  # the least delay may grow with the route
 
 

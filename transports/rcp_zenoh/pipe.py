@@ -71,6 +71,7 @@ class Pipe:
         "_silence",
         "_timer",
         "closed",
+        "heard",
         "lost",
         "on_beat",
         "reading",
@@ -99,6 +100,8 @@ class Pipe:
         self.closed = self.lost = False
         self._loop = asyncio.get_running_loop()
         self._heard = self._alone_since = self._loop.time()
+        self.heard: float | None = None
+        """When something was last received, by the clock of the event loop."""
         self._peer_idle = self._idle = False
         self._due = 0.0
         self._timer = self._schedule()
@@ -192,7 +195,7 @@ class Pipe:
             self.end("the other end sent something that is not a message")
             return None
         kind, place, number = _HEAD.unpack(raw)
-        self._heard = self._loop.time()
+        self._heard = self.heard = self._loop.time()
         priority = Priority(place)
         if kind in _DATA:
             return self._message(sample, kind, priority, number)

@@ -20,7 +20,7 @@ __all__ = ["configuration", "on_loop", "opened"]
 log = structlog.get_logger("rcp.zenoh")
 _PAUSE = 1.0  # s between two attempts to reach a router
 _SESSIONS, _PENDING = 20_000, 2_000  # of a router: robots, and those that come at once
-_QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 4}
+_QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 16}
 """Batches of 64 KiB by priority: twice what the windows of a link let through."""
 
 

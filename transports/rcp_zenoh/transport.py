@@ -19,7 +19,7 @@ from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
 
-__all__ = ["open_zenoh"]
+__all__ = ["joined"]
 
 _REVOCATIONS: ServiceKey[Callable[[bytes], None]] = ServiceKey("hubs.revocations")
 """As of the feature `hubs`: takes the list of revoked hubs."""
@@ -75,7 +75,7 @@ class _Links:
 
 
 @asynccontextmanager
-async def open_zenoh(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
+async def joined(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Join the fleet while entered, also if its routers come later."""
     statistics = Statistics()
     facts: dict[str, Any] = {

@@ -54,7 +54,9 @@ async def bed(
     profile: str, *, bus: dict[str, Any] | None = None, **keys: Any
 ) -> AsyncGenerator[Bed]:
     name = channel()
-    table = {"bus": "can0", "profile": profile, **with_keys(profile, keys)}
+    # A busy machine holds up the twin's thread for longer than a drive would be silent.
+    patient = {"feedback_timeout": 5.0}
+    table = {"bus": "can0", "profile": profile, **with_keys(profile, patient | keys)}
     fd = profile == "moteus"
     protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
     line = can.Bus(name, "virtual", protocol=protocol, ignore_config=True)
