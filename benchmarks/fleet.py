@@ -136,11 +136,14 @@ async def serve_robots(port: str, first: str, count: str) -> None:
     from rcp_kernel.app import plugins
     from rcp_kernel.config.file import parse
     from rcp_kernel.testing import scripted, serve
+    from rcpd.garbage import collected_at_rest
 
     # Each gateway would read the metadata of all packages five times.
     plugins.entry_points = functools.cache(plugins.entry_points)
     robots = Robots()
     async with AsyncExitStack() as stack:
+        # As `rcpd serve` does: with so many robots in a process, a full collection takes a second.
+        stack.enter_context(collected_at_rest(asyncio.get_running_loop(), lambda: True))
         for number in range(int(first), int(first) + int(count)):
             text = (
                 f'{OFF}[transports.zenoh]\ngateway = "r{number}"\ntenant = "t"\n'
@@ -160,9 +163,9 @@ async def serve_robots(port: str, first: str, count: str) -> None:
 # -- the hub -------------------------------------------------------------------------------------
 
 
-def cpu() -> float:
-    """CPU seconds of this process, all threads."""
-    times = psutil.Process().cpu_times()
+def cpu(process: int | None = None) -> float:
+    """CPU seconds of a process, or of this one, all threads."""
+    times = psutil.Process(process).cpu_times()
     return times.user + times.system
 
 
@@ -219,6 +222,30 @@ class Hub:
                 return
             body["cursor"] = reply["body"]["cursor"]
 
+    async def links(self) -> None:
+        """List the links as `rcpctl fleet` does."""
+        begun, spent = time.perf_counter(), cpu()
+        rows: list[dict] = []
+        for type_, body in (("discover", {"limit": 1000, "schemas": False}), ("read", {})):
+            reply = await self.sink.request(type_, "/tenant/*/sensor/**/link", body=body, within=60)
+            rows = reply["body"]
+        took = round(time.perf_counter() - begun, 3)
+        say(links=len(rows), seconds=took, cpu=round(cpu() - spent, 3))
+
+    async def metrics(self) -> None:
+        """Write `/metrics`, in its steps."""
+        steps, spent = self.served.server.client_api.metrics(self.sink.connection.session), cpu()
+        longest, text = 0.0, None
+        while text is None:
+            begun = time.perf_counter()
+            try:
+                next(steps)
+            except StopIteration as end:
+                text = end.value
+            longest = max(longest, time.perf_counter() - begun)
+        series = sum(not line.startswith(b"#") for line in text.splitlines())
+        say(series=series, cpu=round(cpu() - spent, 3), longest_step_ms=round(longest * 1e3, 2))
+
     async def subscribe(self, gateways: list[str]) -> None:
         """Subscribe to poses, and wait for one of each."""
         paths = [f"/tenant/t/sensor/{one}/pose" for one in gateways]
@@ -261,6 +288,7 @@ async def serve_hub(port: str, count: str) -> None:
     from rcp_fleet import rcp_backends
     from rcp_kernel.config.file import parse
     from rcp_kernel.testing import serve
+    from rcpd.garbage import collected_at_rest
 
     robots = int(count)
     text = (
@@ -283,7 +311,11 @@ async def serve_hub(port: str, count: str) -> None:
             super().__init__(*arguments)
 
     backend.FleetBackend = Started
-    async with serve(parse(text, "bench"), *rcp_backends()) as served:
+    async with AsyncExitStack() as stack:
+        # As `rcpd serve` does.
+        stack.enter_context(collected_at_rest(asyncio.get_running_loop(), lambda: True))
+        enter = stack.enter_async_context
+        served = await enter(serve(parse(text, "bench"), *rcp_backends()))
         hub = Hub(served, robots)
         while (known := await hub.known()) < robots:  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0.02)
@@ -294,6 +326,10 @@ async def serve_hub(port: str, count: str) -> None:
             match command:
                 case ["discover"]:
                     await hub.discover()
+                case ["links"]:
+                    await hub.links()
+                case ["metrics"]:
+                    await hub.metrics()
                 case ["subscribe", *names]:
                     await hub.subscribe(names)
                     say(subscribed=len(names))
@@ -353,6 +389,28 @@ def report(what: str, facts: object) -> None:
     print(f"  {what:34} {facts}  (load {os.getloadavg()[0]:.1f})", flush=True)
 
 
+class Spending:
+    """CPU seconds of the processes since the last look: they share the machine."""
+
+    def __init__(self, router: Child, fleet: list[Child], hub: Child) -> None:
+        self._groups = {"hub": [hub], "router": [router], "robots": fleet}
+        self._last = self._total()
+        self._since = time.perf_counter()
+
+    def _total(self) -> dict[str, float]:
+        return {
+            name: sum(cpu(one.process.pid) for one in group) for name, group in self._groups.items()
+        }
+
+    def look(self) -> dict[str, float]:
+        """Return what was spent, and in what time."""
+        total, moment = self._total(), time.perf_counter()
+        spent = {name: round(total[name] - self._last[name], 2) for name in total}
+        spent["seconds"] = round(moment - self._since, 2)
+        self._last, self._since = total, moment
+        return spent
+
+
 def main(robots: int, processes: int) -> None:
     """Measure everything once."""
     quiet()
@@ -368,34 +426,49 @@ def main(robots: int, processes: int) -> None:
     report("robots are up after, s", round(time.perf_counter() - begun, 1))
     time.sleep(3)
     hub = Child("hub", port, robots)
+    spending = Spending(router, fleet, hub)
     report("the hub knows all", hub.line())
+    report("  CPU s", spending.look())
     report("kB of the hub a robot", hub.line())
     report("kB of the router a robot", round((own.memory_info().rss - before) / robots / 1000, 1))
+    spending.look()
     report("a client discovers all", hub.ask("discover"))
+    report("  CPU s", spending.look())
     report("kB of the hub a robot", hub.ask("memory"))
+    report("links are listed", hub.ask("links"))
+    report("metrics are written", hub.ask("metrics"))
     near = min(NEAR, robots) // processes
     names = [f"r{p * share + i}" for p in range(processes) for i in range(near)]
     for child in fleet:
         child.send(f"rate 10 {near}")
     report("subscribed", hub.ask(f"subscribe {' '.join(names)}"))
     time.sleep(2)
+    spending.look()
     report("100 robots, 10 Hz", hub.ask(f"flow {SECONDS}"))
+    report("  CPU s", spending.look())
     for child in fleet:
         child.send(f"rate 100 {near}")
     time.sleep(1)
+    spending.look()
     report("100 robots, 100 Hz", hub.ask(f"flow {SECONDS}"))
+    report("  CPU s", spending.look())
     hub.ask("unsubscribe")
     for child in fleet:
         child.send(f"rate 10 {share}")
     every = [f"r{i}" for i in range(share * processes)]
     report("subscribed", hub.ask(f"subscribe {' '.join(every)}"))
     time.sleep(3)
+    spending.look()
     report("all robots, 10 Hz", hub.ask(f"flow {SECONDS}"))
+    report("  CPU s", spending.look())
     report("kB of the hub a robot", hub.ask("memory"))
+    spending.look()
     stopped = hub.ask("stop")
+    spent = spending.look()
     halts = [child.ask("halts") for child in fleet]
     last = max(one["last"] for one in halts) - stopped["at"]
     report("e-stop", stopped)
+    report("  CPU s", spent)
     report("robots stopped, last after s", (sum(one["halts"] for one in halts), round(last, 2)))
     for child in (hub, *fleet, router):
         child.process.kill()

@@ -39,6 +39,7 @@ __all__ = [
     "Progress",
     "Publication",
     "RobotFacts",
+    "RobotLink",
     "StopPlan",
     "Watchdog",
     "caller",
@@ -99,6 +100,18 @@ class MotionState(msgspec.Struct, frozen=True):
     """Why it is not at rest, or what is unknown: `moves at 0.8 m/s`, `no feedback for 1.2 s`."""
     energised: bool | None = None
     """Whether it is armed or its motors hold torque; None: unknown."""
+
+
+class RobotLink(msgspec.Struct, frozen=True, kw_only=True):
+    """What the link with the gateway of a robot has carried since this backend was opened."""
+
+    latency: float | None
+    """Seconds of the last round trip; None: unknown, or the link is down."""
+    sent: int
+    """Bytes to the robot."""
+    received: int
+    lost: int
+    """Links that ended because messages were lost on the way."""
 
 
 class Watchdog(msgspec.Struct, frozen=True):
@@ -248,6 +261,16 @@ class Host(Protocol):
 
     def is_latched(self, robot: str | None = None) -> bool:
         """Tell whether an e-stop holds one of the backend's robots, or the backend as a whole."""
+        ...
+
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Report what a robot's own gateway says of its latched e-stop, as in `/system/estop`.
+
+        None: it is not latched. With `reset`, because somebody has reset it there: then this
+        gateway does not hold the robot any longer either. See `Backend.has_gateways`.
+        """
         ...
 
     def guard(self, name: str, plan: StopPlan | None) -> None:
@@ -419,6 +442,14 @@ class Backend(Protocol):
         """List what stops the robots when the gateway falls silent, as verified on the device."""
         ...
 
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report what the link with a robot's own gateway carries, if it was ever there.
+
+        Asked only of a backend that `has_gateways`, for each robot at each scrape of `/metrics`: no
+        I/O.
+        """
+        ...
+
 
 class BaseBackend:
     """A backend that refuses everything: a subclass writes only what its robot has."""
@@ -475,6 +506,10 @@ class BaseBackend:
     def watchdogs(self) -> Sequence[Watchdog]:
         """List none."""
         return ()
+
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report none."""
+        return None
 
 
 def has_watch(backend: Backend) -> bool:

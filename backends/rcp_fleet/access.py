@@ -17,12 +17,21 @@ _ALL = ["put", "delete", "declare_subscriber", "declare_queryable", "query", "re
 _LIVE = ["liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]
 
 
-def access_rules(tenant: str, robots: Iterable[str], hubs: Iterable[str]) -> dict[str, Any]:
-    """Return the access control of a router for the robots and the other hubs of a tenant."""
+def access_rules(
+    tenant: str, robots: Iterable[str], hubs: Iterable[str], routers: Iterable[str] = ()
+) -> dict[str, Any]:
+    """Return the access control of a router for the robots and the other hubs of a tenant.
+
+    `routers` are hubs whose own routers are linked with it: they speak for everybody there.
+    """
     rules: list[dict[str, Any]] = [_rule("out", [*_ALL, *_LIVE], ["**"], "egress")]
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
-    for kind, names, of in (("robot", robots, _of_robot), ("hub", hubs, _of_hub)):
+    for kind, names, of in (
+        ("robot", robots, _of_robot),
+        ("hub", hubs, _of_hub),
+        ("router", routers, _of_router),
+    ):
         for name in names:
             id_ = f"{kind} {name}"
             say, hear = of(tenant, name)
@@ -52,6 +61,11 @@ def _of_hub(tenant: str, name: str) -> tuple[list[str], list[str]]:
         [f"{every}/in/{name}/**", f"{every}/link/{name}/**", f"rcp/{tenant}/revoked"],
         [f"{every}/alive", f"{every}/out/{name}/**", f"{every}/data/**", f"{every}/link/{name}/**"],
     )
+
+
+def _of_router(tenant: str, _: str) -> tuple[list[str], list[str]]:
+    every = [f"rcp/{tenant}/**"]
+    return every, every
 
 
 def _rule(id_: str, messages: list[str], keys: list[str], flow: str = "ingress") -> dict[str, Any]:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import partial
 from typing import Any
 
+import structlog
 import zenoh
 
 from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
+from rcp_fleet.link import FleetLinks
 from rcp_fleet.revocations import Revocations
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -20,13 +23,17 @@ from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceTimeout,
+    RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, caller
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotLink, caller
+from rcp_zenoh.inbox import received
 from rcp_zenoh.keys import alive, part
-from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.session import configuration, opened
 
 __all__ = ["FleetBackend", "open_gateways"]
+
+log = structlog.get_logger("rcp.fleet")
 
 
 class FleetBackend(BaseBackend):
@@ -38,12 +45,12 @@ class FleetBackend(BaseBackend):
     def __init__(
         self,
         config: FleetConfig,
-        session: zenoh.Session,
+        links: FleetLinks,
         host: Host,
         signer: HubSigner | None,
         revocations: Revocations | None,
     ) -> None:
-        self._config, self._session, self._host = config, session, host
+        self._config, self._links, self._host = config, links, host
         self._signer, self._revocations = signer, revocations
         self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
@@ -55,19 +62,24 @@ class FleetBackend(BaseBackend):
             self._revocations.hasten()
         known = self.gateways.get(name)
         if known is None and here:
-            known = self.gateways[name] = RemoteGateway(
-                self._config,
-                self._session,
-                self._host,
-                self._types,
-                self._signer,
-                name,
-            )
+            known = self._add(name)
         if known is not None:
             known.alive(here=here)
 
+    def _add(self, name: str) -> RemoteGateway | None:
+        """Begin a session with a gateway, unless it has a name that no robot can have here."""
+        try:
+            gateway = RemoteGateway(
+                self._config, self._links, self._host, self._types, self._signer, name
+            )
+        except RcpError as error:
+            log.warning("fleet_gateway_ignored", gateway=name, reason=error.message)
+            return None
+        self.gateways[name] = gateway
+        return gateway
+
     def _of(self, name: str) -> RemoteGateway:
-        return self.gateways[name.split("/", 2)[1]]
+        return self._gateway(name.split("/", 2)[1])
 
     async def read(self, name: str) -> Any:
         """Read at the robot's gateway."""
@@ -106,14 +118,22 @@ class FleetBackend(BaseBackend):
         await self._stops(robot).stop()
 
     def _stops(self, robot: str) -> RobotStop:
-        """Return the stop of a robot.
+        return self._gateway(robot).stops
 
-        :raises AdapterUnavailable: its gateway has not been seen since the hub began.
+    def _gateway(self, robot: str) -> RemoteGateway:
+        """Return the gateway of a robot.
+
+        :raises AdapterUnavailable: it has not been seen since the hub began.
         """
         gateway = self.gateways.get(robot)
         if gateway is None:
             raise AdapterUnavailable(f"the gateway of '{robot}' has not been seen")
-        return gateway.stops
+        return gateway
+
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report what the links with the gateway of a robot have carried."""
+        gateway = self.gateways.get(robot)
+        return None if gateway is None else gateway.link.carried()
 
     def motion(self, robot: str | None) -> MotionState | None:
         """Report what the gateways say of their stops."""
@@ -168,7 +188,7 @@ async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[Fleet
     loop = asyncio.get_running_loop()
     access = None
     if config.tls is not None and config.listen:
-        access = access_rules(host.tenant, config.robots, config.hubs)
+        access = access_rules(host.tenant, config.robots, config.hubs, config.routers)
     zenoh_config = configuration(
         mode,
         listen=config.listen,
@@ -181,17 +201,19 @@ async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[Fleet
         revocations = None
         if config.revoked is not None:
             revocations = Revocations(session, host.tenant, config.revoked)
-        backend = FleetBackend(config, session, host, signer, revocations)
+        links = FleetLinks(session, host.tenant, config.hub, config.silence)
+        backend = FleetBackend(config, links, host, signer, revocations)
+        tokens = partial(session.liveliness().declare_subscriber, alive(host.tenant), history=True)
         repeating = loop.create_task(_repeat(revocations), name="fleet revocations")
-        tokens = session.liveliness().declare_subscriber(
-            alive(host.tenant), on_loop(loop, backend.token), history=True
-        )
         try:
-            yield backend
+            async with links.receiving():
+                try:
+                    async with received(tokens, backend.token):
+                        yield backend
+                finally:
+                    await backend.close()
         finally:
             repeating.cancel()
-            tokens.undeclare()
-            await backend.close()
 
 
 async def _repeat(revocations: Revocations | None) -> None:

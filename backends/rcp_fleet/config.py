@@ -30,6 +30,8 @@ class FleetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Ids of the gateways that its router serves, which are the names in their certificates."""
     hubs: tuple[Chunk, ...] = ()
     """Ids of other hubs that it serves."""
+    routers: tuple[Chunk, ...] = ()
+    """Ids of other hubs whose routers are linked with its own: they speak for their robots."""
     key: str | None = None
     """File of its Ed25519 private key in PEM, with which it asserts persons to the gateways."""
     revoked: str | None = None
@@ -61,5 +63,8 @@ def check_hub(config: FleetConfig) -> None:
     if config.key is not None:
         read_private_key(config.key, "`key`")
     check_links((*config.listen, *config.connect), config.tls)
-    if (config.robots or config.hubs) and (config.tls is None or not config.listen):
-        raise ConfigError("`robots` and `hubs` are the rules of a router with `listen` and `tls`")
+    ruled = config.robots or config.hubs or config.routers
+    if ruled and (config.tls is None or not config.listen):
+        raise ConfigError(
+            "`robots`, `hubs` and `routers` are the rules of a router with `listen` and `tls`"
+        )

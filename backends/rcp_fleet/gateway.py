@@ -9,12 +9,13 @@ from typing import Any
 
 import msgspec
 import structlog
-import zenoh
 
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
+from rcp_fleet.link import FleetLinks
+from rcp_fleet.link_status import LinkStatus
 from rcp_fleet.resources import facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.stops import RobotStop
@@ -24,6 +25,7 @@ from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, DeadlineExceeded, RcpError
 from rcp_kernel.spi import Caller, Host, Principal, Progress, caller
+from rcp_kernel.wire import VERSION
 
 __all__ = ["RemoteGateway"]
 
@@ -50,7 +52,7 @@ class RemoteGateway:
     def __init__(
         self,
         config: FleetConfig,
-        session: zenoh.Session,
+        links: FleetLinks,
         host: Host,
         types: RobotTypes,
         signer: HubSigner | None,
@@ -63,12 +65,15 @@ class RemoteGateway:
         """Whether its resources are declared and it can be reached."""
         self._reached = asyncio.Event()
         """Set while it is."""
+        self._returned = asyncio.Event()
+        """Set when a new link has been made."""
         self._paths: dict[str, str] = {}
         self._numbers = RobotNumbers()
         self._streams: dict[tuple[str, float | None], _Stream] = {}
-        self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
+        self._sessions = GatewaySessions(config, links, host.tenant, name, signer)
         self._client = self._sessions.own
-        self.stops = RobotStop(self._client, config.hub)
+        self.link = LinkStatus(host, name, self._sessions.statistics)
+        self.stops = RobotStop(self._client, config.hub, host, name)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
@@ -79,10 +84,24 @@ class RemoteGateway:
     def _heard(self, notice: Notice) -> None:
         if notice.code == "refused":
             self._refused(notice.message or "refused")
+        elif notice.code == "reconnected":
+            self._returned.set()
         self._review()
 
     def _refused(self, reason: str) -> None:
         self._host.report(reason, down=True, robot=self.name)
+        self.link.down(reason)
+
+    def _mismatch(self) -> str | None:
+        """Say why the gateway and this hub do not understand each other, if so."""
+        spoken = self._client.greeting.get("version")
+        self.link.speaks(spoken)
+        if spoken in (None, VERSION):
+            return None
+        return (
+            f"its gateway speaks RCP/{spoken} and this hub RCP/{VERSION}: install versions of the "
+            "gateway that have one in common"
+        )
 
     async def _open(self) -> None:
         while True:
@@ -94,8 +113,12 @@ class RemoteGateway:
             except RcpError as error:
                 self._refused(error.message)
             await asyncio.sleep(_LONGEST_PAUSE)
+        while (why := self._mismatch()) is not None:  # until it has been replaced
+            self._refused(why)
+            await asyncio.sleep(_LONGEST_PAUSE)
         async with asyncio.TaskGroup() as group:
             group.create_task(self._follow_tree())
+            group.create_task(self._ask_version())
             group.create_task(self._follow_facts())
             group.create_task(self.stops.follow())
 
@@ -116,6 +139,9 @@ class RemoteGateway:
         # Services first: the robot's own `hold` comes before the one that the kernel would add.
         resources.sort(key=lambda one: not one.name.startswith("service/"))
         for resource in resources:
+            if resource.name == self.link.name:  # the hub's own is there
+                log.warning("fleet_resource_hidden", gateway=self.name, resource=resource.name)
+                continue
             try:
                 self._host.declare(resource)
             except RcpError as error:  # one that is odd must not hide the others
@@ -136,20 +162,36 @@ class RemoteGateway:
         try:
             async for update in self._client.subscribe("/system/robots", rate=1.0):
                 self._host.describe(facts_of(update.body), self.name)
+                self.link.robots(update.body)
         except RcpError as error:
             log.info("fleet_robot_not_described", gateway=self.name, reason=error.message)
 
+    async def _ask_version(self) -> None:
+        """Learn the version of the gateway, again after each cut: it may have been replaced."""
+        while True:
+            self._returned.clear()
+            try:
+                facts = await self._client.read("/system/status", fields=["version"])
+                self.link.runs(facts.get("version"))
+            except RcpError as error:
+                log.info("fleet_version_unknown", gateway=self.name, reason=error.message)
+            await self._returned.wait()
+
     def _review(self) -> None:
-        ready = bool(self._paths) and self._client.connected
-        if ready == self.ready:
-            return
-        self.ready = ready
+        connected = self._client.connected
+        mismatch = self._mismatch() if connected else None
+        ready = connected and mismatch is None and bool(self._paths)
+        changed, self.ready = ready != self.ready, ready
         if not ready:
             self._reached.clear()
-            self._host.report("its gateway cannot be reached", down=True, robot=self.name)
+            if mismatch is not None or changed:
+                self._refused(mismatch or "its gateway cannot be reached")
+            return
+        if not changed:
             return
         self._host.link_restored(self.name)  # before its commands: it may be latched
         self._host.report(None, robot=self.name)
+        self.link.ready()
         self._reached.set()
 
     def _path(self, name: str) -> str:
@@ -158,7 +200,9 @@ class RemoteGateway:
         return self._paths[name]
 
     async def read(self, name: str) -> Any:
-        """Read from the gateway, as the person who asked."""
+        """Read from the gateway, as the person who asked; what the hub itself knows, here."""
+        if name == self.link.name:
+            return self.link.value()
         path, asked = self._path(name), caller()
         async with self._sessions.acting(_who(asked)) as client:
             reply = await client.sample(path, deadline=_left(asked))
@@ -226,6 +270,10 @@ class RemoteGateway:
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
         """Publish what one subscription of the gateway brings."""
+        if name == self.link.name:
+            async with self.link.watch(rate):
+                yield
+            return
         stream = self._streams.get((name, rate))
         if stream is None:
             task = asyncio.create_task(self._pass_on(name, rate), name=f"fleet watch {name}")

@@ -28,6 +28,7 @@ One hub on http://127.0.0.1:{port} and three robots behind it; their logs are in
 
     export RCP_URL=http://127.0.0.1:{port} RCP_TOKEN={operator}
     .venv/bin/rcpctl robots
+    .venv/bin/rcpctl fleet
     .venv/bin/rcpctl watch /sensor/r1/pose --rate 2 --count 4
     .venv/bin/rcpctl execute /action/r1/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
     .venv/bin/rcpctl execute /action/d1/arm

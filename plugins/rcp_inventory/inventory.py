@@ -50,7 +50,7 @@ class Inventory:
                 if not number % _STEP:
                     yield None
             units = dict.fromkeys(member.entry.unit for member in seen)
-            if not any(unit.robot is not None or unit in unit.owner.units for unit in units):
+            if not any(map(_is_robot, units)):
                 yield None
                 continue
             view = _View(robot, seen, list(units))
@@ -134,6 +134,13 @@ class _View:
             if mark is None or (isinstance(value, dict) and mark in value):
                 return Reading(value, sample.time, entry.stale)
         return None
+
+
+def _is_robot(unit: StopGroup) -> bool:
+    """Tell whether it is a robot, or all of a backend that is one; a fleet is none."""
+    if unit.robot is not None:
+        return True
+    return unit in unit.owner.units and not unit.owner.has_gateways
 
 
 def _facts_of(units: Iterable[StopGroup]) -> RobotFacts:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import structlog
 
-from rcp_kernel.spi import Backend, MotionState, Progress, Watchdog
+from rcp_kernel.spi import Backend, MotionState, Progress, RobotLink, Watchdog
 
 __all__ = ["ContainedBackend", "PluginExit", "contained", "end_in_time", "run_contained"]
 
@@ -154,6 +154,11 @@ class ContainedBackend:
         """List what stops the robot when the gateway falls silent."""
         with contained():
             return self._backend.watchdogs()
+
+    def robot_link(self, robot: str) -> RobotLink | None:
+        """Report what the link with a robot's own gateway carries."""
+        with contained():
+            return self._backend.robot_link(robot)
 
 
 def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) -> _Result:

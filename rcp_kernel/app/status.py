@@ -6,6 +6,7 @@ import asyncio
 import platform
 import time
 from collections.abc import Callable, Generator, Iterable, Sequence
+from operator import attrgetter
 from typing import Any
 
 import psutil
@@ -26,6 +27,7 @@ from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.spi import RobotLink
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.streams.subscription import Subscription
@@ -37,6 +39,11 @@ __all__ = ["StatusReport"]
 
 _LAG_PERIOD = 0.5  # s
 _PART = 50  # resources whose metrics are written per step
+_LINK_COUNTS: tuple[tuple[str, str, Callable[[RobotLink], int]], ...] = (
+    ("rcp_robot_link_sent_bytes", "Sent to the gateway of a robot.", attrgetter("sent")),
+    ("rcp_robot_link_received_bytes", "Received from it.", attrgetter("received")),
+    ("rcp_robot_links_lost", "Links with it that ended by a loss.", attrgetter("lost")),
+)
 
 
 class StatusReport:
@@ -302,18 +309,7 @@ class StatusReport:
             ("backend", "tenant"),
             [([s.name, s.tenant], float(s.backend is not None)) for s in self._supervisors],
         )
-        robots = [(s, unit) for s in self._supervisors for unit in s.robots]
-        for begin in range(0, max(1, len(robots)), _PART):
-            yield gauge(
-                "rcp_robot_up",
-                "Whether one of several robots of a backend is ready.",
-                ("backend", "tenant", "robot"),
-                [
-                    ([s.name, s.tenant, str(unit.robot)], float(_is_up(unit)))
-                    for s, unit in robots[begin : begin + _PART]
-                    if self._sees(rights, unit)
-                ],
-            )
+        yield from self._robot_families(rights)
         yield counter(
             "rcp_requests",
             "Requests by their outcome.",
@@ -372,6 +368,33 @@ class StatusReport:
                 ],
             )
 
+    def _robot_families(self, rights: Rights) -> Iterable[Metric]:
+        labels = ("backend", "tenant", "robot")
+        robots = [(s, unit) for s in self._supervisors for unit in s.robots]
+        links: list[tuple[list[str], RobotLink]] = []
+        for begin in range(0, max(1, len(robots)), _PART):
+            ups: list[tuple[list[str], float]] = []
+            for supervisor, unit in robots[begin : begin + _PART]:
+                if not self._sees(rights, unit):
+                    continue
+                values = [supervisor.name, supervisor.tenant, str(unit.robot)]
+                ups.append((values, float(_is_up(unit))))
+                if (link := _link_of(supervisor, unit)) is not None:
+                    links.append((values, link))
+            text = "Whether one of several robots of a backend is ready."
+            yield gauge("rcp_robot_up", text, labels, ups)
+        parts = [links[begin : begin + _PART] for begin in range(0, max(1, len(links)), _PART)]
+        for part in parts:
+            yield gauge(
+                "rcp_robot_link_latency_seconds",
+                "Last round trip to the gateway of a robot.",
+                labels,
+                [(values, one.latency) for values, one in part if one.latency is not None],
+            )
+        for name, text, count in _LINK_COUNTS:
+            for part in parts:
+                yield counter(name, text, labels, [(values, count(one)) for values, one in part])
+
     def _gauges(self) -> Iterable[Metric]:
         queues = self._queues(("*",))
         for name, text, value in (
@@ -399,6 +422,18 @@ class StatusReport:
                 name = session.transport
                 sums[name] = sums.get(name, 0) + session.connection.outbox.updates
         return [([name], count) for name, count in sums.items()]
+
+
+def _link_of(supervisor: BackendSupervisor, unit: StopGroup) -> RobotLink | None:
+    """Return what the link with a robot's own gateway carries, if it has one and its backend can."""
+    backend = supervisor.backend
+    if backend is None or unit.robot is None or not supervisor.has_gateways:
+        return None
+    try:
+        return backend.robot_link(unit.robot)
+    except Exception as error:  # a bad one must not hide the metrics of all others
+        supervisor.fault(f"robot_link: {error!r}")
+        return None
 
 
 def _is_up(robot: StopGroup) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
-from rcp_kernel.contract.fence import permit
+from rcp_kernel.contract.fence import end_permit, permit
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.timers import Deadlines, moment_of
 from rcp_kernel.contract.turns import Turns
@@ -259,10 +259,24 @@ class Commands:
         try:
             if work is None and entry.output_type.grows and is_long(result):
                 owner = call.session.principal.identity
-                return await self._turns.finish(owner, checked(entry.output_type, result))
-            return entry.output_type.check(result)[0] if result is not None else None
+                result = await self._turns.finish(owner, checked(entry.output_type, result))
+            elif result is not None:
+                result = entry.output_type.check(result)[0]
         except RcpError as error:
             raise _mismatch(entry, error) from error
+        if command.continuation is None:
+            # Not by the task's callback, a turn of the loop later: a result that comes at once is
+            # sent together with `accepted`.
+            self._complete(command, result)
+        return result
+
+    def _complete(self, command: Command, result: Any) -> None:
+        """End a command with its result, at the end of its own task."""
+        end_permit()  # what follows from the result is not the robot's any more
+        command.task = None
+        if command.finished is None:
+            self._end(command, result)
+        self._release(command)
 
     def _progress(
         self,
@@ -341,14 +355,19 @@ class Commands:
             )
 
     def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
+        if command.task is None and command.continuation is None:
+            return  # it is complete; asyncio reports what failed after that
         left = command.task is not task  # it goes on elsewhere
         if command.finished is None and not left:
             self._end(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # retrieved, so that asyncio does not report it
-        if left:
-            return
-        command.task = None  # and everything it refers to, because the command is kept for long
+        if not left:
+            command.task = None  # and all it refers to, because the command is kept for long
+            self._release(command)
+
+    def _release(self, command: Command) -> None:
+        """Let the next command have the path of one whose task has ended."""
         path = command.path
         if self._active.get(path) is command:
             del self._active[path]

@@ -18,18 +18,19 @@ from msgspec import Meta
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.scope_rights import ScopeRights
-from rcp_kernel.clock import Clock
+from rcp_kernel.clock import Clock, iso
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.safety.stop import Stop, StopController
+from rcp_kernel.safety.stop import Stop, StopController, merged
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Owner, StopGroup
 from rcp_kernel.tree.latches import GATEWAY, Latch, Latches, tenant_key
 from rcp_kernel.tree.scope import Scope
+from rcp_kernel.types import Time
 from rcp_kernel.wire import Request
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
@@ -63,6 +64,8 @@ class EstopState(msgspec.Struct, frozen=True):
     """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
     groups: tuple[str, ...] = ()
     """Groups of the configuration that can be named as a scope."""
+    reset: Time | None = None
+    """When one of the robots was last reset since the gateway was started."""
 
 
 class EstopRecord(Protocol):
@@ -143,11 +146,14 @@ class Estop:
         self, units: Iterable[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
     ) -> EstopState:
         robots: dict[str, dict[str, Any]] = {}
+        released = 0
         for unit in units:
+            released = max(released, unit.released)
             if (latch := unit.latch) is not None:
                 stop = self._stops.of(unit)
                 robots[unit.name] = latch.plain() | ({} if stop is None else stop.plain())
-        return EstopState(bool(robots or wide), robots, wide, groups)
+        reset = iso(released) if released else None
+        return EstopState(bool(robots or wide), robots, wide, groups, reset)
 
     def _groups(self) -> dict[str, tuple[str, ...]]:
         return self._settings.config.safety.groups
@@ -187,7 +193,7 @@ class Estop:
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
             latches.set(key, by, request.reason)
-        for robot in _merged(robots):
+        for robot in merged(robots):
             robot.count_stop()
         stops = self._stops.begin(robots)
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
@@ -230,7 +236,7 @@ class Estop:
             latches.reset(robot.name, robot.keys)
         for key, tenant in keys.items():
             latches.reset(key, () if tenant is None else (tenant_key(tenant),))
-        for robot in _merged(freed):
+        for robot in merged(freed):
             robot.release(self._now())
         self._stops.end(robot for robot in robots if robot.latch is None)
         return freed
@@ -428,18 +434,7 @@ class Estop:
         )
 
 
-def _merged(units: list[StopGroup]) -> list[StopGroup]:
-    """Halt a backend as a whole if all its robots are to stop."""
-    meant = set(units)
-    return list(
-        dict.fromkeys(
-            unit.whole if unit.whole in meant or meant.issuperset(unit.owner.units) else unit
-            for unit in units
-        )
-    )
-
-
 def _keys(units: list[StopGroup]) -> dict[str, str | None]:
     """Return the keys of the latches for robots, those of whole backends where they can be."""
-    names = {unit.name: unit.tenant for unit in _merged(units)}
+    names = {unit.name: unit.tenant for unit in merged(units)}
     return names | {unit.identity: unit.tenant for unit in units}

@@ -22,19 +22,22 @@ _TOLD = 1.0  # s between two log records, at least
 
 
 def retry_until_confirmed(
-    stop: Callable[[], Coroutine[Any, Any, None]], event: str, **facts: str
+    stop: Callable[[], Coroutine[Any, Any, None]],
+    event: str,
+    *,
+    again: float | None = None,
+    **facts: str,
 ) -> asyncio.Task[None]:
     """Call `stop` until one call returns; return the task, which can be cancelled.
 
     The first call is scheduled before this returns, ahead of anything scheduled after it. An
-    unanswered call continues concurrently with the next ones, because it may only be slow. Failures
-    are logged as
-    `event` with `facts`.
+    unanswered call continues concurrently with the next ones, because it may only be slow; the
+    second follows after `again` s. Failures are logged as `event` with `facts`.
     """
     loop = asyncio.get_running_loop()
     with unfenced():  # the caller may be a timer of the very write to be stopped
         first = loop.create_task(stop())
-        return loop.create_task(_until_taken(first, stop, event, facts))
+        return loop.create_task(_until_taken(first, stop, event, facts, again or _AGAIN))
 
 
 async def _until_taken(
@@ -42,10 +45,11 @@ async def _until_taken(
     stop: Callable[[], Coroutine[Any, Any, None]],
     event: str,
     facts: dict[str, str],
+    pause: float,
 ) -> None:
     loop = asyncio.get_running_loop()
     calls = [first]
-    pause, refused, logged_at = _AGAIN, _FAILED, -_TOLD
+    refused, logged_at = _FAILED, -_TOLD
     try:
         while True:
             failure = await _answered(calls, loop.time() + pause)

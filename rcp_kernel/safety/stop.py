@@ -24,7 +24,7 @@ from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.spi import MotionState
 from rcp_kernel.tree.entry import StopGroup
 
-__all__ = ["Phase", "Stop", "StopController", "StopRecord"]
+__all__ = ["Phase", "Stop", "StopController", "StopRecord", "merged"]
 
 log = structlog.get_logger("rcp.safety")
 Phase = Literal["requested", "commanded", "confirmed"]
@@ -121,14 +121,14 @@ class StopController:
 
     def begin(self, units: Sequence[StopGroup]) -> list[Stop]:
         """Stop robots now; return their stops. The backends are called before anything else runs."""
-        stops = [self._fresh(unit) for unit in units]
-        for whole, together in _by_halt(stops):
+        stops = {unit: self._fresh(unit) for unit in units}
+        for whole, together in merged(units).items():
             if len(together) == 1:
-                self._halt(together[0])
+                self._halt(stops[together[0]])
             else:
-                self._halt_together(whole, together)
+                self._halt_together(whole, [stops[unit] for unit in together])
         self._schedule()
-        return stops
+        return list(stops.values())
 
     def resume(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; the stop is sent within this call."""
@@ -197,8 +197,13 @@ class StopController:
         task.add_done_callback(_forget)
 
     def _insist(self, stop: Stop) -> None:
+        unit = stop.unit
         task = retry_until_confirmed(
-            partial(self._attempt, stop), "halt_failed", backend=stop.unit.name
+            partial(self._attempt, stop),
+            "halt_failed",
+            # A gateway is asked once over a link that loses nothing, whoever waits for its answer.
+            again=_ALONE if unit.owner.has_gateways else None,
+            backend=unit.name,
         )
         stop.tasks.add(task)
         task.add_done_callback(stop.tasks.discard)
@@ -220,18 +225,29 @@ class StopController:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
 
     def _halt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
-        """Halt all robots of a backend by one call; one by one where that fails or takes long."""
+        """Halt all robots of a backend at once; insist one by one where that fails or takes long."""
 
-        def alone(_: object = None) -> None:
-            late.cancel()
+        def alone() -> None:
             for stop in stops:
-                if stop.confirmed is None and not stop.released and not stop.tasks:
-                    self._insist(stop)
+                self._insist_unconfirmed(stop)
 
-        with unfenced():
-            task = self._loop.create_task(self._attempt_together(whole, stops))
         late = self._loop.call_later(_ALONE, alone)
-        task.add_done_callback(alone)
+        with unfenced():
+            if whole.owner.has_gateways:  # each answers for itself, and none waits for the slowest
+                for stop in stops:
+                    task = self._loop.create_task(self._attempt(stop))
+                    task.add_done_callback(partial(self._attempted, stop))
+                return
+            together = self._loop.create_task(self._attempt_together(whole, stops))
+        together.add_done_callback(lambda _: (late.cancel(), alone()))
+
+    def _attempted(self, stop: Stop, task: asyncio.Task[None]) -> None:
+        _forget(task)
+        self._insist_unconfirmed(stop)
+
+    def _insist_unconfirmed(self, stop: Stop) -> None:
+        if stop.confirmed is None and not stop.released and not stop.tasks:
+            self._insist(stop)
 
     async def _attempt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
         try:
@@ -346,12 +362,15 @@ def _forget(task: asyncio.Task[None]) -> None:
         task.exception()
 
 
-def _by_halt(stops: list[Stop]) -> list[tuple[StopGroup, list[Stop]]]:
-    """Group stops by the one call that halts them: that of a whole backend where all are meant."""
-    meant = {stop.unit for stop in stops}
-    groups: dict[StopGroup, list[Stop]] = {}
-    for stop in stops:
-        unit = stop.unit
-        together = unit.whole in meant or meant.issuperset(unit.owner.units)
-        groups.setdefault(unit.whole if together else unit, []).append(stop)
-    return list(groups.items())
+def merged(units: Iterable[StopGroup]) -> dict[StopGroup, list[StopGroup]]:
+    """Group robots by what stops them in one call: the whole backend where all of it is meant."""
+    meant = dict.fromkeys(units)
+    complete = {  # each backend is asked once: it may have thousands
+        whole
+        for whole in {unit.whole for unit in meant}
+        if whole in meant or meant.keys() >= set(whole.owner.units)
+    }
+    groups: dict[StopGroup, list[StopGroup]] = {}
+    for unit in meant:
+        groups.setdefault(unit.whole if unit.whole in complete else unit, []).append(unit)
+    return groups

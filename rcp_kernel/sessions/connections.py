@@ -254,6 +254,7 @@ class Connection:
                 if not outbox.dirty:
                     outbox.mark()
                 return
+            outbox.begins = reply.status == "accepted"
             last = outbox.feedback.pop(reply.command, None)
             if last is not None:
                 outbox.put(last())

@@ -139,6 +139,7 @@ class Outbox:
         "_ticker",
         "alone",
         "backlog",
+        "begins",
         "buffered",
         "control",
         "direct",
@@ -174,6 +175,9 @@ class Outbox:
         self.text = encoding is Encoding.JSON
         self.dirty = False
         """Whether a tick follows; a transport sets it during a read, to send the replies itself."""
+        self.begins = False
+        """Whether the last reply of a command says that it was accepted: more may follow in this turn of
+        the loop, so a transport that sends replies itself leaves them to the tick, and resets this."""
         self.framing: Framing | None = None
         """Frames for the transport, see `send_frames`."""
         self.direct: Callable[[list[bytes]], bool] | None = None

@@ -25,7 +25,7 @@ from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.peer import UNKNOWN
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.spi import Host
+from rcp_kernel.spi import Host, Progress
 from rcp_kernel.testing import ScriptedRobot, Served, scripted, serve
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply
@@ -487,3 +487,28 @@ def test_many_reads_in_one_turn_of_the_loop_are_one_turn_of_the_client(
     monkeypatch.undo()
     model.pace(used_up=False)
     model.teardown()  # the rest is answered in the coming turns
+
+
+def test_a_result_that_comes_at_once_is_in_one_write_with_the_acceptance(place: Place) -> None:
+    place.serve(WITHOUT_SOCKET + ROBOT)
+    model = ScriptedReading()
+    model.place = place
+    model.connect(segmented=False)
+
+    async def add(_name: str, value: Any, _progress: Progress) -> Any:
+        return value + 1
+
+    place.robots[-1].execute = add  # type: ignore[method-assign] - the scripted one takes a turn of the loop
+    writes = list[list[str]]()
+    write = model.socket.write
+
+    def noted(messages: list[bytes]) -> None:
+        writes.append([json.loads(data)["status"] for data in messages])
+        write(messages)
+
+    model.socket.write = noted  # type: ignore[method-assign] - of this socket alone
+    ask = model.request(type="execute", path="/service/add", body=1)
+    model.socket.inbound.append(ask)
+    model.socket.read(1)
+    model.turn(TURNS)
+    assert writes == [["accepted", "completed"]]

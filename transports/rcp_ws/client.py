@@ -202,11 +202,18 @@ class WsClient:
         return bool(sends) and (len(outbox.control) >= self._config.backlog or outbox.crowded)
 
     def settled(self) -> None:
-        """Send the replies to the messages of one read."""
+        """Send the replies to the messages of one read.
+
+        What begins a command is left to the tick of this turn of the loop: a robot that answers at once
+        has its result in the same write.
+        """
         outbox, socket = self._outbox, self._socket
         began, self._began = self._began, 0.0
         outbox.dirty = False
-        if (
+        if outbox.begins:
+            outbox.begins = False
+            outbox.mark()
+        elif (
             len(outbox.control) == 1
             and self._plain
             and socket.writable

@@ -55,7 +55,7 @@ class HubLink:
             cut=lambda: self.close("the hub does not read"),
         )
         self._patience = client_api.loop.call_later(config.patience, self._turn_away)
-        statistics.opened()
+        statistics.opened(self._pipe)
 
     @property
     def longest(self) -> int:

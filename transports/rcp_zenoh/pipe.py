@@ -27,6 +27,7 @@ _HEAD = struct.Struct("<cBQ")
 _MESSAGE, _PART, _LAST, _TAKEN, _BEAT, _END = b"m", b"p", b"n", b"a", b"h", b"e"
 _OVERHEAD = 64  # bytes of a message on the wire besides its data, in round figures
 _DATA = frozenset((_MESSAGE, _PART))
+_PRIORITIES = tuple(Priority)
 
 
 class Message(NamedTuple):
@@ -71,6 +72,7 @@ class Pipe:
         "_silence",
         "_timer",
         "closed",
+        "heard",
         "lost",
         "on_beat",
         "reading",
@@ -99,6 +101,8 @@ class Pipe:
         self.closed = self.lost = False
         self._loop = asyncio.get_running_loop()
         self._heard = self._alone_since = self._loop.time()
+        self.heard: float | None = None
+        """When something was last received, by the clock of the event loop."""
         self._peer_idle = self._idle = False
         self._due = 0.0
         self._timer = self._schedule()
@@ -192,8 +196,8 @@ class Pipe:
             self.end("the other end sent something that is not a message")
             return None
         kind, place, number = _HEAD.unpack(raw)
-        self._heard = self._loop.time()
-        priority = Priority(place)
+        self._heard = self.heard = self._loop.time()
+        priority = _PRIORITIES[place]
         if kind in _DATA:
             return self._message(sample, kind, priority, number)
         if kind == _TAKEN:
@@ -217,7 +221,8 @@ class Pipe:
         lane.received += len(data)
         self._peer_idle = False
         self._wake()
-        self.acknowledge()
+        if lane.due:
+            self.acknowledge()
         whole = lane.join(data, self._owner.longest, last=kind == _MESSAGE)
         return None if whole is None else Message(*whole, priority)
 

@@ -10,22 +10,43 @@ __all__ = ["LinkStatistics", "Statistics"]
 
 
 class LinkStatistics:
-    """What all consecutive links with one other end have carried."""
+    """What all links with one other end have carried; several may be open at once."""
 
     def __init__(self, row: dict[str, Any]) -> None:
-        self._row = row
-        self._sent = self._received = 0
+        self.row = row
+        """What status shows; changed in place."""
+        self._open: dict[Pipe, tuple[int, int]] = {}
+        """What the row already has of each."""
+        self._heard: float | None = None
+        """Of links that have ended."""
         row |= {"links": 0, "lost": 0, "sent": 0, "received": 0}
 
-    def opened(self) -> None:
+    @property
+    def heard(self) -> float | None:
+        """When something was last received, by the clock of the event loop."""
+        moments = (self._heard, *(pipe.heard for pipe in self._open))
+        return max((one for one in moments if one is not None), default=None)
+
+    def opened(self, pipe: Pipe) -> None:
         """Count a link."""
-        self._row["links"] += 1
+        self._open[pipe] = (0, 0)
+        self.row["links"] += 1
+
+    def count(self) -> None:
+        """Take up what all open links have carried."""
+        for pipe in self._open:
+            self._count(pipe)
+
+    def _count(self, pipe: Pipe) -> None:
+        sent, received = self._open[pipe]
+        self._open[pipe] = carried = (pipe.written, pipe.received)
+        self.row["sent"] += carried[0] - sent
+        self.row["received"] += carried[1] - received
 
     def note(self, pipe: Pipe) -> None:
-        """Take up the state of the current link."""
-        row, times = self._row, pipe.times
-        row["sent"] = self._sent + pipe.written
-        row["received"] = self._received + pipe.received
+        """Take up the state of an open link."""
+        row, times = self.row, pipe.times
+        self._count(pipe)
         if times.latency is not None:
             row["latency"] = round(times.latency, 6)
         if times.offset is not None:
@@ -33,10 +54,11 @@ class LinkStatistics:
 
     def ended(self, pipe: Pipe, why: str) -> None:
         """Count what a link has carried, and why it ended."""
-        self._sent += pipe.written
-        self._received += pipe.received
-        self._row |= {"sent": self._sent, "received": self._received, "last_end": why}
-        self._row["lost"] += pipe.lost
+        self._heard = self.heard
+        self._count(pipe)
+        del self._open[pipe]
+        self.row["last_end"] = why
+        self.row["lost"] += pipe.lost
 
 
 class Statistics:

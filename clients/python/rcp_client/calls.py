@@ -31,6 +31,7 @@ class Call:
         "link",
         "listeners",
         "loop",
+        "on_refusal",
         "repeat",
         "sent",
         "session",
@@ -60,11 +61,16 @@ class Call:
         """Done with the first reply, or with an error."""
         self.end: asyncio.Future[Reply | RcpError] = self.loop.create_future()
         self.listeners: list[Callable[[Reply], None]] = []
+        self.on_refusal: Callable[[Reply], None] | None = None
+        """Takes a refusal instead: of a repeat by a gateway that may not know of the first time."""
         self._heard = ""
 
     def take(self, reply: Reply) -> None:
         """Handle a reply; duplicates are dropped."""
         if self.end.done():
+            return
+        if reply.status == "rejected" and self.on_refusal is not None:
+            self.on_refusal(reply)
             return
         self.command = self.command or reply.command
         if reply.status not in FINAL:
@@ -77,6 +83,10 @@ class Call:
             self.end.set_result(reply)
         if not self.first.done():
             self.first.set_result(None)
+
+    def forget_command(self) -> None:
+        """Forget the command's id, and when its last feedback was: another gateway's clock."""
+        self.command, self._heard = None, ""
 
     def unanswered(self, error: RcpError, *, keys: bool = True) -> RcpError:
         """Note in an error without a reply whether the caller may repeat the request.
@@ -118,6 +128,12 @@ class Calls:
         """Register an id under which a call is sent."""
         call.ids.append(id_)
         self._by_id[id_] = call
+
+    def forget_command(self, call: Call) -> None:
+        """Forget a command's id, which is that of another gateway."""
+        if call.command is not None:
+            self._by_command.pop(call.command, None)
+        call.forget_command()
 
     def leave(self, call: Call) -> None:
         """Remove a call; later replies to it are ignored."""

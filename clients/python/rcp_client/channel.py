@@ -12,9 +12,11 @@ import logging
 import random
 import secrets
 import time
+from collections import deque
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from rcp_client.address import Address
 from rcp_client.calls import Call, Calls
 from rcp_client.carrier import Carrier
 from rcp_client.errors import ConnectionLost, error_of, safely
@@ -51,6 +53,10 @@ class Channel:
         self.session: str | None = None
         self.greeting: dict[str, Any] = {}
         """The gateway's reply to the last `hello`."""
+        self._addresses = deque((settings.address, *settings.others))
+        """The current one first."""
+        self._home: Address | None = None
+        """Where the session began."""
         self._codec = Codec(settings.encoding)
         self._prefix = secrets.token_hex(4)
         self._numbers = itertools.count(1)
@@ -60,7 +66,12 @@ class Channel:
         self._lost = asyncio.Event()
         self._keeper: asyncio.Task[None] | None = None
         self._over: RcpError | None = None
-        self._recovery = Recovery(self)
+        self._recovery = Recovery(self, settings.patience)
+
+    @property
+    def address(self) -> Address:
+        """The address in use, or the one that is tried next."""
+        return self._addresses[0]
 
     @property
     def connected(self) -> bool:
@@ -80,6 +91,8 @@ class Channel:
         :raises Unauthenticated, Forbidden: it refuses this client.
         """
         await self._dial()
+        for call in self.calls.every():  # begun before
+            self.send(call)
         self._keeper = asyncio.create_task(self._keep(), name="rcp client")
 
     async def close(self) -> None:
@@ -95,11 +108,26 @@ class Channel:
 
     def _end(self, error: RcpError) -> None:
         self._over = error
+        self._recovery.close()
         self.calls.fail(lambda call: _for_call(error, call))
         for subscription in list(self.subscriptions.values()):
             subscription.fail(error)
 
     async def _dial(self) -> bool:
+        """Connect at the first address that answers; return whether the session was resumed."""
+        left = len(self._addresses)
+        while True:
+            try:
+                return await self._connect()
+            except RcpError as error:
+                left -= 1
+                if not error.retryable:
+                    raise
+                self._addresses.rotate(-1)
+                if not left:
+                    raise
+
+    async def _connect(self) -> bool:
         """Connect and send `hello`; return whether the session was resumed."""
         self._lost.clear()
         self._greeted = False
@@ -119,14 +147,14 @@ class Channel:
         if settings.dial is not None:
             return await settings.dial(self._codec, self._received, self._on_lost)
         return await Link.open(
-            settings.address,
+            self.address,
             self._codec,
             settings.proof(),
             self._received,
             self._on_lost,
             timeout=settings.connect_timeout,
             heartbeat=settings.heartbeat,
-            ssl=settings.ssl,
+            ssl=settings.ssl if self.address.secure else None,
         )
 
     async def _greet(self, link: Carrier) -> bool:
@@ -162,8 +190,11 @@ class Channel:
         self._resume_token = facts.get("resume_token")
         limits = facts.get("limits") or {}
         link.segment_size = limits.get("segment_size") or facts.get("segment_size")
+        moved = session is None and self._home not in (None, self.address)
+        self._home = self.address
         if reply.timestamp is not None:
-            self._recovery.greeted(reply.timestamp, requested, resumed=session is not None)
+            resumed = session is not None
+            self._recovery.greeted(reply.timestamp, requested, resumed=resumed, moved=moved)
 
     async def _first(self, link: Carrier, envelope: dict[str, Any]) -> Reply:
         """Send a request on a link that is not in general use yet."""
@@ -174,7 +205,7 @@ class Channel:
             async with asyncio.timeout(self.settings.connect_timeout):
                 outcome = await call.end
         except TimeoutError:
-            raise ConnectionLost(f"{self.settings.address.url} does not answer `hello`") from None
+            raise ConnectionLost(f"{self.address.url} does not answer `hello`") from None
         finally:
             self.calls.leave(call)
         return _outcome(outcome)
@@ -280,7 +311,7 @@ class Channel:
         """Return the error for a call without a reply in time."""
         path = call.envelope.get("path")
         if not self.connected:
-            why = f"no connection to {self.settings.address.url} within {limit:g} s"
+            why = f"no connection to {self.address.url} within {limit:g} s"
             return call.unanswered(ConnectionLost(why, path=path))
         why = f"the gateway did not answer within {limit:g} s"
         return call.unanswered(DeadlineExceeded(why, path=path))

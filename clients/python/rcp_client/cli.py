@@ -36,7 +36,11 @@ def _shared(*names: str, **facts: Any) -> Callable[[F], F]:
 def _common(function: F) -> F:
     """Add the options that may precede or follow the subcommand."""
     options = (
-        _shared("--url", metavar="URL", help="Gateway [RCP_URL; http://127.0.0.1:8080]."),
+        _shared(
+            "--url",
+            metavar="URL",
+            help="Gateway, or several with commas [RCP_URL; http://127.0.0.1:8080].",
+        ),
         _shared("--token", metavar="TEXT", help="API key or JWT [RCP_TOKEN; rcpd demo's]."),
         _shared("--tenant", metavar="NAME", help="Tenant for relative paths [RCP_TENANT]."),
         _shared(
@@ -319,6 +323,19 @@ def approve(ctx: click.Context, **arguments: Any) -> int:
 def robots(ctx: click.Context, **arguments: Any) -> int:
     """List robots, or those that TEXT finds: by name, kind (drone), profile, vendor or model."""
     return _run(ctx, "robots", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.pass_context
+def fleet(ctx: click.Context, **arguments: Any) -> int:
+    """List the robots of a hub with their gateways and links, those with a problem first.
+
+    GATEWAY and RCP are the versions that the robot's gateway runs and speaks, CLOCK is how far its
+    clock is ahead of the hub's, with the bound of the error, and LOST counts the links that ended
+    because messages were lost. --json has more, such as why a link ended.
+    """
+    return _run(ctx, "fleet", **arguments)
 
 
 @rcpctl.group(context_settings=_CONTEXT)

@@ -43,6 +43,9 @@ def connect(
     requests without their own, `connect_timeout` for one attempt, `patience` for reconnecting after
     a lost connection (None never gives up), `heartbeat` for detecting a dead connection.
 
+    Several addresses with commas between them are those of one gateway, or of the hubs of a fleet:
+    the client uses the first that answers, and goes on to the next when it is lost.
+
     For https the gateway's certificate is verified, against the CA in the file `cacert` if given;
     `cert` and `key` are files of a client certificate (`RCP_CACERT`, `RCP_CERT`, `RCP_KEY`), and
     `ssl` is a context that replaces all three. A token is sent to another machine over plain http
@@ -51,12 +54,15 @@ def connect(
     :raises ValueError: the address is invalid, a file does not load, or the token would be exposed.
     """
     url = url or os.environ.get("RCP_URL") or DEFAULT_URL
-    address = Address.parse(url)
-    token = token or find_token(url)
-    check_secrecy(address, token, plaintext=plaintext)
+    first, *others = addresses = [Address.parse(one.strip()) for one in url.split(",")]
+    token = token or find_token(first.url)
+    for address in addresses:
+        check_secrecy(address, token, plaintext=plaintext)
+    secure = next((address for address in addresses if address.secure), first)
     return Client(
         Settings(
-            address=address,
+            address=first,
+            others=tuple(others),
             token=token,
             tenant=tenant or os.environ.get("RCP_TENANT") or None,
             encoding=Encoding(encoding),
@@ -65,7 +71,7 @@ def connect(
             patience=patience,
             heartbeat=heartbeat,
             client=client,
-            ssl=ssl or secured(address, cacert, cert, key),
+            ssl=ssl or secured(secure, cacert, cert, key),
             on_notice=on_notice,
         )
     )

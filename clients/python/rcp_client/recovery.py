@@ -6,21 +6,26 @@ lost.
 If the session is resumed, the gateway still knows every idempotency key, possibly from its store,
 so that a repeated request is executed once. The same holds for a new session on the same gateway. A
 restarted gateway does not know the keys: then the outcome of a command is looked up, and nothing is
-repeated.
+repeated. A hub knows no keys of another hub, or of its own earlier run, but the robots' gateways
+behind it know those of what concerns robots.
 """
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Protocol
 
 from rcp_client.calls import Call, Calls
-from rcp_client.errors import ConnectionLost
+from rcp_client.errors import ConnectionLost, error_of
 from rcp_client.messages import Reply
+from rcp_client.requests import concerns_gateway
 from rcp_client.subscriber import Subscriber
+from rcp_client.tries import Tries
 from rcp_protocol.clock import iso, now, parse_time
-from rcp_protocol.errors import RcpError
+from rcp_protocol.errors import AdapterUnavailable, RcpError, UnknownPath
 
 __all__ = ["Recovery", "Requests"]
 
@@ -53,16 +58,19 @@ class Requests(Protocol):
 class Recovery:
     """Transfers calls and subscriptions to a new connection."""
 
-    def __init__(self, requests: Requests) -> None:
-        self._requests = requests
+    def __init__(self, requests: Requests, patience: float | None) -> None:
+        self._requests, self._patience = requests, patience
+        self._repeats: set[asyncio.Task[None]] = set()
         self._met: int | None = None
         """When the gateway was last known to be the same, ns by its own clock."""
         self._offset = 0
         """Offset of the gateway's clock from ours, ns."""
         self._doubt = False
         """A new session has started, and pending calls have not been settled yet."""
+        self._moved = False
+        """It has started at another address, perhaps that of another hub."""
 
-    def greeted(self, timestamp: str, requested: int, *, resumed: bool) -> None:
+    def greeted(self, timestamp: str, requested: int, *, resumed: bool, moved: bool) -> None:
         """Record a handshake: its time there, and when it was requested here."""
         there = parse_time(timestamp)
         self._offset = there - (requested + now()) // 2
@@ -70,26 +78,71 @@ class Recovery:
             self._met = there
         elif not resumed:
             self._doubt = True
+            self._moved = self._moved or moved
 
     async def restore(self) -> None:
         """Transfer everything; if interrupted by another lost connection, it is repeated."""
         requests = self._requests
-        restarted = self._doubt and await self._restarted()
+        restarted, outside = await self._look() if self._doubt else (False, False)
         for subscription in list(requests.subscriptions.values()):
-            subscription.restore(restarted=restarted)
+            subscription.restore(restarted=restarted or self._moved)
         lost: list[Call] = []
         for call in requests.calls_of_before():
             if call.sent is None or call.repeat == "always":
                 requests.send(call)
-            elif call.repeat == "keyed" and not restarted:
+            elif call.repeat == "keyed" and self._is_known(call, restarted, outside):
+                if restarted or self._moved:
+                    requests.calls.forget_command(call)
+                    tries = Tries(self._patience)
+                    call.on_refusal = partial(self._refused, call, tries)
                 self._again(call)
             else:
                 lost.append(call)
         if lost:
-            await self._look_up(lost, restarted=restarted)
+            await self._look_up(lost, keys=not (restarted or self._moved))
         if restarted:
             self._met = now() + self._offset
-        self._doubt = False
+        self._doubt = self._moved = False
+
+    def _is_known(self, call: Call, restarted: bool, outside: bool) -> bool:  # noqa: FBT001 - internal
+        """Return whether whoever carries out a call still knows its key.
+
+        `outside` tells that robots' own gateways know the keys of what concerns robots.
+        """
+        if concerns_gateway(call.envelope):
+            return not (restarted or self._moved)
+        return outside or not restarted
+
+    def _refused(self, call: Call, tries: Tries, reply: Reply) -> None:
+        """Repeat a call again whose robot this gateway does not reach yet.
+
+        Any other refusal does not tell whether the call was carried out through the gateway before.
+        """
+        error = error_of(reply)
+        assert error is not None
+        if isinstance(error, (AdapterUnavailable, UnknownPath)):
+            task = asyncio.create_task(self._later(call, tries, error), name="rcp repeat")
+            self._repeats.add(task)
+            task.add_done_callback(self._repeats.discard)
+        else:
+            self._fail(call, error)
+
+    async def _later(self, call: Call, tries: Tries, error: RcpError) -> None:
+        link = call.link
+        if not await tries.again(error):
+            self._fail(call, error)
+        elif call.link is link and not call.end.done():  # otherwise it was sent again meanwhile
+            self._again(call)
+
+    def _fail(self, call: Call, error: RcpError) -> None:
+        error.status = "failed"  # it may have been carried out through another gateway
+        call.fail(call.unanswered(error))
+        self._requests.calls.leave(call)
+
+    def close(self) -> None:
+        """Repeat nothing any more."""
+        for task in self._repeats:
+            task.cancel()
 
     def _again(self, call: Call) -> None:
         facts: dict[str, Any] = {}
@@ -100,18 +153,23 @@ class Recovery:
             facts["timestamp"] = iso((call.sent or now()) + self._offset)
         self._requests.send(call, **facts)
 
-    async def _restarted(self) -> bool:
-        """Return whether the gateway may have been restarted since the first connection."""
-        body = {"fields": ["started"]}
+    async def _look(self) -> tuple[bool, bool]:
+        """Return whether the gateway may have been restarted, and whether its robots have their own.
+
+        A restart counts since the first connection.
+        """
+        body = {"fields": ["started", "backends"]}
         envelope: dict[str, Any] = {"type": "read", "path": "/system/status", "body": body}
         try:
             reply = await self._requests.ask(envelope)
             started = parse_time(reply.body["started"])
+            backends: list[dict[str, Any]] = reply.body["backends"]
         except (RcpError, KeyError, TypeError):
-            return True
-        return self._met is None or started > self._met
+            return True, False
+        outside = bool(backends) and all(one.get("gateways") for one in backends)
+        return self._met is None or started > self._met, outside
 
-    async def _look_up(self, lost: list[Call], *, restarted: bool) -> None:
+    async def _look_up(self, lost: list[Call], *, keys: bool) -> None:
         """Look up the outcome of commands that must not be sent again."""
         known: dict[str, dict[str, Any]] = {}
         try:
@@ -130,7 +188,7 @@ class Recovery:
                 "executed",
                 path=call.envelope.get("path"),
             )
-            call.fail(call.unanswered(error, keys=not restarted))
+            call.fail(call.unanswered(error, keys=keys))
             self._requests.calls.leave(call)
 
 

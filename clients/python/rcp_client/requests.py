@@ -8,7 +8,17 @@ from typing import Any, Literal
 
 import msgspec
 
-__all__ = ["Repeat", "hold_path", "kept", "keyed", "new_key", "plain", "repeat_of", "repeatable"]
+__all__ = [
+    "Repeat",
+    "concerns_gateway",
+    "hold_path",
+    "kept",
+    "keyed",
+    "new_key",
+    "plain",
+    "repeat_of",
+    "repeatable",
+]
 
 Repeat = Literal["always", "keyed", "never"]
 """What happens to a sent request when the connection is lost: it is sent again; it is sent again if
@@ -73,6 +83,13 @@ def repeatable(envelope: dict[str, Any], *, keys: bool) -> bool:
     if not _acts(envelope) or envelope.get("dry_run") or _stops(envelope):
         return True
     return keys and envelope.get("idempotency_key") is not None
+
+
+def concerns_gateway(envelope: dict[str, Any]) -> bool:
+    """Return whether a request asks anything of the gateway itself, such as a plan."""
+    if parts := _parts(envelope):
+        return any(map(concerns_gateway, parts))
+    return (envelope.get("path") or "").startswith("/system/")
 
 
 def _parts(envelope: dict[str, Any]) -> list[dict[str, Any]]:

@@ -21,6 +21,8 @@ class Settings:
     """Connection settings of a client; times in s."""
 
     address: Address
+    others: tuple[Address, ...] = ()
+    """Further addresses of the gateway, or of other hubs of its fleet; each is tried in turn."""
     token: str | Callable[[], str] | None = None
     """A function returns a new one for each `hello`, and before the last one expires."""
     tenant: str | None = None

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+import signal
 import socket
+import sys
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from configuration import backend, configuration, key, table
@@ -12,7 +17,16 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
 from rcp_kernel.testing import OPERATOR, Client, Served, eventually, serve
 
-__all__ = ["SIM", "appears", "catalogue", "free_port", "hub_at", "robot_at", "serving"]
+__all__ = [
+    "SIM",
+    "appears",
+    "catalogue",
+    "free_port",
+    "hub_at",
+    "process_of",
+    "robot_at",
+    "serving",
+]
 
 SIM = backend("rover", use="sim")
 _OPERATOR = key("operator", OPERATOR)
@@ -45,6 +59,24 @@ async def serving(text: str, *kinds: BackendKind) -> AsyncGenerator[Served]:
     """Run a gateway whose transports are open."""
     async with serve(parse(text, "test"), *kinds) as served:
         yield served
+
+
+@asynccontextmanager
+async def process_of(file: Path, text: str) -> AsyncGenerator[asyncio.subprocess.Process]:
+    """Run a gateway as a process of its own."""
+    file.write_text(text)  # noqa: ASYNC240 - a few lines
+    rcpd = Path(sys.executable).with_name("rcpd")
+    nobody = asyncio.subprocess.DEVNULL
+    process = await asyncio.create_subprocess_exec(
+        rcpd, "serve", file, stdout=nobody, stderr=nobody
+    )
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):  # the test has killed it
+            os.kill(process.pid, signal.SIGCONT)
+            process.kill()
+        await process.wait()
 
 
 async def catalogue(client: Client, pattern: str = "/tenant/**") -> dict[str, dict[str, Any]]:

@@ -106,7 +106,7 @@ def test_good_configurations_pass(tmp_path: Path, whose: str) -> None:
         (_without("tls = "), "'tls/127.0.0.1:7447' needs `tls`"),
         (
             lambda text, folder: _without("tls = ")(text.replace("tls/", "tcp/"), folder),
-            "`robots` and `hubs` are the rules of a router with `listen` and `tls`",
+            "`robots`, `hubs` and `routers` are the rules of a router with `listen` and `tls`",
         ),
         (_swap('hub = "h1"', 'hub = "h/1"'), "hub = 'h/1'"),
         (_swap('["r7"]', '["r 7"]'), "robots[0] = 'r 7'"),

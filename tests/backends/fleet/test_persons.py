@@ -243,3 +243,33 @@ async def test_a_bad_key_file_is_one_clear_sentence(
             return hub.supervisor.state == "failed" and message in str(hub.supervisor.detail)
 
         await eventually(shown, "the reason is in the status")
+
+
+async def test_a_link_has_the_links_of_persons_too(tmp_path: Path) -> None:
+    async with _fleet(tmp_path) as fleet:
+        link: dict[str, Any] = {}
+
+        async def told() -> bool:
+            link.update((await fleet.ann.request("read", f"{_POSE[:-4]}link"))["body"])
+            return "version" in link  # which the role `hub` may read
+
+        await eventually(told, "the version is known", _BOUND)
+        before = dict(link)
+        done = await fleet.ann.request("write", _LIMIT, body=0.5)
+        assert done["status"] == "completed", done
+        await told()
+        assert link["links"] == before["links"] + 1
+        assert link["sent"] > before["sent"], "those of the hub's own link, and of hers"
+        assert link["received"] > before["received"]
+        (shown,) = (
+            part["links"]
+            for part in fleet.robot.server.kernel.status.transports
+            if part.get("name") == "zenoh"
+        )
+
+        async def equal() -> bool:
+            await told()
+            robots_end = shown[0]["received"], shown[0]["sent"]
+            return robots_end == (link["sent"], link["received"])
+
+        await eventually(equal, "both ends have counted the same bytes on both links", _BOUND)

@@ -6,8 +6,7 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import AsyncGenerator
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +14,11 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import SIM, appears, free_port, hub_at, robot_at, serving
+from backends.fleet.cart import Cart
+from backends.fleet.rig import SIM, appears, free_port, hub_at, process_of, robot_at, serving
 from configuration import backend, configuration, key, listener, table
 from rcp_client import ConnectionLost, connect
-from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host
-from rcp_kernel.testing import ADMIN, OPERATOR, Client, ScriptedRobot, Served, eventually, scripted
-from rcp_kernel.types import quantity
+from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
 from transports.cable import Cable
 
 pytestmark = pytest.mark.anyio
@@ -29,25 +26,6 @@ _BOUND = 60.0  # s, on any machine
 _ADMIN = key("root", ADMIN, role="admin")
 _ROBOT = backend("cart")
 _FAR = {"position": {"x": 5.0, "y": 0.0}}
-
-
-class Cart(ScriptedRobot):
-    """Drives, and has an action that goes on without its client and one that does not."""
-
-    def __init__(self, host: Host) -> None:
-        goal: dict[str, Any] = {"input": quantity("m"), "output": quantity("m")}
-        super().__init__(
-            host,
-            Resource(
-                name="actuator/drive",
-                description="Drives.",
-                value=quantity("m/s"),
-                valid_for=0.5,
-                safe=0.0,
-            ),
-            Resource(name="action/go", description="Goes on.", **goal),
-            Resource(name="action/tied", description="Ends.", outlives=False, **goal),
-        )
 
 
 def _hub(port: int, name: str = "h1") -> str:
@@ -229,28 +207,6 @@ async def test_a_cut_link_lets_a_velocity_lapse_and_ends_what_is_tied_to_its_cli
         assert [name for name, _ in cart.ran] == ["action/go", "action/tied"]
 
 
-async def test_two_hubs_stop_one_robot_and_each_holds_it_until_its_own_reset() -> None:
-    port = free_port()
-    async with AsyncExitStack() as stack:
-        first = await stack.enter_async_context(serving(_hub(port)))
-        second = await stack.enter_async_context(serving(_hub(port, "h2")))
-        robot = robot_at(port, _ROBOT) + _ADMIN
-        served = await stack.enter_async_context(serving(robot, scripted(Cart)))
-        one, two = [await _client(stack, hub, "r7") for hub in (first, second)]
-        for reply in await asyncio.gather(_estop(one), _estop(two)):
-            assert reply["status"] == "completed", reply
-        local = served.client(ADMIN)
-        stack.push_async_callback(local.close)
-        assert await _state(local) == {"cart": "confirmed"}
-        assert (await _estop(one, reset=True))["status"] == "completed"
-        assert await _state(one) == {}
-        # The second one still holds it: its gateway is stopped again.
-        await _confirmed(local, "cart")
-        await _confirmed(two, "fleet/r7")
-        assert (await _estop(two, reset=True))["status"] == "completed"
-        assert await _state(local) == {}
-
-
 async def test_a_robot_that_refuses_the_reset_stays_latched_here_too() -> None:
     port = free_port()
     async with AsyncExitStack() as stack:
@@ -297,24 +253,6 @@ async def test_a_hub_that_was_closed_takes_up_its_command_and_nothing_is_done_tw
         assert cart.ran == [("action/go", 1.0)]
 
 
-@asynccontextmanager
-async def _process(file: Path, text: str) -> AsyncGenerator[asyncio.subprocess.Process]:
-    """Run a robot's gateway as a process of its own."""
-    file.write_text(text)  # noqa: ASYNC240 - a few lines
-    rcpd = Path(sys.executable).with_name("rcpd")
-    nobody = asyncio.subprocess.DEVNULL
-    process = await asyncio.create_subprocess_exec(
-        rcpd, "serve", file, stdout=nobody, stderr=nobody
-    )
-    try:
-        yield process
-    finally:
-        with suppress(ProcessLookupError):  # the test has killed it
-            os.kill(process.pid, signal.SIGCONT)
-            process.kill()
-        await process.wait()
-
-
 async def test_a_hub_that_was_killed_takes_up_its_command_too(tmp_path: Path) -> None:
     port, web = free_port(), free_port()
     kept = table("store", path=str(tmp_path / "hub.db"))
@@ -322,7 +260,7 @@ async def test_a_hub_that_was_killed_takes_up_its_command_too(tmp_path: Path) ->
     serving_web = text.replace(configuration(), listener(web), 1)
     async with AsyncExitStack() as stack:
         cart = (await _carts(stack, port, "r7"))["r7"]
-        async with _process(tmp_path / "hub.toml", serving_web + kept) as process:
+        async with process_of(tmp_path / "hub.toml", serving_web + kept) as process:
             path = "/tenant/alpha/action/r7/go"
             person = connect(f"http://127.0.0.1:{web}", token=ADMIN, patience=0)
             while not person.connected:
@@ -357,7 +295,7 @@ async def test_a_frozen_robot_is_named_and_stopped_when_it_goes_on(tmp_path: Pat
         hub = await stack.enter_async_context(serving(_hub(port)))
         await _carts(stack, port, "r1")
         robot = robot_at(port, SIM) + _ADMIN
-        process = await stack.enter_async_context(_process(tmp_path / "r7.toml", robot))
+        process = await stack.enter_async_context(process_of(tmp_path / "r7.toml", robot))
         client = await _client(stack, hub, "r1")
         path = "/tenant/alpha/action/r7/move_to"
         await appears(client, path)

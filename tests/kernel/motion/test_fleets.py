@@ -12,7 +12,7 @@ import pytest
 from configuration import backend
 from kernel.motion.test_latches import ADMIN, CHIEF, GUEST, HEAD, estop, moves
 from kernel.world import BOUND, Robot, World, kept_in, settled, world_of
-from rcp_kernel.errors import InvalidPath
+from rcp_kernel.errors import DeviceTimeout, InvalidPath
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Twist, quantity
 
@@ -106,13 +106,56 @@ async def test_a_stop_of_all_is_one_halt_and_one_robot_may_be_freed_from_it(worl
         ) == {"yard/r2"}
         assert await moves(admin, "r1")
         assert not await moves(admin, "r2")
-        assert (await estop(admin, reset=True))["body"] == {
+        state = (await estop(admin, reset=True))["body"]
+        assert state.pop("reset") is not None
+        assert state == {
             "active": False,
             "robots": {},
             "scopes": {},
             "groups": [],
         }
         assert await moves(admin, "r2")
+
+
+class Hub(Yard):
+    """The same with gateways of their own, of which one does not answer and one fails at first."""
+
+    has_gateways = True
+
+    def declare(self) -> None:
+        super().declare()
+        self.appear("r3")
+        self.asked, self.rests = asyncio.Event(), asyncio.Event()
+
+    async def halt(self) -> None:
+        await asyncio.gather(*map(self.halt_robot, ("r1", "r2", "r3")))
+
+    async def halt_robot(self, robot: str) -> None:
+        await super().halt_robot(robot)
+        if robot == "r3" and self.halted.count("r3") == 1:
+            raise DeviceTimeout("no answer")
+        if robot == "r1":
+            if self.halted.count("r1") > 1:
+                self.asked.set()
+            await self.rests.wait()
+
+
+async def test_no_gateway_waits_for_another_and_only_the_one_that_is_late_is_asked_again() -> None:
+    async with world_of(YARD, Hub) as world:
+        hub, admin = yard(world), world.client(ADMIN)
+        assert isinstance(hub, Hub)
+        stop = admin.send(type="execute", path="/system/estop", body={"scope": "yard"})
+        async with asyncio.timeout(BOUND):
+            await hub.asked.wait()
+        told = (await admin.ask(type="read", path="/system/estop"))["body"]["robots"]
+        assert {name: one["state"] for name, one in told.items()} == {
+            "yard/r1": "commanded",
+            "yard/r2": "confirmed",
+            "yard/r3": "confirmed",
+        }
+        hub.rests.set()
+        assert (await admin.final(stop))["status"] == "completed"
+        assert (hub.halted.count("r2"), hub.halted.count("r3")) == (1, 2)
 
 
 async def test_who_sees_one_robot_stops_that_one(world: World) -> None:

@@ -10,6 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from kernel.motion.test_fleets import FAST, YARD, Yard, yard
 from kernel.motion.test_latches import ADMIN, GUEST, estop
 from kernel.world import World, world_of
+from rcp_kernel.spi import RobotLink
 from steps import finished
 
 pytestmark = pytest.mark.anyio
@@ -77,11 +78,42 @@ async def test_the_status_the_robots_and_the_metrics_say_which(world: World) -> 
     assert (report["state"], report["backends"][0]["robots"]) == ("ok", {})
 
 
+class Fleet(Yard):
+    """A yard whose robots have gateways of their own; it fails to tell of the link with one."""
+
+    has_gateways = True
+
+    def robot_link(self, robot: str) -> RobotLink:
+        """Tell of the link with another."""
+        if robot == "r1":
+            raise SystemExit
+        return RobotLink(latency=0.02, sent=5, received=7, lost=1)
+
+
+async def test_a_backend_that_cannot_tell_of_one_link_hides_no_others() -> None:
+    async with world_of(YARD, Fleet) as world:
+        assert await _up(world) == {"r1": 1.0, "r2": 1.0}
+        link = "rcp_robot_link"
+        for name, value in (("_latency_seconds", 0.02), ("_sent_bytes", 5), ("s_lost", 1)):
+            assert await _samples(world, f"{link}{name}") == {"r2": value}
+        report = (await world.client(ADMIN).ask(type="status"))["body"]
+        assert report["backends"][0]["last_error"].startswith("robot_link: PluginExit(")
+
+
+async def test_a_guest_sees_the_link_of_no_hidden_robot() -> None:
+    async with world_of(YARD, Fleet) as world:
+        assert await _samples(world, "rcp_robot_link_sent_bytes", GUEST) == {}
+
+
 async def _up(world: World) -> dict[str, float]:
-    session = world.client(ADMIN).connection.session
+    return await _samples(world, "rcp_robot_up")
+
+
+async def _samples(world: World, name: str, token: str = ADMIN) -> dict[str, float]:
+    session = world.client(token).connection.session
     text = finished(world.server.client_api.metrics(session)).decode()
     families = {family.name: family for family in text_string_to_metric_families(text)}
-    return {s.labels["robot"]: s.value for s in families["rcp_robot_up"].samples}
+    return {s.labels["robot"]: s.value for s in families[name].samples}
 
 
 async def test_a_robot_that_is_hidden_is_hidden_in_the_status_too() -> None:

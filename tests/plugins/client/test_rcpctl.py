@@ -42,6 +42,14 @@ def test_read_shows_values(run: Run) -> None:
     assert {item["path"].split("/")[3] for item in many} == {"event", "param"}
 
 
+def test_fleet_says_that_a_gateway_is_no_hub(run: Run) -> None:
+    done = run("fleet")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == (
+        "rcpctl: this gateway is not the hub of a fleet. Pass the hub's address with --url.\n"
+    )
+
+
 def test_read_goes_on_after_a_path_that_is_not_there(run: Run) -> None:
     done = run("read", "/sensor/nothing", "/param/speed_limit")
     assert done.returncode == 3

@@ -12,6 +12,7 @@ from rcp_client.client import Client
 from rcp_client.connection import connect
 from rcp_client.console import show, whole
 from rcp_client.console.execute import execute
+from rcp_client.console.fleet import fleet
 from rcp_client.console.output import Output, exit_code
 from rcp_client.console.plan import plan
 from rcp_client.console.stops import estop, estop_without_session, hold
@@ -313,6 +314,7 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "approvals": _approvals,
     "approve": _approve,
     "robots": _robots,
+    "fleet": fleet,
     "lease list": _lease_list,
     "lease acquire": _lease_acquire,
     "lease release": _lease_release,

@@ -39,18 +39,21 @@ def _post(client: Client, envelope: dict[str, Any]) -> Reply:
         headers["Authorization"] = f"Bearer {token}"
     # The gateway's own reply is more specific than a time-out here.
     deadline = envelope.setdefault("deadline", settings.deadline)
-    url = settings.address.url.rstrip("/") + "/rcp/v1/messages"
+    address = client.channel.address
+    url = address.url + "/rcp/v1/messages"
     http_request = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
     try:
         with urllib.request.urlopen(  # noqa: S310 - the address of the client's own connection
-            http_request, timeout=deadline + MARGIN, context=settings.ssl
+            http_request,
+            timeout=deadline + MARGIN,
+            context=settings.ssl if address.secure else None,
         ) as answer:
             data = answer.read()
     except urllib.error.HTTPError as refusal:
         data = refusal.read()
     except urllib.error.URLError as error:  # it could not be sent
-        raise ConnectionLost(f"cannot reach {settings.address.url}: {error}") from error
+        raise ConnectionLost(f"cannot reach {address.url}: {error}") from error
     except (OSError, http.client.HTTPException) as error:
-        lost = ConnectionLost(f"{settings.address.url} did not answer: {error!r}")
+        lost = ConnectionLost(f"{address.url} did not answer: {error!r}")
         raise lost if repeatable(envelope, keys=True) else unknown_outcome(lost) from error
     return msgspec.json.decode(data, type=Reply)
