@@ -16,7 +16,7 @@ from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.link import FleetLinks
 from rcp_fleet.link_status import LinkStatus
-from rcp_fleet.resources import facts_of, name_of, resource_of
+from rcp_fleet.resources import CONFIGURATION, facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -152,7 +152,8 @@ class RemoteGateway:
     async def _discover(self) -> list[ResourceInfo]:
         while True:
             try:
-                return await self._types.discover(self._client, "/tenant/**")
+                found = await self._types.discover(self._client, "/tenant/**")
+                return found + await self._types.discover(self._client, CONFIGURATION)
             except RcpError as error:
                 log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
             await asyncio.sleep(_LONGEST_PAUSE)

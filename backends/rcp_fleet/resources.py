@@ -10,11 +10,16 @@ from rcp_client.messages import ResourceInfo
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.spi import Dimensions, RobotFacts
 
-__all__ = ["facts_of", "name_of", "resource_of"]
+__all__ = ["CONFIGURATION", "facts_of", "name_of", "resource_of"]
+
+CONFIGURATION = "/system/configuration"
+"""The one path of a gateway's own that hubs show."""
 
 
 def name_of(path: str, gateway: str) -> str:
     """Return the hub's name of a gateway's path: its id follows the branch."""
+    if path == CONFIGURATION:
+        return f"service/{gateway}/gateway/configuration"
     _, _, _, branch, rest = path.split("/", 4)
     return f"{branch}/{gateway}/{rest}"
 
@@ -25,6 +30,9 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
     The robot's own serialized bytes do not cross the link, so that `native` is left out.
     """
     offered = info.operations if info.offers is None else info.offers
+    types = {name: type_of(id_) for name, id_ in info.schema_ids.items()}
+    if info.path == CONFIGURATION:  # discovery does not tell the type of a service's value
+        types["value"] = types["output"]
     return Resource(
         name=name_of(info.path, gateway),
         description=info.description,
@@ -42,7 +50,7 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
         atomic=info.atomic,
         meta={**info.meta, "gateway": gateway, "path": info.path},
         profiles=tuple(info.profiles),
-        **{name: type_of(id_) for name, id_ in info.schema_ids.items()},
+        **types,
     )
 
 

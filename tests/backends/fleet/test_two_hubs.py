@@ -312,3 +312,46 @@ async def test_a_hub_that_is_started_again_does_not_release_what_is_stopped(
         assert (await _estop(two, reset=True))["status"] == "completed"
         for client in (one, two, robot):
             await _holds(client, {})
+
+
+async def test_commands_that_wait_outlive_their_hub_in_one_queue(tmp_path: Path) -> None:
+    pair, path = Pair(tmp_path), "/tenant/alpha/action/r7/line"
+    async with AsyncExitStack() as stack:
+        second = await stack.enter_async_context(serving(pair.hub("h2")))
+        served, cart = await stack.enter_async_context(_robot(pair))
+        two = await _client(stack, second)
+        robot = await _client(stack, served, ADMIN)
+
+        async def waiting(number: int) -> None:
+            async def so_many() -> bool:
+                found = (await robot.request("read", "/system/commands"))["body"]
+                return [one["status"] for one in found].count("pending") == number
+
+            await eventually(so_many, f"{number} wait at the robot", _BOUND)
+
+        async with serving(pair.hub("h1", store=True)) as first:
+            one = first.client(OPERATOR)
+            for client in (one, two):
+                await appears(client, path)
+            await one.send(type="execute", path=path, body=1.0)
+            await asyncio.wait_for(cart.started.get(), _BOUND)
+            await one.send(type="execute", path=path, body=2.0)
+            await waiting(1)
+            last = await two.send(type="execute", path=path, body=3.0)
+            await waiting(2)
+            await one.close()
+        first = await stack.enter_async_context(serving(pair.hub("h1", store=True)))
+        one = await _client(stack, first)
+        await appears(one, path)
+        cart.release.set()
+        assert (await two.final(last, _BOUND))["status"] == "completed"
+
+        async def completed() -> bool:
+            found = (await one.request("read", "/system/commands"))["body"]
+            return sorted(str((c["status"], c.get("body"))) for c in found) == [
+                "('completed', 1.0)",
+                "('completed', 2.0)",
+            ]
+
+        await eventually(completed, "the hub has both final replies", _BOUND)
+        assert cart.ran == [("action/line", value) for value in (1.0, 2.0, 3.0)]
