@@ -136,11 +136,14 @@ async def serve_robots(port: str, first: str, count: str) -> None:
     from rcp_kernel.app import plugins
     from rcp_kernel.config.file import parse
     from rcp_kernel.testing import scripted, serve
+    from rcpd.garbage import collected_at_rest
 
     # Each gateway would read the metadata of all packages five times.
     plugins.entry_points = functools.cache(plugins.entry_points)
     robots = Robots()
     async with AsyncExitStack() as stack:
+        # As `rcpd serve` does: with so many robots in a process, a full collection takes a second.
+        stack.enter_context(collected_at_rest(asyncio.get_running_loop(), lambda: True))
         for number in range(int(first), int(first) + int(count)):
             text = (
                 f'{OFF}[transports.zenoh]\ngateway = "r{number}"\ntenant = "t"\n'
@@ -285,6 +288,7 @@ async def serve_hub(port: str, count: str) -> None:
     from rcp_fleet import rcp_backends
     from rcp_kernel.config.file import parse
     from rcp_kernel.testing import serve
+    from rcpd.garbage import collected_at_rest
 
     robots = int(count)
     text = (
@@ -307,7 +311,11 @@ async def serve_hub(port: str, count: str) -> None:
             super().__init__(*arguments)
 
     backend.FleetBackend = Started
-    async with serve(parse(text, "bench"), *rcp_backends()) as served:
+    async with AsyncExitStack() as stack:
+        # As `rcpd serve` does.
+        stack.enter_context(collected_at_rest(asyncio.get_running_loop(), lambda: True))
+        enter = stack.enter_async_context
+        served = await enter(serve(parse(text, "bench"), *rcp_backends()))
         hub = Hub(served, robots)
         while (known := await hub.known()) < robots:  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0.02)

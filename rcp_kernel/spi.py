@@ -263,6 +263,16 @@ class Host(Protocol):
         """Tell whether an e-stop holds one of the backend's robots, or the backend as a whole."""
         ...
 
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Report what a robot's own gateway says of its latched e-stop, as in `/system/estop`.
+
+        None: it is not latched. With `reset`, because somebody has reset it there: then this
+        gateway does not hold the robot any longer either. See `Backend.has_gateways`.
+        """
+        ...
+
     def guard(self, name: str, plan: StopPlan | None) -> None:
         """Give the guard process what stops a part of the robot without the gateway.
 

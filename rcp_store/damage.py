@@ -63,7 +63,8 @@ def _missing(path: Path) -> str | None:
 
 def _witnesses(path: Path) -> list[str]:
     head = HeadFile(path)
-    used = head.path.exists() and head.read() != (0, GENESIS)
+    # An empty one is of a first start that was killed before the database was there.
+    used = head.path.exists() and head.path.stat().st_size > 0 and head.read() != (0, GENESIS)
     files = [head.path] if used else []
     files += [file for file in (latches_beside(path), interim_of(path)) if file.exists()]
     return [file.name for file in files]

@@ -75,9 +75,20 @@ def serve(config: Path) -> None:
     listeners need a restart. SIGTERM or Ctrl-C stops the robots and the gateway. Exit code: 0, 1
     if the gateway cannot start, 3 if the last audit records could not be written.
     """
+    from rcpd.configuration_file import ConfigurationFile, run_again
     from rcpd.serve import run
 
-    run(_loaded(config), str(config), config, None)
+    file = ConfigurationFile(config)
+    file.start()
+    try:
+        run(_loaded(config), str(config), file, None)
+    except SystemExit as end:
+        if end.code == FAILED and file.on_probation:
+            file.go_back("the gateway cannot start with it")
+            file.restarts = True
+        if not file.restarts:
+            raise
+    run_again()
 
 
 @main.command()

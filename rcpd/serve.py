@@ -6,7 +6,7 @@ import asyncio
 import signal
 import sys
 from collections.abc import Callable
-from pathlib import Path
+from contextlib import ExitStack
 
 import click
 
@@ -17,19 +17,24 @@ from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import StartupError
+from rcp_kernel.features.configuration import SERVED_CONFIGURATION
+from rcpd.configuration_file import ConfigurationFile
 from rcpd.demo import Demo
 from rcpd.exits import RECORD_LOST, fail
 from rcpd.garbage import collected_at_rest
 from rcpd.memory import keep_freed_memory
 from rcpd.notify import notifying
+from rcpd.probation import Probation
 
 __all__ = ["loop_factory", "run"]
 
 
-def run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
+def run(
+    config: GatewayConfig, source: str, file: ConfigurationFile | None, demo: Demo | None
+) -> None:
     """Serve a configuration until stopped, then exit.
 
-    `path` is the file that SIGHUP reloads; `source` names the configuration in messages.
+    `file` is what SIGHUP reloads; `source` names the configuration in messages.
     """
     keep_freed_memory()
     recent = configure(config.log.level, config.log.format)
@@ -40,7 +45,7 @@ def run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None
     log_weak_keys(config.keys, source)
     with asyncio.Runner(loop_factory=loop_factory()) as runner:
         try:
-            code = run_contained(runner, _serve(prepared, recent, path, demo))
+            code = run_contained(runner, _serve(prepared, recent, file, demo))
             end_in_time(code)
         except StartupError as error:
             fail(str(error))
@@ -58,17 +63,22 @@ def loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
     return uvloop.new_event_loop
 
 
-async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> int:
+async def _serve(
+    prepared: Prepared, recent: Recent, file: ConfigurationFile | None, demo: Demo | None
+) -> int:
     """Serve until stopped; return the exit code."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     with notifying(loop) as notifier:
 
         def ask(name: str) -> None:
-            if stop.is_set():
+            restarts = file is not None and file.restarts
+            if stop.is_set() and not restarts:
                 click.echo("rcpd: stopped immediately", err=True)
                 signal.raise_signal(signal.SIGKILL)
             click.echo(f"rcpd: {name}: stopping the robots", err=True)
+            if file is not None:
+                file.restarts = False
             notifier.send("STOPPING=1")
             stop.set()
 
@@ -76,7 +86,7 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
             loop.add_signal_handler(number, ask, number.name)
         async with running(prepared, recent) as server:
             notifier.send("READY=1")
-            await _serve_until(stop, server, path, demo)
+            await _serve_until(stop, server, file, demo)
     if not server.kernel.store.lost:
         return 0
     click.echo("rcpd: cannot write the store: the last audit records are lost", err=True)
@@ -84,19 +94,21 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
 
 
 async def _serve_until(
-    stop: asyncio.Event, server: Server, path: Path | None, demo: Demo | None
+    stop: asyncio.Event, server: Server, file: ConfigurationFile | None, demo: Demo | None
 ) -> None:
     loop = asyncio.get_running_loop()
-    tasks: set[asyncio.Task[None]] = set()
-    if path is not None:
+    tasks: set[asyncio.Task[bool]] = set()
+    with ExitStack() as stack:
+        if file is not None:
 
-        def again() -> None:
-            task = loop.create_task(reload(server, path), name="reload")
-            tasks.add(task)
-            task.add_done_callback(tasks.discard)
+            def again() -> None:
+                task = loop.create_task(reload(server, file.path), name="reload")
+                tasks.add(task)
+                task.add_done_callback(tasks.discard)
 
-        loop.add_signal_handler(signal.SIGHUP, again)
-    with collected_at_rest(loop, lambda: server.kernel.moving):
+            loop.add_signal_handler(signal.SIGHUP, again)
+            _watch_probation(stack, server, file, stop)
+        stack.enter_context(collected_at_rest(loop, lambda: server.kernel.moving))
         if demo is not None:
             with demo.credentials(server):
                 click.echo(demo.banner(server))
@@ -106,3 +118,18 @@ async def _serve_until(
                 if "url" in facts:
                     click.echo(f"rcpd: serving on {facts['url']}", err=True)
             await stop.wait()
+
+
+def _watch_probation(
+    stack: ExitStack, server: Server, file: ConfigurationFile, stop: asyncio.Event
+) -> None:
+    def restart() -> None:
+        click.echo("rcpd: restarting with another configuration", err=True)
+        file.restarts = True
+        stop.set()
+
+    probation = Probation(server, file, restart)
+    stack.callback(probation.close)
+    serve = server.kernel.features.service(SERVED_CONFIGURATION)
+    if serve is not None:
+        serve(probation)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import partial
 from typing import Any
 
 import structlog
@@ -13,6 +14,7 @@ import zenoh
 from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
+from rcp_fleet.link import FleetLinks
 from rcp_fleet.revocations import Revocations
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -25,8 +27,9 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotLink, caller
+from rcp_zenoh.inbox import received
 from rcp_zenoh.keys import alive, part
-from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.session import configuration, opened
 
 __all__ = ["FleetBackend", "open_gateways"]
 
@@ -42,12 +45,12 @@ class FleetBackend(BaseBackend):
     def __init__(
         self,
         config: FleetConfig,
-        session: zenoh.Session,
+        links: FleetLinks,
         host: Host,
         signer: HubSigner | None,
         revocations: Revocations | None,
     ) -> None:
-        self._config, self._session, self._host = config, session, host
+        self._config, self._links, self._host = config, links, host
         self._signer, self._revocations = signer, revocations
         self._types = RobotTypes()
         self.gateways: dict[str, RemoteGateway] = {}
@@ -67,7 +70,7 @@ class FleetBackend(BaseBackend):
         """Begin a session with a gateway, unless it has a name that no robot can have here."""
         try:
             gateway = RemoteGateway(
-                self._config, self._session, self._host, self._types, self._signer, name
+                self._config, self._links, self._host, self._types, self._signer, name
             )
         except RcpError as error:
             log.warning("fleet_gateway_ignored", gateway=name, reason=error.message)
@@ -198,17 +201,19 @@ async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[Fleet
         revocations = None
         if config.revoked is not None:
             revocations = Revocations(session, host.tenant, config.revoked)
-        backend = FleetBackend(config, session, host, signer, revocations)
+        links = FleetLinks(session, host.tenant, config.hub, config.silence)
+        backend = FleetBackend(config, links, host, signer, revocations)
+        tokens = partial(session.liveliness().declare_subscriber, alive(host.tenant), history=True)
         repeating = loop.create_task(_repeat(revocations), name="fleet revocations")
-        tokens = session.liveliness().declare_subscriber(
-            alive(host.tenant), on_loop(loop, backend.token), history=True
-        )
         try:
-            yield backend
+            async with links.receiving():
+                try:
+                    async with received(tokens, backend.token):
+                        yield backend
+                finally:
+                    await backend.close()
         finally:
             repeating.cancel()
-            tokens.undeclare()
-            await backend.close()
 
 
 async def _repeat(revocations: Revocations | None) -> None:

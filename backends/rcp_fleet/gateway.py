@@ -9,14 +9,14 @@ from typing import Any
 
 import msgspec
 import structlog
-import zenoh
 
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
+from rcp_fleet.link import FleetLinks
 from rcp_fleet.link_status import LinkStatus
-from rcp_fleet.resources import facts_of, name_of, resource_of
+from rcp_fleet.resources import CONFIGURATION, facts_of, name_of, resource_of
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -52,7 +52,7 @@ class RemoteGateway:
     def __init__(
         self,
         config: FleetConfig,
-        session: zenoh.Session,
+        links: FleetLinks,
         host: Host,
         types: RobotTypes,
         signer: HubSigner | None,
@@ -70,10 +70,10 @@ class RemoteGateway:
         self._paths: dict[str, str] = {}
         self._numbers = RobotNumbers()
         self._streams: dict[tuple[str, float | None], _Stream] = {}
-        self._sessions = GatewaySessions(config, session, host.tenant, name, signer)
+        self._sessions = GatewaySessions(config, links, host.tenant, name, signer)
         self._client = self._sessions.own
         self.link = LinkStatus(host, name, self._sessions.statistics)
-        self.stops = RobotStop(self._client, config.hub)
+        self.stops = RobotStop(self._client, config.hub, host, name)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
@@ -152,7 +152,8 @@ class RemoteGateway:
     async def _discover(self) -> list[ResourceInfo]:
         while True:
             try:
-                return await self._types.discover(self._client, "/tenant/**")
+                found = await self._types.discover(self._client, "/tenant/**")
+                return found + await self._types.discover(self._client, CONFIGURATION)
             except RcpError as error:
                 log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
             await asyncio.sleep(_LONGEST_PAUSE)

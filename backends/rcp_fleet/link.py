@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import secrets
 from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -14,13 +15,13 @@ from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.messages import Codec
 from rcp_fleet.values import decoded
 from rcp_zenoh.budget import Allowance
+from rcp_zenoh.inbox import received
 from rcp_zenoh.keys import LinkKeys
 from rcp_zenoh.lane import Priority
 from rcp_zenoh.pipe import Pipe
-from rcp_zenoh.session import on_loop
 from rcp_zenoh.statistics import LinkStatistics
 
-__all__ = ["FleetLink"]
+__all__ = ["FleetLink", "FleetLinks"]
 
 _LONGEST = 67_108_864  # bytes of a message that a gateway may make this hub keep
 
@@ -31,7 +32,7 @@ class FleetLink(Carrier):
     def __init__(
         self,
         session: zenoh.Session,
-        place: tuple[str, str, str],
+        keys: LinkKeys,
         silence: float,
         statistics: LinkStatistics,
         is_feed: Callable[[str | None], bool],
@@ -39,7 +40,6 @@ class FleetLink(Carrier):
         received: Received,
         lost: Lost,
     ) -> None:
-        keys = LinkKeys.of(*place, secrets.token_hex(8))
         self._codec, self._received, self._lost = codec, received, lost
         self._statistics, self._is_feed = statistics, is_feed
         self.segment_size: int | None = None
@@ -47,8 +47,6 @@ class FleetLink(Carrier):
         self._why = "the link was closed"
         self._waiting: deque[bytes] = deque()
         """Messages for which the window has no room yet."""
-        loop = asyncio.get_running_loop()
-        self._messages = session.declare_subscriber(keys.down, on_loop(loop, self._take))
         self._pipe = Pipe(session, keys.up, silence, self, Allowance(), self._note)
         self._token = session.liveliness().declare_token(keys.token)
         statistics.opened(self._pipe)
@@ -79,7 +77,8 @@ class FleetLink(Carrier):
         while self._waiting and self._pipe.writable(Priority.CONTROL):
             self._pipe.send(self._waiting.popleft(), Priority.CONTROL)
 
-    def _take(self, sample: zenoh.Sample) -> None:
+    def take(self, sample: zenoh.Sample) -> None:
+        """Handle what the gateway sent."""
         message = self._pipe.receive(sample)
         if message is None:
             return
@@ -98,9 +97,51 @@ class FleetLink(Carrier):
         self._why = why
         self._statistics.ended(self._pipe, why)
         self._waiting.clear()
-        self._messages.undeclare()
         self._token.undeclare()
         self._lost(self)
 
     def _note(self) -> None:
         self._statistics.note(self._pipe)
+
+
+class FleetLinks:
+    """The links of a hub: one subscriber for what all gateways say to it."""
+
+    def __init__(self, session: zenoh.Session, tenant: str, hub: str, silence: float) -> None:
+        self._session, self._tenant, self._hub = session, tenant, hub
+        self._silence = silence
+        self._links: dict[str, FleetLink] = {}
+        """By the key on which the gateway speaks."""
+
+    @asynccontextmanager
+    async def receiving(self) -> AsyncGenerator[None]:
+        """Receive for all links while entered."""
+        every = LinkKeys.of(self._tenant, "*", self._hub, "*").down
+        async with received(partial(self._session.declare_subscriber, every), self._take):
+            yield
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        link = self._links.get(str(sample.key_expr))
+        if link is not None:
+            link.take(sample)
+
+    def open(
+        self,
+        gateway: str,
+        statistics: LinkStatistics,
+        is_feed: Callable[[str | None], bool],
+        codec: Codec,
+        received: Received,
+        lost: Lost,
+    ) -> FleetLink:
+        """Open a link with a gateway."""
+        keys = LinkKeys.of(self._tenant, gateway, self._hub, secrets.token_hex(8))
+
+        def ended(link: Carrier) -> None:
+            del self._links[keys.down]
+            lost(link)
+
+        link = self._links[keys.down] = FleetLink(
+            self._session, keys, self._silence, statistics, is_feed, codec, received, ended
+        )
+        return link

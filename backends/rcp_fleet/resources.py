@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from rcp_client.messages import ResourceInfo
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.spi import Dimensions, RobotFacts
 
-__all__ = ["facts_of", "name_of", "resource_of"]
+__all__ = ["CONFIGURATION", "facts_of", "name_of", "resource_of"]
+
+CONFIGURATION = "/system/configuration"
+"""The one path of a gateway's own that hubs show."""
 
 
 def name_of(path: str, gateway: str) -> str:
     """Return the hub's name of a gateway's path: its id follows the branch."""
+    if path == CONFIGURATION:
+        return f"service/{gateway}/gateway/configuration"
     _, _, _, branch, rest = path.split("/", 4)
     return f"{branch}/{gateway}/{rest}"
 
@@ -23,14 +29,15 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
 
     The robot's own serialized bytes do not cross the link, so that `native` is left out.
     """
-    operations = Operation.NONE
-    for name in info.operations if info.offers is None else info.offers:
-        operations |= Operation[name.upper()]
+    offered = info.operations if info.offers is None else info.offers
+    types = {name: type_of(id_) for name, id_ in info.schema_ids.items()}
+    if info.path == CONFIGURATION:  # discovery does not tell the type of a service's value
+        types["value"] = types["output"]
     return Resource(
         name=name_of(info.path, gateway),
         description=info.description,
         robot=gateway,
-        operations=operations & ~Operation.DISCOVER,
+        operations=_operations(tuple(offered)),
         examples=tuple(info.examples),
         deadline=info.deadline,
         timeout=info.timeout,
@@ -43,8 +50,17 @@ def resource_of(info: ResourceInfo, gateway: str, type_of: Callable[[str], Any])
         atomic=info.atomic,
         meta={**info.meta, "gateway": gateway, "path": info.path},
         profiles=tuple(info.profiles),
-        **{name: type_of(id_) for name, id_ in info.schema_ids.items()},
+        **types,
     )
+
+
+@lru_cache
+def _operations(names: tuple[str, ...]) -> Operation:
+    """Return what a resource offers here, where discovery is the hub's own."""
+    operations = Operation.NONE
+    for name in names:
+        operations |= Operation[name.upper()]
+    return operations & ~Operation.DISCOVER
 
 
 def facts_of(robots: list[dict[str, Any]]) -> RobotFacts:

@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from functools import partial
 
 import structlog
-import zenoh
 
 from rcp_client.address import Address
 from rcp_client.carrier import Carrier, Lost, Received
@@ -16,7 +15,7 @@ from rcp_client.client import Client
 from rcp_client.messages import Codec, Notice
 from rcp_client.settings import Settings
 from rcp_fleet.config import FleetConfig
-from rcp_fleet.link import FleetLink
+from rcp_fleet.link import FleetLink, FleetLinks
 from rcp_fleet.values import RobotFeed
 from rcp_hubs.assertion import OWN_PROOF
 from rcp_hubs.signer import HubSigner
@@ -37,12 +36,12 @@ class GatewaySessions:
     def __init__(
         self,
         config: FleetConfig,
-        session: zenoh.Session,
+        links: FleetLinks,
         tenant: str,
         gateway: str,
         signer: HubSigner | None,
     ) -> None:
-        self._config, self._session, self._signer = config, session, signer
+        self._config, self._fleet, self._signer = config, links, signer
         self._tenant, self._gateway = tenant, gateway
         self._alive = asyncio.Event()
         self._links: set[FleetLink] = set()
@@ -100,11 +99,7 @@ class GatewaySessions:
             self._links.discard(link)  # pyright: ignore[reportArgumentType] - made below
             lost(link)
 
-        place = (self._tenant, self._gateway, self._config.hub)
-        silence = self._config.silence
-        link = FleetLink(
-            self._session, place, silence, self.statistics, is_feed, codec, received, ended
-        )
+        link = self._fleet.open(self._gateway, self.statistics, is_feed, codec, received, ended)
         self._links.add(link)
         return link
 

@@ -12,7 +12,7 @@ from rcp_client.client import Client
 from rcp_client.messages import Reply
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import RcpError
-from rcp_kernel.spi import MotionState
+from rcp_kernel.spi import Host, MotionState
 
 __all__ = ["RobotStop"]
 
@@ -24,13 +24,16 @@ _WAIT = 10.0  # s for the gateway's answer; it answers after 5 s if the robot is
 class RobotStop:
     """What the hub asks of a gateway's e-stop, and what it was told of it."""
 
-    def __init__(self, client: Client, hub: str) -> None:
+    def __init__(self, client: Client, hub: str, host: Host, robot: str) -> None:
         self._client, self._hub = client, hub
+        self._host, self._robot = host, robot
         self._asking: asyncio.Task[None] | None = None
         self._told: dict[str, Any] | None = None
         """The last state of the gateway's e-stop."""
         self._time = 0
         """When that was, ns by the robot's clock."""
+        self._held = 0
+        """Since when it is latched, as far as known here; 0: it is not."""
 
     def motion(self) -> MotionState:
         """Report whether all that the gateway shows the hub is stopped, as it measures."""
@@ -60,8 +63,23 @@ class RobotStop:
         self._take(reply)
 
     def _take(self, reply: Reply) -> None:
-        self._told = reply.body
-        self._time = parse_time(reply.timestamp) if reply.timestamp is not None else self._time
+        time = parse_time(reply.timestamp) if reply.timestamp is not None else self._time
+        self._learn(reply.body, time)
+
+    def _learn(self, told: dict[str, Any], time: int) -> None:
+        self._told, self._time = told, time
+        if told["active"]:
+            latched: list[dict[str, Any]] = list(told["robots"].values())
+            self._held = max((parse_time(one["since"]) for one in latched), default=time)
+            if latched:  # of several, one that is not at rest
+                late = (one for one in latched if one.get("state") != "confirmed")
+                self._host.own_estop(self._robot, next(late, latched[0]))
+            return
+        reset = told.get("reset")  # not if its latch was lost with its gateway
+        is_reset = bool(self._held and reset and parse_time(reset) > self._held)
+        if is_reset:
+            self._held = 0
+        self._host.own_estop(self._robot, None, reset=is_reset)
 
     async def stop(self) -> None:
         """Stop the robot; return when its gateway has measured it to be at rest.
@@ -81,7 +99,7 @@ class RobotStop:
             async for update in self._client.subscribe(_PATH):
                 time = parse_time(update.timestamp)
                 if time >= self._time:  # an answer overtakes updates
-                    self._told, self._time = update.body, time
+                    self._learn(update.body, time)
         except RcpError as error:
             log.warning("fleet_estop_not_followed", hub=self._hub, reason=error.message)
 

@@ -1,4 +1,4 @@
-"""`rcpd fleet`: keys of hubs and of the fleet, revocation, invitations; `rcpd enroll`."""
+"""`rcpd fleet`: keys of hubs and of the fleet, revocation, invitations, roll-out; `rcpd enroll`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["enroll", "fleet"]
 
 @click.group()
 def fleet() -> None:
-    """Make keys of hubs and of the fleet, revoke those of hubs, and invite robots."""
+    """Make keys of hubs and of the fleet, revoke those of hubs, invite and configure robots."""
 
 
 @fleet.command()
@@ -126,6 +126,47 @@ def invite(
     except EnrolmentError as error:
         raise click.ClickException(str(error)) from None
     click.echo(f"{gateway} is enrolled. Add it to `robots` of the backend '{backend.name}'.")
+
+
+@fleet.command("roll-out")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--robot", "robots", multiple=True, required=True, help="Gateway; may be repeated.")
+@click.option("--seconds", default=60.0, show_default=True, help="Until a robot goes back.")
+@click.option("--restart", is_flag=True, help="Restart gateways whose reload is not enough.")
+@click.option("--url", help="Of the hub [RCP_URL; http://127.0.0.1:8080].")
+@click.option("--token", help="API key or JWT [RCP_TOKEN].")
+@click.option("--tenant", help="Of the robots [RCP_TENANT].")
+def roll_out(
+    file: Path,
+    *,
+    robots: tuple[str, ...],
+    seconds: float,
+    restart: bool,
+    url: str | None,
+    token: str | None,
+    tenant: str | None,
+) -> None:
+    """Give robots the configuration FILE over a hub, one after the other, until one fails.
+
+    A robot checks it, and goes back to the one before by itself unless this command confirms it.
+    """
+    import asyncio
+
+    from rcp_client import connect
+    from rcp_hubs.roll_out import RollOut, RollOutError
+    from rcp_kernel.errors import RcpError
+
+    async def run(data: bytes) -> None:
+        async with connect(url, token=token, tenant=tenant) as client:
+            made = RollOut(client, data, seconds=seconds, restart=restart, say=click.echo)
+            await made.run(robots)
+
+    try:
+        asyncio.run(run(file.read_bytes()))
+    except OSError as error:
+        raise click.ClickException(f"'{file}': {error.strerror}") from None
+    except (RollOutError, RcpError, ValueError) as error:
+        raise click.ClickException(str(error)) from None
 
 
 def _fleet_of(backends: tuple[BackendConfig, ...], config: Path) -> BackendConfig:

@@ -9,10 +9,10 @@ import structlog
 
 from rcp_kernel.access.key_strength import log_weak_keys
 from rcp_kernel.app.server import Prepared, Server, prepare, retire, start_backend
-from rcp_kernel.config.file import load
+from rcp_kernel.config.file import GatewayConfig, load
 from rcp_kernel.errors import StartupError
 
-__all__ = ["apply", "reload"]
+__all__ = ["apply", "needs_restart", "prepare_reload", "reload"]
 
 log = structlog.get_logger("rcp.reload")
 _FIXED = ("transports", "plugins", "store", "log", "name")
@@ -21,36 +21,48 @@ _GUARD = ("guard", "guard_after", "guard_bound")
 """Keys of `[safety]` that cannot change while a guard runs."""
 
 
-async def reload(server: Server, path: Path) -> None:
-    """Apply a configuration file; an invalid one changes nothing and is logged.
+def needs_restart(running: GatewayConfig, fresh: GatewayConfig) -> list[str]:
+    """Return the parts of a configuration that a reload would leave as they are."""
+    changed = [part for part in _FIXED if getattr(running, part) != getattr(fresh, part)]
+    if set(running.active_features) != set(fresh.active_features):
+        changed.append("features")
+    guard = (key for key in _GUARD if getattr(running.safety, key) != getattr(fresh.safety, key))
+    return [*changed, *(f"safety.{key}" for key in guard)]
+
+
+def prepare_reload(running: GatewayConfig, fresh: GatewayConfig, source: str) -> Prepared:
+    """Prepare what a reload can change; the rest stays.
 
     Its rules must be safe with its own listeners, and with those that continue unchanged.
+
+    :raises StartupError: it is invalid.
     """
+    prepare(fresh, source)
+    kept = {part: getattr(running, part) for part in _FIXED}
+    if set(running.active_features) != set(fresh.active_features):
+        kept["features"] = running.features
+    return prepare(msgspec.structs.replace(fresh, **kept), source)
+
+
+async def reload(server: Server, path: Path) -> bool:
+    """Apply a configuration file; an invalid one changes nothing, is logged, and returns false."""
     running = server.kernel.settings.config
     try:
         fresh = load(path)
-        prepare(fresh, str(path))
-        kept = {part: getattr(running, part) for part in _FIXED}
-        if set(running.active_features) != set(fresh.active_features):
-            kept["features"] = running.features
-        prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
+        prepared = prepare_reload(running, fresh, str(path))
     except StartupError as error:
         log.error("reload_refused", reason=str(error))
         server.kernel.event_bus.note("reload", principal=None, outcome="refused")
-        return
+        return False
     except Exception:
         log.exception("reload_failed", reason="a plugin or the gateway has a bug")
         server.kernel.event_bus.note("reload", principal=None, outcome="failed")
-        return
+        return False
     log_weak_keys(fresh.keys, str(path))
-    fixed = _FIXED if "features" not in kept else (*_FIXED, "features")
-    for part in fixed:
-        if getattr(running, part) != getattr(fresh, part):
-            log.warning("reload_needs_restart", part=part)
-    for key in _GUARD:
-        if getattr(running.safety, key) != getattr(fresh.safety, key):
-            log.warning("reload_needs_restart", part=f"safety.{key}")
+    for part in needs_restart(running, fresh):
+        log.warning("reload_needs_restart", part=part)
     await apply(server, prepared)
+    return True
 
 
 async def apply(server: Server, prepared: Prepared) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Literal
 
@@ -315,6 +315,19 @@ class BackendSupervisor:
             self._report_robot(unit, detail, down=False)
         self._regain(unit)
 
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Show the e-stop of a robot's own gateway; one that was reset there holds nothing here."""
+        unit = self.unit(robot)
+        if unit.latch is not None and state is None and reset:
+            for key in (unit.identity, unit.name):
+                self._latches.reset(key, unit.keys)
+            unit.release(now())
+            self._stops.end([unit])
+        else:
+            self._latches.show(unit.name, state)
+
     def is_latched(self, robot: str | None = None) -> bool:
         """Tell whether an e-stop holds a robot."""
         return self.unit(robot).latch is not None
@@ -420,7 +433,8 @@ class BackendSupervisor:
         if self.backend is None:
             return
         if unit.latch is not None:
-            self._stops.resume(unit)
+            if unit.latch.shown is None:  # otherwise its own gateway holds it, or has let it go
+                self._stops.resume(unit)
         elif unit.lost is not None and unit not in self._recoveries:
             task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
             self._recoveries[unit] = task

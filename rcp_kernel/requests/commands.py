@@ -125,7 +125,7 @@ class Commands:
         self._journal.write(command, accepted)
         entry = call.entry
         busy = self._active.get(entry.path)
-        if busy is None or entry.parallel:
+        if busy is None or _begins_at_once(entry):
             self._run(command, call, confirm)
         else:
             text = f"Waiting for command {busy.id} on {entry.path}."
@@ -147,7 +147,7 @@ class Commands:
 
     def _run(self, command: Command, call: Call, confirm: Confirm) -> None:
         entry, deadline = call.entry, call.request.deadline
-        if not entry.parallel:
+        if not _begins_at_once(entry):
             self._active[entry.path] = command
         if entry.moves:
             entry.unit.lost = None
@@ -208,7 +208,7 @@ class Commands:
                 self._end(command, Cancelled(why, path=entry.path))
                 continue
             self._left[entry.path].remove(command)
-            if not entry.parallel:
+            if not _begins_at_once(entry):
                 self._active.setdefault(entry.path, command)
             work = self._continue(command, entry, backend)
             command.task = self._loop.create_task(work, name=f"command {command.id}")
@@ -421,6 +421,11 @@ class Commands:
             self.cancel(command, "the gateway is closing")
         if tasks:
             await asyncio.wait(tasks, timeout=_CANCEL_GRACE)
+
+
+def _begins_at_once(entry: Entry) -> bool:
+    """Return whether a command does not wait here: a robot's own gateway has the queue of its path."""
+    return entry.parallel or (entry.owner.has_gateways and entry.resource.policy == "queue")
 
 
 def _mismatch(entry: Entry, error: RcpError) -> RcpError:

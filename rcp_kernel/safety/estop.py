@@ -18,7 +18,7 @@ from msgspec import Meta
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.scope_rights import ScopeRights
-from rcp_kernel.clock import Clock
+from rcp_kernel.clock import Clock, iso
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden, UnknownPath
@@ -30,6 +30,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Owner, StopGroup
 from rcp_kernel.tree.latches import GATEWAY, Latch, Latches, tenant_key
 from rcp_kernel.tree.scope import Scope
+from rcp_kernel.types import Time
 from rcp_kernel.wire import Request
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
@@ -63,6 +64,8 @@ class EstopState(msgspec.Struct, frozen=True):
     """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
     groups: tuple[str, ...] = ()
     """Groups of the configuration that can be named as a scope."""
+    reset: Time | None = None
+    """When one of the robots was last reset since the gateway was started."""
 
 
 class EstopRecord(Protocol):
@@ -143,11 +146,14 @@ class Estop:
         self, units: Iterable[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
     ) -> EstopState:
         robots: dict[str, dict[str, Any]] = {}
+        released = 0
         for unit in units:
+            released = max(released, unit.released)
             if (latch := unit.latch) is not None:
                 stop = self._stops.of(unit)
                 robots[unit.name] = latch.plain() | ({} if stop is None else stop.plain())
-        return EstopState(bool(robots or wide), robots, wide, groups)
+        reset = iso(released) if released else None
+        return EstopState(bool(robots or wide), robots, wide, groups, reset)
 
     def _groups(self) -> dict[str, tuple[str, ...]]:
         return self._settings.config.safety.groups

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rcp_kernel.model import Resource
@@ -104,6 +104,11 @@ class Recorder:
         if plan is not None:
             self.plans[name] = plan
         self._host.guard(name, plan)
+
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Do nothing: no robot has a gateway of its own."""
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
         """Pass on."""

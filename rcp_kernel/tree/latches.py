@@ -6,7 +6,7 @@ tenant) can be freed from it without the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from rcp_kernel.clock import iso, now
@@ -21,7 +21,7 @@ _TENANT = 2  # slashes in the key of a tenant; a robot's has more
 class Latch:
     """A latched e-stop: who, when and why."""
 
-    __slots__ = ("by", "freed", "reason", "since")
+    __slots__ = ("by", "freed", "reason", "shown", "since")
 
     def __init__(
         self, by: str, reason: str | None, since: int | None = None, freed: Iterable[str] = ()
@@ -31,9 +31,13 @@ class Latch:
         self.since = since or now()
         self.freed = set(freed)
         """Narrower keys that it holds no longer."""
+        self.shown: Mapping[str, Any] | None = None
+        """What the robot's own gateway says of its latch, if this one only shows it."""
 
     def plain(self) -> dict[str, Any]:
         """Describe the latch."""
+        if self.shown is not None:
+            return dict(self.shown)
         return {"by": self.by, "reason": self.reason, "since": iso(self.since)}
 
 
@@ -58,13 +62,18 @@ class Latches:
         """Changed in place: each robot refers to it."""
 
     def of(self, keys: tuple[str, ...]) -> Latch | None:
-        """Return what holds a robot: its keys below the gateway's, the narrowest first."""
-        held = self.held
+        """Return what holds a robot: its keys below the gateway's, the narrowest first.
+
+        A latch of its own gateway only if there is no other.
+        """
+        held, shown = self.held, None
         for key in (*keys, GATEWAY):
             latch = held.get(key)
             if latch is not None and latch.freed.isdisjoint(keys):
-                return latch
-        return None
+                if latch.shown is None:
+                    return latch
+                shown = latch
+        return shown
 
     @property
     def wide(self) -> dict[str, Latch]:
@@ -74,10 +83,24 @@ class Latches:
     def set(self, key: str, by: str, reason: str | None) -> None:
         """Latch; an older latch of the same key is kept and applies to all again."""
         latch = self.held.get(key)
-        if latch is None:
+        if latch is None or latch.shown is not None:
             latch = self.held[key] = Latch(by, reason)
         latch.freed.clear()
         self._keep(key, latch)
+
+    def show(self, key: str, facts: Mapping[str, Any] | None) -> None:
+        """Show the latch of a robot's own gateway, or no longer; it is not stored."""
+        latch = self.held.get(key)
+        if latch is not None and latch.shown is None:
+            return  # a latch of this gateway
+        if facts is None:
+            if latch is None:
+                return
+            del self.held[key]
+        else:
+            latch = self.held[key] = Latch(str(facts.get("by")), facts.get("reason"))
+            latch.shown = facts
+        self._tell_changed()
 
     def reset(self, key: str, wider: Iterable[str]) -> None:
         """Release a key's robots, even from wider latches, except the gateway's."""
@@ -102,6 +125,9 @@ class Latches:
             freed = sorted(latch.freed)
             kept = {"by": latch.by, "reason": latch.reason, "since": latch.since, "freed": freed}
         self._store.put(LATCHES, key, kept)
+        self._tell_changed()
+
+    def _tell_changed(self) -> None:
         for changed in self.on_change:
             changed()
 

@@ -28,7 +28,7 @@ from rcp_client.address import Address
 from rcp_client.client import Client
 from rcp_client.messages import Codec, Notice
 from rcp_client.settings import Settings
-from rcp_fleet.link import FleetLink
+from rcp_fleet.link import FleetLink, FleetLinks
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
@@ -245,12 +245,13 @@ def _no_feed(_id: str | None) -> bool:
 async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
     """Connect to the robot's gateway as another hub does."""
     config = configuration("client", connect=[f"tcp/127.0.0.1:{port}"], silence=SILENCE)
-    async with opened(config, patient=False) as session:
+    async with AsyncExitStack() as stack:
+        session = await stack.enter_async_context(opened(config, patient=False))
+        links = FleetLinks(session, "alpha", "h2", SILENCE)
+        await stack.enter_async_context(links.receiving())
 
         async def dial(codec: Codec, received: Any, lost: Any) -> FleetLink:
-            place = ("alpha", "r7", "h2")
-            counts = LinkStatistics({})
-            return FleetLink(session, place, SILENCE, counts, _no_feed, codec, received, lost)
+            return links.open("r7", LinkStatistics({}), _no_feed, codec, received, lost)
 
         settings = Settings(
             address=Address.parse("fleet"),

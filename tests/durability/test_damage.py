@@ -212,6 +212,15 @@ async def test_what_a_kill_or_a_stop_leaves_is_not_damaged(
     assert examined(path).findings == []
 
 
+async def test_a_first_start_that_was_killed_leaves_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    path.with_name("store.db.head").touch()  # it had no time to write it
+    async with world_of(kept_in(path)) as world:
+        await fill(world)
+    assert find_damage(path) is None
+    assert examined(path).findings == []
+
+
 async def test_an_older_copy_put_back_by_hand_is_not_taken_for_the_newest(
     stopped: Path, tmp_path: Path
 ) -> None:

@@ -27,6 +27,7 @@ _HEAD = struct.Struct("<cBQ")
 _MESSAGE, _PART, _LAST, _TAKEN, _BEAT, _END = b"m", b"p", b"n", b"a", b"h", b"e"
 _OVERHEAD = 64  # bytes of a message on the wire besides its data, in round figures
 _DATA = frozenset((_MESSAGE, _PART))
+_PRIORITIES = tuple(Priority)
 
 
 class Message(NamedTuple):
@@ -196,7 +197,7 @@ class Pipe:
             return None
         kind, place, number = _HEAD.unpack(raw)
         self._heard = self.heard = self._loop.time()
-        priority = Priority(place)
+        priority = _PRIORITIES[place]
         if kind in _DATA:
             return self._message(sample, kind, priority, number)
         if kind == _TAKEN:
@@ -220,7 +221,8 @@ class Pipe:
         lane.received += len(data)
         self._peer_idle = False
         self._wake()
-        self.acknowledge()
+        if lane.due:
+            self.acknowledge()
         whole = lane.join(data, self._owner.longest, last=kind == _MESSAGE)
         return None if whole is None else Message(*whole, priority)
 

@@ -91,6 +91,8 @@ class Channel:
         :raises Unauthenticated, Forbidden: it refuses this client.
         """
         await self._dial()
+        for call in self.calls.every():  # begun before
+            self.send(call)
         self._keeper = asyncio.create_task(self._keep(), name="rcp client")
 
     async def close(self) -> None:

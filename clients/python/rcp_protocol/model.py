@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from enum import IntFlag, StrEnum
+from functools import lru_cache
 from typing import Any, Literal
 
 import msgspec
@@ -127,6 +128,7 @@ def tenant_of(path: str) -> str | None:
     return parts[2] if parts[1] == "tenant" and len(parts) > 2 else None
 
 
+@lru_cache(maxsize=1024)  # a declaration asks for the kind three times
 def kind_of(name: str) -> Kind:
     """Return the kind given by the first segment of a resource's name.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import threading
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any, Self
 
@@ -49,6 +49,11 @@ class RecordingHost:
                 if type_ is not None:
                     assert value_type(type_).schema
             self.resources[resource.name] = resource
+
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Do nothing: no robot has a gateway of its own."""
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
         pass

@@ -28,5 +28,6 @@ class Cart(ScriptedRobot):
             ),
             Resource(name="sensor/count", description="Counts.", value=quantity("1"), history=1000),
             Resource(name="action/go", description="Goes on.", **goal),
+            Resource(name="action/line", description="Waits.", policy="queue", **goal),
             Resource(name="action/tied", description="Ends.", outlives=False, **goal),
         )

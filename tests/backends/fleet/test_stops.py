@@ -207,28 +207,6 @@ async def test_a_cut_link_lets_a_velocity_lapse_and_ends_what_is_tied_to_its_cli
         assert [name for name, _ in cart.ran] == ["action/go", "action/tied"]
 
 
-async def test_two_hubs_stop_one_robot_and_each_holds_it_until_its_own_reset() -> None:
-    port = free_port()
-    async with AsyncExitStack() as stack:
-        first = await stack.enter_async_context(serving(_hub(port)))
-        second = await stack.enter_async_context(serving(_hub(port, "h2")))
-        robot = robot_at(port, _ROBOT) + _ADMIN
-        served = await stack.enter_async_context(serving(robot, scripted(Cart)))
-        one, two = [await _client(stack, hub, "r7") for hub in (first, second)]
-        for reply in await asyncio.gather(_estop(one), _estop(two)):
-            assert reply["status"] == "completed", reply
-        local = served.client(ADMIN)
-        stack.push_async_callback(local.close)
-        assert await _state(local) == {"cart": "confirmed"}
-        assert (await _estop(one, reset=True))["status"] == "completed"
-        assert await _state(one) == {}
-        # The second one still holds it: its gateway is stopped again.
-        await _confirmed(local, "cart")
-        await _confirmed(two, "fleet/r7")
-        assert (await _estop(two, reset=True))["status"] == "completed"
-        assert await _state(local) == {}
-
-
 async def test_a_robot_that_refuses_the_reset_stays_latched_here_too() -> None:
     port = free_port()
     async with AsyncExitStack() as stack:

@@ -22,7 +22,7 @@ from hubkeys import HubKey
 from plugins.client.heard import Heard
 from rcp_client import Client as Person
 from rcp_client import ConnectionLost, connect
-from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, scripted
+from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
 
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s, on any machine
@@ -190,3 +190,168 @@ async def test_a_person_whose_hub_is_killed_goes_on_with_the_other(tmp_path: Pat
         assert [await asyncio.wait_for(one, _BOUND) for one in sent] == [1.0, 1.0]
         assert await person.execute(_GO, 1.0, idempotency_key="mine") == 1.0
         assert [cart.ran, other.ran] == [[("action/go", 1.0)]] * 2
+
+
+async def _estop(client: Client, **body: Any) -> dict[str, Any]:
+    return await client.request(
+        "execute", "/system/estop", body=body, within=_BOUND, deadline=body.pop("deadline", _BOUND)
+    )
+
+
+async def _held(client: Client) -> dict[str, str]:
+    """Return the latched robots with the state of each one's stop."""
+    told = (await client.request("read", "/system/estop"))["body"]["robots"]
+    return {name: one["state"] for name, one in told.items()}
+
+
+async def _holds(client: Client, robots: dict[str, str]) -> None:
+    async def holds() -> bool:
+        return await _held(client) == robots
+
+    await eventually(holds, f"{robots or 'nothing'} is latched", _BOUND)
+
+
+@asynccontextmanager
+async def _stopping(
+    pair: Pair, *, store: bool = False
+) -> AsyncGenerator[tuple[list[Served], list[Client], Client, Cart]]:
+    """Run two hubs and one robot, with an administrator at each."""
+    async with AsyncExitStack() as stack:
+        hubs = [
+            await stack.enter_async_context(serving(pair.hub(hub, store=store)))
+            for hub in pair.ports
+        ]
+        served, cart = await stack.enter_async_context(_robot(pair))
+        roots = [await _client(stack, hub, ADMIN) for hub in hubs]
+        for root in roots:
+            await appears(root, _GO)
+        yield hubs, roots, await _client(stack, served, ADMIN), cart
+
+
+async def test_a_stop_by_one_hub_is_shown_and_can_be_reset_at_the_other(tmp_path: Path) -> None:
+    async with _stopping(Pair(tmp_path)) as (hubs, (one, two), robot, cart):
+        assert (await _estop(one, reason="smoke"))["status"] == "completed"
+        await _holds(two, {"fleet/r7": "confirmed"})
+        refused = await two.request("execute", _GO, body=1.0)
+        assert refused["error"]["code"] == "estop_active", refused
+        ann = hubs[1].client(OPERATOR)
+        refused = await _estop(ann, reset=True)
+        assert refused["error"]["code"] == "forbidden", refused
+        await ann.close()
+        halts = cart.halts
+        assert (await _estop(two, reset=True))["status"] == "completed"
+        for client in (one, two, robot):
+            await _holds(client, {})
+        cart.release.set()
+        for client in (one, two):
+            done = await client.request("execute", _GO, body=1.0, within=_BOUND)
+            assert done["status"] == "completed", done
+        assert cart.halts == halts  # nobody has stopped it again
+
+
+async def test_a_stop_and_a_reset_at_the_robot_are_those_of_both_hubs(tmp_path: Path) -> None:
+    async with _stopping(Pair(tmp_path)) as (_, (one, two), robot, _cart):
+        assert (await _estop(robot))["status"] == "completed"
+        for client in (one, two):
+            await _holds(client, {"fleet/r7": "confirmed"})
+        assert (await _estop(robot, reset=True))["status"] == "completed"
+        for client in (one, two):
+            await _holds(client, {})
+
+
+async def test_stops_and_resets_at_both_hubs_at_once_leave_all_with_what_the_robot_has(
+    tmp_path: Path,
+) -> None:
+    async with _stopping(Pair(tmp_path)) as (_, (one, two), robot, cart):
+        for reply in await asyncio.gather(_estop(one), _estop(two)):
+            assert reply["status"] == "completed", reply
+        for client in (one, two, robot):
+            name = "cart" if client is robot else "fleet/r7"
+            await _holds(client, {name: "confirmed"})
+        for reply in await asyncio.gather(_estop(one, reset=True), _estop(two, reset=True)):
+            assert reply["status"] == "completed", reply
+        for client in (one, two, robot):
+            await _holds(client, {})
+        for _ in range(3):  # whichever of the two the robot has last
+            await asyncio.gather(_estop(one, deadline=1.0), _estop(two, reset=True))
+
+            async def agree() -> bool:
+                held = [await _held(client) for client in (one, two, robot)]
+                return len({bool(found) for found in held}) == 1
+
+            await eventually(agree, "both hubs show what the robot has", _BOUND)
+        assert (await _estop(two))["status"] == "completed"
+        for client in (one, two):
+            await _holds(client, {"fleet/r7": "confirmed"})
+        assert cart.moving == set()
+
+
+@pytest.mark.parametrize("store", [False, True])
+async def test_a_hub_that_is_started_again_does_not_release_what_is_stopped(
+    tmp_path: Path, *, store: bool
+) -> None:
+    pair = Pair(tmp_path)
+    async with AsyncExitStack() as stack:
+        second = await stack.enter_async_context(serving(pair.hub("h2")))
+        served, _ = await stack.enter_async_context(_robot(pair))
+        two = await _client(stack, second, ADMIN)
+        robot = await _client(stack, served, ADMIN)
+        async with serving(pair.hub("h1", store=store)) as first:
+            one = first.client(ADMIN)
+            await appears(one, _GO)
+            assert (await _estop(one))["status"] == "completed"
+            await one.close()
+        await appears(two, _GO)
+        await _holds(two, {"fleet/r7": "confirmed"})
+        first = await stack.enter_async_context(serving(pair.hub("h1", store=store)))
+        one = await _client(stack, first, ADMIN)
+        await appears(one, _GO)
+        for client in (one, two):
+            await _holds(client, {"fleet/r7": "confirmed"})
+        assert await _held(robot) == {"cart": "confirmed"}
+        assert (await _estop(two, reset=True))["status"] == "completed"
+        for client in (one, two, robot):
+            await _holds(client, {})
+
+
+async def test_commands_that_wait_outlive_their_hub_in_one_queue(tmp_path: Path) -> None:
+    pair, path = Pair(tmp_path), "/tenant/alpha/action/r7/line"
+    async with AsyncExitStack() as stack:
+        second = await stack.enter_async_context(serving(pair.hub("h2")))
+        served, cart = await stack.enter_async_context(_robot(pair))
+        two = await _client(stack, second)
+        robot = await _client(stack, served, ADMIN)
+
+        async def waiting(number: int) -> None:
+            async def so_many() -> bool:
+                found = (await robot.request("read", "/system/commands"))["body"]
+                return [one["status"] for one in found].count("pending") == number
+
+            await eventually(so_many, f"{number} wait at the robot", _BOUND)
+
+        async with serving(pair.hub("h1", store=True)) as first:
+            one = first.client(OPERATOR)
+            for client in (one, two):
+                await appears(client, path)
+            await one.send(type="execute", path=path, body=1.0)
+            await asyncio.wait_for(cart.started.get(), _BOUND)
+            await one.send(type="execute", path=path, body=2.0)
+            await waiting(1)
+            last = await two.send(type="execute", path=path, body=3.0)
+            await waiting(2)
+            await one.close()
+        first = await stack.enter_async_context(serving(pair.hub("h1", store=True)))
+        one = await _client(stack, first)
+        await appears(one, path)
+        cart.release.set()
+        assert (await two.final(last, _BOUND))["status"] == "completed"
+
+        async def completed() -> bool:
+            found = (await one.request("read", "/system/commands"))["body"]
+            return sorted(str((c["status"], c.get("body"))) for c in found) == [
+                "('completed', 1.0)",
+                "('completed', 2.0)",
+            ]
+
+        await eventually(completed, "the hub has both final replies", _BOUND)
+        assert cart.ran == [("action/line", value) for value in (1.0, 2.0, 3.0)]

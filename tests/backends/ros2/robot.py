@@ -9,7 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -98,6 +98,11 @@ class Robot:
         self.plans.pop(name, None)
         if plan is not None:
             self.plans[name] = plan
+
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Do nothing: no robot has a gateway of its own."""
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
         pass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 
 import anyio
@@ -39,6 +39,11 @@ class RecordingHost:
 
     def declare(self, *declared: Resource) -> None:
         self.resources |= {resource.name: resource for resource in declared}
+
+    def own_estop(
+        self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
+    ) -> None:
+        """Do nothing: no robot has a gateway of its own."""
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
         pass
