@@ -367,7 +367,7 @@ class Commands:
             self._release(command)
 
     def _release(self, command: Command) -> None:
-        """Let the next command have the path of one whose task has ended."""
+        """Let the next command have the path of one that has ended, and its task too."""
         path = command.path
         if self._active.get(path) is command:
             del self._active[path]
@@ -397,10 +397,7 @@ class Commands:
         path = command.path
         if path in self._left and command in self._left[path]:
             self._left[path].remove(command)
-            if self._active.get(path) is command:
-                del self._active[path]
-                if path in self._queues:
-                    self._next(path)
+            self._release(command)
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End the commands on a path whose backend is gone, with the reason."""
