@@ -137,8 +137,12 @@ class FleetLinks:
         """Open a link with a gateway."""
         keys = LinkKeys.of(self._tenant, gateway, self._hub, secrets.token_hex(8))
 
+        # A key that Zenoh knows has a route; for any other it looks through those of all gateways.
+        known = self._session.declare_keyexpr(keys.down)
+
         def ended(link: Carrier) -> None:
             del self._links[keys.down]
+            self._session.undeclare(known)
             lost(link)
 
         link = self._links[keys.down] = FleetLink(
