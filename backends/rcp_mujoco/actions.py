@@ -99,8 +99,7 @@ class Actions:
             return self._follow(Quintic(here, there, speed=speed, acceleration=acceleration))
 
         def feedback(motion: Motion) -> None:
-            left = motion.left if math.isfinite(motion.left) else 0.0
-            progress(p.MoveJointsFeedback(self._positions(), left), fraction=_part(motion))
+            progress(p.MoveJointsFeedback(self._positions(), motion.left), fraction=_part(motion))
 
         return await self._move(plan, progress, feedback)
 

@@ -30,7 +30,7 @@ class Motion:
         """Seconds along the path."""
         self.error = 0.0
         """Maximum tracking error of all joints, rad."""
-        self.left = float("inf")
+        self.left = float(np.abs(path.goal - path.at(0.0)).max())
         """Maximum distance of all joints from their goals, rad."""
         self.failure: str | None = None
         self.arrived = False

@@ -298,6 +298,11 @@ def test_brakes_override_whoever_else_sets_controls() -> None:
     assert robot.simulation.at_rest
 
 
+def test_what_is_left_of_a_motion_is_known_before_its_first_step() -> None:
+    path = Quintic(np.array([0.0, 1.0]), np.array([0.5, -1.0]), speed=1.5, acceleration=4.0)
+    assert Motion(path).left == pytest.approx(2.0)  # its first feedback may come before a step
+
+
 def test_an_arm_that_is_stopped_holds_its_place_when_the_brakes_are_released() -> None:
     robot = robot_of("arm")
     goal = robot.arm.positions + np.array([1.5, 0.3, -0.3, 0, 0, 0])
