@@ -83,7 +83,7 @@ class Probation:
             raise PreconditionFailed("another configuration is on probation", retry_after=5.0)
         source = str(self._file.path)
         try:
-            fresh = parse(text, source)
+            fresh = parse(text, source, show_values=False)
             parts = needs_restart(self._running, fresh)
             if parts:
                 prepared = prepare(fresh, source)

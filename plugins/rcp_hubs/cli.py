@@ -162,10 +162,12 @@ def roll_out(
             await made.run(robots)
 
     try:
-        asyncio.run(run(file.read_bytes()))
+        data = file.read_bytes()
     except OSError as error:
         raise click.ClickException(f"'{file}': {error.strerror}") from None
-    except (RollOutError, RcpError, ValueError) as error:
+    try:
+        asyncio.run(run(data))
+    except (RollOutError, RcpError, OSError, ValueError) as error:
         raise click.ClickException(str(error)) from None
 
 

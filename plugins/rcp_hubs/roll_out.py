@@ -78,8 +78,18 @@ class RollOut:
             await self._client.execute(path, proposal, deadline=_ANSWER)
         except _UNKNOWN as error:
             self._say(f"{robot}: no answer yet ({error})")
+        except PreconditionFailed:
+            if not await self._has_arrived(path, before):
+                raise
         await self._confirm(path)
         return "confirmed"
+
+    async def _has_arrived(self, path: str, before: ConfigurationState) -> bool:
+        """Return whether the robot has the proposal: one whose reply was lost is sent again."""
+        now = await self._client.read(path, fresh=True, type=ConfigurationState)
+        if now.proposed != self._digest:
+            return False
+        return now.phase != "rolled_back" or now.since != before.since
 
     async def _confirm(self, path: str) -> None:
         """Confirm until the robot has agreed or rolled back.

@@ -103,6 +103,24 @@ async def test_a_plugin_whose_library_is_missing_is_refused(
         assert gateway.path.read_text() == OLD
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        '[safety]\nguard_bound = "S3cr3t"',
+        '[store]\npath = { x = "S3cr3t" }',
+        '[[keys]]\nname = ["S3cr3t"]',
+    ],
+)
+async def test_a_faulty_proposal_is_refused_with_the_place_but_without_the_value(
+    tmp_path: Path, table: str
+) -> None:
+    async with _gateway(tmp_path) as gateway:
+        with pytest.raises(InvalidValue) as refused:
+            gateway.propose(configuration() + table)
+        assert "S3cr3t" not in str(refused.value)
+        assert table.split("\n")[1].partition(" ")[0] in str(refused.value)
+
+
 async def test_only_the_file_in_force_is_confirmed(tmp_path: Path) -> None:
     async with _gateway(tmp_path) as gateway:
         digest = gateway.propose(NEW)
@@ -186,9 +204,9 @@ async def test_a_file_that_cannot_be_applied_is_rolled_back(
 async def test_a_file_is_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checks: list[str] = []
 
-    def counted(text: str, source: str) -> object:
+    def counted(text: str, source: str, *, show_values: bool) -> object:
         checks.append(source)
-        return parse(text, source)
+        return parse(text, source, show_values=show_values)
 
     monkeypatch.setattr("rcpd.probation.parse", counted)
     async with _gateway(tmp_path) as gateway:
