@@ -82,12 +82,14 @@ def serve(config: Path) -> None:
     file.start()
     try:
         run(_loaded(config), str(config), file, None)
-    except SystemExit as end:
-        if end.code == FAILED and file.on_probation:
-            file.go_back("the gateway cannot start with it")
+    except (SystemExit, Exception) as end:
+        failed = not isinstance(end, SystemExit) or end.code == FAILED
+        if failed and file.fails():
             file.restarts = True
         if not file.restarts:
             raise
+        if not isinstance(end, SystemExit):
+            click.echo(f"rcpd: {end!r}", err=True)
     run_again()
 
 

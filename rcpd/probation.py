@@ -1,4 +1,4 @@
-"""Puts a proposed configuration in force, and goes back unless it is confirmed in time."""
+"""Puts a proposed configuration in force, and rolls it back unless it is confirmed in time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from rcp_kernel.app.reload import needs_restart, prepare_reload, reload
-from rcp_kernel.app.server import Server, prepare
+from rcp_kernel.app.server import Prepared, Server, prepare
 from rcp_kernel.clock import SYSTEM_CLOCK, iso
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import (
@@ -22,7 +22,7 @@ from rcp_kernel.errors import (
     StartupError,
 )
 from rcp_kernel.features.configuration import FileState
-from rcpd.configuration_file import ConfigurationFile, Proposal
+from rcpd.configuration_file import RETRY, ConfigurationFile, Proposal
 
 __all__ = ["Probation"]
 
@@ -41,11 +41,13 @@ class Probation:
         self._timer: asyncio.TimerHandle | None = None
         self._beginning: asyncio.TimerHandle | None = None
         self._task: asyncio.Task[None] | None = None
+        self._in_force = True
         file.serves()
-        if file.went_back:
-            self._note("went_back")
-        elif file.proposal is not None and file.on_probation:
-            self._arm(file.proposal.seconds)
+        last = file.proposal
+        if last is not None and file.on_probation:
+            self._expire_after(last.seconds)
+        elif last is not None and last.phase == "rolled_back" and not last.recorded:
+            self._record(last)
 
     def close(self) -> None:
         """Stop waiting: the next start decides."""
@@ -73,40 +75,39 @@ class Probation:
 
     def check(self, text: str, *, restart: bool) -> None:
         """Check a file, without changing anything."""
+        self._needs_restart(text, restart=restart)
+
+    def _needs_restart(self, text: str, *, restart: bool) -> bool:
+        """Check a file, and return whether it needs a restart."""
         if self._file.on_probation:
             raise PreconditionFailed("another configuration is on probation", retry_after=5.0)
-        fresh = self._parsed(text)
-        parts = needs_restart(self._running, fresh)
+        source = str(self._file.path)
+        try:
+            fresh = parse(text, source, show_values=False)
+            parts = needs_restart(self._running, fresh)
+            if parts:
+                prepared = prepare(fresh, source)
+            else:
+                prepared = prepare_reload(self._running, fresh, source)
+        except StartupError as error:
+            raise InvalidValue(str(error)) from None
+        _check_plugins(prepared, source)
         if parts and not restart:
             raise PreconditionFailed(
                 f"the configuration needs a restart: it changes {', '.join(parts)}",
                 remedy="Propose it with `restart`, which brings the robots to rest.",
             )
-        if not parts:
-            try:
-                prepare_reload(self._running, fresh, str(self._file.path))
-            except StartupError as error:
-                raise InvalidValue(str(error)) from None
+        return bool(parts)
 
     @property
     def _running(self) -> GatewayConfig:
         return self._server.kernel.settings.config
 
-    def _parsed(self, text: str) -> GatewayConfig:
-        source = str(self._file.path)
-        try:
-            fresh = parse(text, source)
-            prepare(fresh, source)
-        except StartupError as error:
-            raise InvalidValue(str(error)) from None
-        return fresh
-
     def propose(
         self, text: str, *, by: str, via: str | None, seconds: float, restart: bool
     ) -> FileState:
         """Put a file in force, soon, and wait for its confirmation."""
-        self.check(text, restart=restart)
-        restart = bool(needs_restart(self._running, self._parsed(text)))
+        restart = self._needs_restart(text, restart=restart)
         data = text.encode()
         proposal = Proposal(
             phase="restarting" if restart else "probation",
@@ -121,9 +122,13 @@ class Probation:
         try:
             self._file.begin(data, proposal)
         except OSError as error:
-            raise Failed(f"the configuration cannot be written: {error}") from None
-        self._task = None
-        self._arm(seconds)
+            raise PreconditionFailed(
+                f"the configuration cannot be written: {error}",
+                remedy=f"Let the gateway's user write to {self._file.path.parent}, with space on "
+                "the disk; a systemd unit with `ProtectSystem=strict` needs it in `ReadWritePaths`.",
+            ) from None
+        self._task, self._in_force = None, False
+        self._expire_after(seconds)
         begin = self._restart if restart else partial(self._begin, self._apply)
         self._beginning = self._loop.call_later(_REPLY, begin)
         return self.state
@@ -132,47 +137,65 @@ class Probation:
         self._task = self._loop.create_task(work(), name="configuration")
 
     async def _apply(self) -> None:
-        if not await reload(self._server, self._file.path):
-            await self._go_back("the gateway refused to reload it")
+        self._in_force = await self._reloaded()
+        if not self._in_force:
+            await self._roll_back("the gateway refused to reload it")
 
-    def _arm(self, seconds: float) -> None:
-        self._timer = self._loop.call_later(seconds, self._expire, seconds)
+    async def _reloaded(self) -> bool:
+        try:
+            return await reload(self._server, self._file.path)
+        except Exception:
+            log.exception("configuration_not_applied", reason="a plugin or the gateway has a bug")
+            return False
 
-    def _expire(self, seconds: float) -> None:
-        self._begin(partial(self._go_back, f"it was not confirmed within {seconds:g} s"))
+    def _expire_after(self, seconds: float) -> None:
+        self._roll_back_after(seconds, f"it was not confirmed within {seconds:g} s")
 
-    async def _go_back(self, reason: str) -> None:
+    def _roll_back_after(self, seconds: float, reason: str) -> None:
+        self._stop_timer()
+        work = partial(self._roll_back, reason)
+        self._timer = self._loop.call_later(seconds, self._begin, work)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    async def _roll_back(self, reason: str) -> None:
         proposal = self._file.proposal
         if proposal is None or not self._file.on_probation:
             return
         try:
-            self._file.go_back(reason)
+            back = self._file.roll_back(reason)
         except OSError as error:
-            log.error("configuration_cannot_go_back", reason=str(error))
+            log.error("configuration_not_rolled_back", reason=str(error))
+            self._roll_back_after(RETRY, reason)
             return
-        self._note("went_back")
+        self._stop_timer()
+        self._record(self._file.proposal or proposal)
+        if not back:
+            return
         if proposal.restart:
             self._restart()
         else:
-            await reload(self._server, self._file.path)
+            await self._reloaded()
 
     def confirm(self, digest: str, *, via: str | None) -> FileState:
         """Keep the file that is on probation."""
         proposal = self._file.proposal
         if proposal is None or proposal.digest != digest:
             raise PreconditionFailed("this configuration was not proposed last")
-        if proposal.phase == "confirmed":
-            return self.state
-        if proposal.phase == "went_back" or self._file.digest != digest:
+        if proposal.phase == "rolled_back" or self._file.digest != digest:
             why = proposal.reason or "it was changed at the robot"
             raise PreconditionFailed(f"the configuration is not in force: {why}")
+        if proposal.phase == "confirmed":
+            return self.state
         if proposal.via is not None and via is None:
             raise PreconditionFailed("a hub proposed this configuration, and has to confirm it")
+        if not self._in_force:
+            raise _not_yet("not yet in force")
         late = [name for name in self._unready() if name not in proposal.down]
-        busy = self._task is None or not self._task.done()
-        if late or (busy and not proposal.restart) or proposal.phase == "restarting":
-            what = f"not ready again: {', '.join(late)}" if late else "not yet in force"
-            raise AdapterUnavailable(f"the configuration is on probation, {what}", retry_after=0.5)
+        if late:
+            raise _not_yet(f"not ready again: {', '.join(late)}")
         try:
             self._file.enter("confirmed")
         except OSError as error:
@@ -183,13 +206,27 @@ class Probation:
     def _unready(self) -> list[str]:
         return [one.name for one in self._server.supervisors if one.state != "ready"]
 
-    def _note(self, outcome: str) -> None:
-        last = self._file.proposal
+    def _record(self, proposal: Proposal) -> None:
         self._server.kernel.event_bus.note(
             "configuration",
             principal=None,
             path="/system/configuration",
-            outcome=outcome,
+            outcome="rolled_back",
             digest=self._file.digest,
-            reason=None if last is None else last.reason,
+            by=proposal.by,
+            via=proposal.via,
+            reason=proposal.reason,
+        )
+        self._file.record()
+
+
+def _not_yet(what: str) -> AdapterUnavailable:
+    return AdapterUnavailable(f"the configuration is on probation, {what}", retry_after=0.5)
+
+
+def _check_plugins(prepared: Prepared, source: str) -> None:
+    for one in prepared.plugins.missing:
+        raise InvalidValue(
+            f"{source}: {one.group} '{one.name}' cannot be imported: {one.reason}",
+            remedy=f"On the robot: {one.remedy}",
         )

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import NoReturn
 
 import click
 
@@ -18,7 +22,7 @@ from rcp_kernel.app.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import StartupError
 from rcp_kernel.features.configuration import SERVED_CONFIGURATION
-from rcpd.configuration_file import ConfigurationFile
+from rcpd.configuration_file import ConfigurationFile, run_again
 from rcpd.demo import Demo
 from rcpd.exits import RECORD_LOST, fail
 from rcpd.garbage import collected_at_rest
@@ -26,7 +30,9 @@ from rcpd.memory import keep_freed_memory
 from rcpd.notify import notifying
 from rcpd.probation import Probation
 
-__all__ = ["loop_factory", "run"]
+__all__ = ["leave", "loop_factory", "run"]
+
+_CLOSE = 30.0  # s the gateway may take to close before a restart
 
 
 def run(
@@ -46,12 +52,20 @@ def run(
     with asyncio.Runner(loop_factory=loop_factory()) as runner:
         try:
             code = run_contained(runner, _serve(prepared, recent, file, demo))
-            end_in_time(code)
+            end_in_time(partial(leave, code, file))
         except StartupError as error:
             fail(str(error))
         except OSError as error:
             fail(f"cannot start: {error.strerror or error}")
     sys.exit(code)
+
+
+def leave(code: int, file: ConfigurationFile | None) -> NoReturn:
+    """End the process without waiting for its threads; start it again if that is due."""
+    if file is not None and file.restarts:
+        with suppress(OSError):
+            run_again()
+    os._exit(code)
 
 
 def loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
@@ -126,6 +140,9 @@ def _watch_probation(
     def restart() -> None:
         click.echo("rcpd: restarting with another configuration", err=True)
         file.restarts = True
+        late = threading.Timer(_CLOSE, _restart_late, [file])
+        late.daemon = True
+        late.start()
         stop.set()
 
     probation = Probation(server, file, restart)
@@ -133,3 +150,10 @@ def _watch_probation(
     serve = server.kernel.features.service(SERVED_CONFIGURATION)
     if serve is not None:
         serve(probation)
+
+
+def _restart_late(file: ConfigurationFile) -> None:
+    """Start again although a plugin hangs as it closes, unless somebody stops the gateway."""
+    if file.restarts:
+        click.echo("rcpd: restarting without waiting for a plugin", err=True)
+        run_again()

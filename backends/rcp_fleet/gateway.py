@@ -116,6 +116,16 @@ class RemoteGateway:
         while (why := self._mismatch()) is not None:  # until it has been replaced
             self._refused(why)
             await asyncio.sleep(_LONGEST_PAUSE)
+        while True:
+            try:
+                await self._follow()
+            except ExceptionGroup:  # a gateway said what nobody expects; its stops must go on
+                log.exception("fleet_gateway_not_followed", gateway=self.name)
+                await asyncio.sleep(_LONGEST_PAUSE)
+            else:
+                return
+
+    async def _follow(self) -> None:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._follow_tree())
             group.create_task(self._ask_version())
@@ -136,12 +146,12 @@ class RemoteGateway:
         resources = [resource_of(info, self.name, self._types.of) for info in found]
         gone = self._paths.keys() - {resource.name for resource in resources}
         self._paths = {name_of(info.path, self.name): info.path for info in found}
+        if self._paths.pop(self.link.name, None) is not None:  # the hub's own is there
+            log.warning("fleet_resource_hidden", gateway=self.name, resource=self.link.name)
+            resources = [one for one in resources if one.name != self.link.name]
         # Services first: the robot's own `hold` comes before the one that the kernel would add.
         resources.sort(key=lambda one: not one.name.startswith("service/"))
         for resource in resources:
-            if resource.name == self.link.name:  # the hub's own is there
-                log.warning("fleet_resource_hidden", gateway=self.name, resource=resource.name)
-                continue
             try:
                 self._host.declare(resource)
             except RcpError as error:  # one that is odd must not hide the others

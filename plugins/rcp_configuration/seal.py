@@ -47,7 +47,7 @@ class SealKey:
 def seal(data: bytes, public: str) -> str:
     """Seal data so that only the gateway with this key can open it.
 
-    :raises SealError: the key is none.
+    :raises SealError: the key is not valid.
     """
     own = X25519PrivateKey.generate()
     mine = own.public_key().public_bytes_raw()
@@ -55,7 +55,7 @@ def seal(data: bytes, public: str) -> str:
         theirs = base64.b64decode(public, validate=True)
         shared = own.exchange(X25519PublicKey.from_public_bytes(theirs))
     except (binascii.Error, ValueError):
-        raise SealError("the gateway's key is none") from None
+        raise SealError("the gateway's key is not a valid key") from None
     return base64.b64encode(
         mine + _cipher(shared, mine, theirs).encrypt(_NONCE, data, None)
     ).decode()

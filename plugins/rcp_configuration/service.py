@@ -27,7 +27,7 @@ class ConfigurationRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     confirm: _Digest | None = None
     """Digest of the file that is on probation."""
     seconds: Annotated[float, Meta(ge=1, le=3600)] = 60.0
-    """After which the gateway goes back, unless the file is confirmed."""
+    """After which the gateway rolls back, unless the file is confirmed."""
     restart: bool = False
     """Whether the gateway may restart if the file needs it, which brings its robots to rest."""
 
@@ -77,8 +77,8 @@ class ConfigurationService:
             state, outcome = file.confirm(value.confirm, via=principal.via), "confirmed"
         else:
             text = self._opened(value.propose or "")
-            file.check(text, restart=value.restart)
             if dry_run:
+                file.check(text, restart=value.restart)
                 return self._shown(file.state)
             state = file.propose(
                 text,

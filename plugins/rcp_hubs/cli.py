@@ -131,7 +131,7 @@ def invite(
 @fleet.command("roll-out")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--robot", "robots", multiple=True, required=True, help="Gateway; may be repeated.")
-@click.option("--seconds", default=60.0, show_default=True, help="Until a robot goes back.")
+@click.option("--seconds", default=60.0, show_default=True, help="Until a robot rolls back.")
 @click.option("--restart", is_flag=True, help="Restart gateways whose reload is not enough.")
 @click.option("--url", help="Of the hub [RCP_URL; http://127.0.0.1:8080].")
 @click.option("--token", help="API key or JWT [RCP_TOKEN].")
@@ -148,7 +148,7 @@ def roll_out(
 ) -> None:
     """Give robots the configuration FILE over a hub, one after the other, until one fails.
 
-    A robot checks it, and goes back to the one before by itself unless this command confirms it.
+    A robot checks it, and rolls back by itself unless this command confirms it.
     """
     import asyncio
 
@@ -162,10 +162,12 @@ def roll_out(
             await made.run(robots)
 
     try:
-        asyncio.run(run(file.read_bytes()))
+        data = file.read_bytes()
     except OSError as error:
         raise click.ClickException(f"'{file}': {error.strerror}") from None
-    except (RollOutError, RcpError, ValueError) as error:
+    try:
+        asyncio.run(run(data))
+    except (RollOutError, RcpError, OSError, ValueError) as error:
         raise click.ClickException(str(error)) from None
 
 

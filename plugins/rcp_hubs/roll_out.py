@@ -21,7 +21,7 @@ from rcp_kernel.errors import (
 
 __all__ = ["RollOut", "RollOutError"]
 
-_MARGIN = 30.0  # s for a robot to return after it went back
+_MARGIN = 30.0  # s for a robot to return after its roll-back
 _ANSWER = 15.0  # s for one answer of a robot
 _PAUSE = 0.5  # s between two attempts to confirm
 _UNKNOWN = (AdapterUnavailable, DeadlineExceeded, DeviceTimeout, Failed)
@@ -51,7 +51,7 @@ class RollOut:
     async def run(self, robots: Iterable[str]) -> None:
         """Give all of them the file.
 
-        :raises RollOutError: one refused it or went back; those after it were not asked.
+        :raises RollOutError: one refused it or rolled it back; those after it were not asked.
         """
         for robot in robots:
             try:
@@ -67,7 +67,7 @@ class RollOut:
     async def _to(self, robot: str) -> str:
         path = f"/service/{robot}/gateway/configuration"
         before = await self._client.read(path, fresh=True, type=ConfigurationState)
-        if before.digest == self._digest and before.phase in (None, "confirmed", "went_back"):
+        if before.digest == self._digest and before.phase in (None, "confirmed", "rolled_back"):
             return "has it already"
         proposal = {
             "propose": seal(self._data, before.key),
@@ -78,13 +78,23 @@ class RollOut:
             await self._client.execute(path, proposal, deadline=_ANSWER)
         except _UNKNOWN as error:
             self._say(f"{robot}: no answer yet ({error})")
+        except PreconditionFailed:
+            if not await self._has_arrived(path, before):
+                raise
         await self._confirm(path)
         return "confirmed"
 
-    async def _confirm(self, path: str) -> None:
-        """Confirm until the robot has agreed or gone back.
+    async def _has_arrived(self, path: str, before: ConfigurationState) -> bool:
+        """Return whether the robot has the proposal: one whose reply was lost is sent again."""
+        now = await self._client.read(path, fresh=True, type=ConfigurationState)
+        if now.proposed != self._digest:
+            return False
+        return now.phase != "rolled_back" or now.since != before.since
 
-        :raises RcpError: it has gone back, or will.
+    async def _confirm(self, path: str) -> None:
+        """Confirm until the robot has agreed or rolled back.
+
+        :raises RcpError: it has rolled back, or will.
         """
         loop = asyncio.get_running_loop()
         end, why = loop.time() + self._seconds + _MARGIN, "no answer"
@@ -98,4 +108,4 @@ class RollOut:
             else:
                 return
             await asyncio.sleep(_PAUSE)
-        raise DeadlineExceeded(f"not confirmed, so it goes back by itself: {why}")
+        raise DeadlineExceeded(f"not confirmed, so it rolls back by itself: {why}")

@@ -8,10 +8,9 @@ own task or timer), the loop is entered again.
 from __future__ import annotations
 
 import asyncio
-import os
 import sys
 import threading
-from collections.abc import AsyncGenerator, Coroutine, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, suppress
 from typing import Any, TypeVar
 
@@ -180,8 +179,8 @@ def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) ->
                 log.error("plugin_would_end_the_process", error=repr(error))
 
 
-def end_in_time(code: int = 0) -> None:
-    """Exit with a code within a bound, even if a plugin has left threads behind.
+def end_in_time(leave: Callable[[], object]) -> None:
+    """Call `leave`, which ends the process, after a bound if a plugin has left threads behind.
 
     Python waits for every non-daemon thread, and the event loop for those of its executor.
     """
@@ -191,7 +190,7 @@ def end_in_time(code: int = 0) -> None:
         log.error("threads_left_behind", threads=left, detail="ended without waiting for them")
         sys.stderr.flush()
         sys.stdout.flush()
-        os._exit(code)
+        leave()
 
     last = threading.Timer(_LEAVE, end)
     last.daemon = True

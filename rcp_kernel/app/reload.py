@@ -37,10 +37,16 @@ def prepare_reload(running: GatewayConfig, fresh: GatewayConfig, source: str) ->
 
     :raises StartupError: it is invalid.
     """
-    prepare(fresh, source)
-    kept = {part: getattr(running, part) for part in _FIXED}
+    prepared = prepare(fresh, source)
+    kept = {
+        part: getattr(running, part)
+        for part in _FIXED
+        if getattr(running, part) != getattr(fresh, part)
+    }
     if set(running.active_features) != set(fresh.active_features):
         kept["features"] = running.features
+    if not kept:
+        return prepared
     return prepare(msgspec.structs.replace(fresh, **kept), source)
 
 

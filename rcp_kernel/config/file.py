@@ -10,7 +10,7 @@ import difflib
 import os
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -198,8 +198,8 @@ def load(path: Path) -> GatewayConfig:
     return parse(text, str(path))
 
 
-def parse(text: str, source: str) -> GatewayConfig:
-    """Read a configuration from text; `source` is named in errors.
+def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
+    """Read a configuration from text; `source` is named in errors, and values if allowed.
 
     :raises ConfigError: as `load` does.
     """
@@ -207,7 +207,7 @@ def parse(text: str, source: str) -> GatewayConfig:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: not TOML: {error}") from None
-    raw = _with_secrets(raw, source, "")
+    raw = _with_secrets(raw, source, "", _plain if show_values else _Withheld)
     backends = raw.get("backends", [])
     if not is_list(backends):
         raise ConfigError(
@@ -251,18 +251,32 @@ def _split(table: Any, place: int, source: str) -> dict[str, Any]:
 
 
 class _Secret(str):
-    """A string from the environment, or in a place for secrets: not shown in errors."""
+    """A string from the environment: not shown in errors."""
 
     __slots__ = ()
 
 
-def _with_secrets(node: Any, source: str, where: str) -> Any:
+class _Withheld(_Secret):
+    """A string that is not shown in errors, as it may be secret."""
+
+    __slots__ = ()
+
+
+def _plain(text: str) -> str:
+    return text
+
+
+def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], str]) -> Any:
+    """Replace the variables in all strings; `literal` makes those that have none."""
     if is_map(node):
         return {
-            k: _with_secrets(v, source, f"{where}.{k}" if where else k) for k, v in node.items()
+            k: _with_secrets(v, source, f"{where}.{k}" if where else k, literal)
+            for k, v in node.items()
         }
     if is_list(node):
-        return [_with_secrets(item, source, f"{where}[{i}]") for i, item in enumerate(node)]
+        return [
+            _with_secrets(item, source, f"{where}[{i}]", literal) for i, item in enumerate(node)
+        ]
     if not isinstance(node, str):
         return node
 
@@ -275,7 +289,7 @@ def _with_secrets(node: Any, source: str, where: str) -> Any:
         return value
 
     text = _SECRET.sub(found, node)
-    return text if text == node else _Secret(text)
+    return literal(node) if text == node else _Secret(text)
 
 
 _DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
@@ -301,7 +315,7 @@ def _explain(error: msgspec.ValidationError, raw: Any, type_: type[Any]) -> str:
             return str(error)
         if "..." in at:  # below a key that msgspec does not name
             return f"{at}: {fault.what}"
-        value = _Secret() if _DEAR.search(at) else _follow(raw, at)
+        value = _Withheld() if _DEAR.search(at) else _follow(raw, at)
         return f"{at} = {_shown(value)}: {fault.what}"
     allowed = _keys_at(type_, at)
     near = difflib.get_close_matches(fault.unknown, allowed, n=1, cutoff=0.5)
@@ -320,8 +334,12 @@ def _follow(raw: Any, at: str) -> Any:
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, _Withheld):
+        return "…"
     if isinstance(value, _Secret):
-        return "a value from the environment" if value else "…"
+        return "a value from the environment"
+    if is_map(value) or is_list(value):
+        return type(value).__name__
     return repr(value) if len(repr(value)) <= 60 else type(value).__name__
 
 

@@ -12,7 +12,7 @@ from rcp_kernel.types import Time
 
 __all__ = ["SERVED_CONFIGURATION", "FileState", "Phase", "ServedConfiguration"]
 
-Phase = Literal["restarting", "probation", "confirmed", "went_back"]
+Phase = Literal["restarting", "probation", "confirmed", "rolled_back"]
 
 
 class FileState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -31,7 +31,7 @@ class FileState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     since: Time | None = None
     """When."""
     reason: str | None = None
-    """Why the gateway went back to the file before."""
+    """Why it was rolled back."""
 
 
 class ServedConfiguration(Protocol):
@@ -53,7 +53,7 @@ class ServedConfiguration(Protocol):
     def propose(
         self, text: str, *, by: str, via: str | None, seconds: float, restart: bool
     ) -> FileState:
-        """Put a file in force, soon, and go back unless it is confirmed within so many seconds.
+        """Check a file and put it in force, soon; roll back unless it is confirmed in time.
 
         :raises RcpError: as `check`, or it cannot be written.
         """

@@ -196,11 +196,19 @@ class Estop:
         for robot in merged(robots):
             robot.count_stop()
         stops = self._stops.begin(robots)
+        self._halt_unseen(keys, robots)
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
         self._due.append((robots, by, request.reason))
         self._loop.call_soon(self._end_due)
         self._record(session, sent, request, keys, fresh)
         return self._halted(session, stops, sent.deadline)
+
+    def _halt_unseen(self, keys: Mapping[str, str | None], robots: list[StopGroup]) -> None:
+        """Stop also robots with gateways of their own that have not shown a resource yet."""
+        for owner in {robot.owner for robot in robots if robot.owner.has_gateways}:
+            whole = owner.unit(None)
+            if whole not in robots and not keys.keys().isdisjoint((GATEWAY, *whole.keys)):
+                self._stops.halt_unseen(whole)
 
     def check(
         self, session: Session, request: EstopRequest

@@ -130,6 +130,12 @@ class StopController:
         self._schedule()
         return list(stops.values())
 
+    def halt_unseen(self, whole: StopGroup) -> None:
+        """Halt all of a backend, beside the robots that are known; nothing waits for it."""
+        with unfenced():
+            task = self._loop.create_task(whole.halt())
+        task.add_done_callback(_forget)
+
     def resume(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; the stop is sent within this call."""
         stop = self._fresh(unit)

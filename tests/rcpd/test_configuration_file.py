@@ -44,27 +44,30 @@ def _started(path: Path) -> ConfigurationFile:
     return file
 
 
-def test_the_next_start_goes_back(tmp_path: Path) -> None:
+def _phase(file: ConfigurationFile) -> Phase | None:
+    return file.proposal and file.proposal.phase
+
+
+def test_the_next_start_rolls_back(tmp_path: Path) -> None:
     path = _begun(tmp_path, _proposal())
-    file = _started(path)
-    assert (path.read_bytes(), file.went_back) == (OLD, True)
-    assert not _started(path).went_back
+    assert _phase(_started(path)) == "rolled_back"
+    assert path.read_bytes() == OLD
     assert path.stat().st_mode & 0o777 == 0o640
 
 
-def test_one_restart_is_expected_and_the_next_start_goes_back(tmp_path: Path) -> None:
+def test_one_restart_is_expected_and_the_next_start_rolls_back(tmp_path: Path) -> None:
     path = _begun(tmp_path, _proposal("restarting"))
     file = _started(path)
     file.serves()
     assert (path.read_bytes(), file.on_probation) == (NEW, True)
-    assert _started(path).went_back
+    assert _phase(_started(path)) == "rolled_back"
     assert path.read_bytes() == OLD
 
 
 def test_a_confirmed_file_stays(tmp_path: Path) -> None:
     path = _begun(tmp_path, _proposal())
     ConfigurationFile(path).enter("confirmed")
-    assert not _started(path).went_back
+    assert _phase(_started(path)) == "confirmed"
     assert path.read_bytes() == NEW
 
 
@@ -108,3 +111,22 @@ def test_a_gateway_that_never_serves_is_started_again_with_the_file_before(tmp_p
     )
     assert "the gateway did not start in time" in done.stderr
     assert path.read_bytes() == OLD
+
+
+def test_a_full_disk_does_not_keep_the_file_before_out(tmp_path: Path) -> None:
+    path = _begun(tmp_path, _proposal("restarting"))
+    for name in ("rcp.toml.new", "rcp.toml.roll-out.new"):  # nothing can be written
+        (tmp_path / name / "x").mkdir(parents=True)
+    file = _started(path)
+    assert (path.read_bytes(), _phase(file)) == (OLD, "rolled_back")
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert _phase(_started(path)) == "rolled_back"
+    assert path.read_bytes() == OLD
+
+
+def test_a_roll_back_that_fails_does_not_end_the_gateway(tmp_path: Path) -> None:
+    path = _begun(tmp_path, _proposal())
+    (tmp_path / "rcp.toml.before").unlink()
+    file = _started(path)
+    assert (path.read_bytes(), file.on_probation) == (NEW, True)
+    assert not file.fails()

@@ -207,25 +207,25 @@ async def test_a_file_that_fails_the_check_changes_nothing_and_ends_the_roll_out
     assert [one.text for one in robots] == before
 
 
-async def test_a_file_without_the_hub_goes_back_by_itself(fleet: _Fleet) -> None:
+async def test_a_file_without_the_hub_rolls_back_by_itself(fleet: _Fleet) -> None:
     robot = await fleet.add("r7")
     before = robot.text
     text = before.replace(fleet.key.pem, HubKey().pem)
     _end(fleet.roll_out(text, seconds=3.0), 1)
-    await robot.is_in("went_back")
+    await robot.is_in("rolled_back")
     assert (await robot.state())["reason"] == "it was not confirmed within 3 s"
     assert robot.text == before
-    await fleet.record("r7", what="configuration", outcome="went_back")
+    await fleet.record("r7", what="configuration", outcome="rolled_back")
 
 
-async def test_a_file_that_cuts_the_robot_from_its_router_goes_back_by_itself(
+async def test_a_file_that_cuts_the_robot_from_its_router_rolls_back_by_itself(
     fleet: _Fleet,
 ) -> None:
     robot = await fleet.add("r7")
     before = robot.text
     text = before.replace(f"127.0.0.1:{fleet.port}", f"127.0.0.1:{free_port()}")
     _end(fleet.roll_out(text, "--restart", seconds=5.0), 1)
-    await robot.is_in("went_back")
+    await robot.is_in("rolled_back")
     assert robot.text == before
     assert robot.process.poll() is None
 
@@ -238,7 +238,7 @@ async def test_a_file_that_needs_a_restart_is_confirmed_after_it(fleet: _Fleet) 
     assert robot.text == text
 
 
-async def test_a_file_with_which_it_cannot_start_goes_back_at_once(fleet: _Fleet) -> None:
+async def test_a_file_with_which_it_cannot_start_rolls_back_at_once(fleet: _Fleet) -> None:
     robot = await fleet.add("r7")
     before = robot.text
     text = before.replace("port = 0", f"port = {fleet.port}")  # the router's
@@ -247,17 +247,17 @@ async def test_a_file_with_which_it_cannot_start_goes_back_at_once(fleet: _Fleet
     assert robot.text == before
 
 
-async def test_a_file_with_which_a_backend_is_not_ready_again_goes_back(fleet: _Fleet) -> None:
+async def test_a_file_with_which_a_backend_is_not_ready_again_rolls_back(fleet: _Fleet) -> None:
     robot = await fleet.add("r7")
     before = robot.text
     nowhere = [f"tcp/127.0.0.1:{free_port()}"]
     more = backend("more", use="fleet", hub="h9", connect=nowhere, token=ADMIN)
     _end(fleet.roll_out(before + more, seconds=5.0), 1)
-    await robot.is_in("went_back")
+    await robot.is_in("rolled_back")
     assert robot.text == before
 
 
-async def test_a_gateway_killed_on_probation_goes_back_at_its_next_start(fleet: _Fleet) -> None:
+async def test_a_gateway_killed_on_probation_rolls_back_at_its_next_start(fleet: _Fleet) -> None:
     robot = await fleet.add("r7")
     before = robot.text
     text = before.replace(fleet.key.pem, HubKey().pem)

@@ -128,7 +128,7 @@ class Hub(Yard):
         self.asked, self.rests = asyncio.Event(), asyncio.Event()
 
     async def halt(self) -> None:
-        await asyncio.gather(*map(self.halt_robot, ("r1", "r2", "r3")))
+        self.halted.append("all")
 
     async def halt_robot(self, robot: str) -> None:
         await super().halt_robot(robot)
@@ -138,6 +138,19 @@ class Hub(Yard):
             if self.halted.count("r1") > 1:
                 self.asked.set()
             await self.rests.wait()
+
+
+@pytest.mark.parametrize(("scope", "reached"), [("yard", 1), (None, 1), ("yard/r2", 0)])
+async def test_a_stop_of_all_reaches_gateways_that_have_shown_nothing_yet(
+    scope: str | None, reached: int
+) -> None:
+    async with world_of(YARD, Hub) as world:
+        hub, admin = yard(world), world.client(ADMIN)
+        assert isinstance(hub, Hub)
+        hub.rests.set()
+        body = {} if scope is None else {"scope": scope}
+        assert (await admin.ask(type="execute", path="/system/estop", body=body))["body"]["active"]
+        assert hub.halted.count("all") == reached
 
 
 async def test_no_gateway_waits_for_another_and_only_the_one_that_is_late_is_asked_again() -> None:

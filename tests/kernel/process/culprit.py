@@ -8,11 +8,13 @@ Run as `python -m kernel.process.culprit <where> <what>`: tells on its output ho
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import threading
 import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any, NoReturn
 
 from configuration import backend
@@ -138,4 +140,4 @@ if __name__ == "__main__":
     configure("warning", "json")
     with asyncio.Runner(loop_factory=loop_factory()) as runner:
         run_contained(runner, main())
-        end_in_time()
+        end_in_time(partial(os._exit, 0))
