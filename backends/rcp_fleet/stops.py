@@ -47,7 +47,7 @@ class RobotStop:
         told = self._told
         if told is None:
             return MotionState(None, "its gateway has not answered")
-        if not told["active"]:
+        if not told["robots"]:
             return MotionState(None, "its own e-stop is not latched")
         late = [one for one in told["robots"].values() if one.get("state") != "confirmed"]
         moves = any(one.get("alarm") for one in late)
@@ -74,12 +74,12 @@ class RobotStop:
 
     def _learn(self, told: dict[str, Any], time: int) -> None:
         self._told, self._time = told, time
-        if told["active"]:
-            latched: list[dict[str, Any]] = list(told["robots"].values())
-            self._held = max((parse_time(one["since"]) for one in latched), default=time)
-            if latched:  # of several, one that is not at rest
-                late = (one for one in latched if one.get("state") != "confirmed")
-                self._host.own_estop(self._robot, next(late, latched[0]))
+        # Not `active`: the latch of a tenant goes on for others when its robots are reset by name.
+        latched: list[dict[str, Any]] = list(told["robots"].values())
+        if latched:  # of several, one that is not at rest
+            self._held = max(parse_time(one["since"]) for one in latched)
+            late = (one for one in latched if one.get("state") != "confirmed")
+            self._host.own_estop(self._robot, next(late, latched[0]))
             return
         reset = told.get("reset")  # not if its latch was lost with its gateway
         is_reset = bool(self._held and reset and parse_time(reset) > self._held)
@@ -96,7 +96,7 @@ class RobotStop:
 
     def hold(self) -> None:
         """Send the stop again if the gateway is not known to hold the robot."""
-        if self._client.connected and (self._told is None or not self._told["active"]):
+        if self._client.connected and not (self._told and self._told["robots"]):
             self.ask().add_done_callback(_seen)
 
     async def follow(self) -> None:

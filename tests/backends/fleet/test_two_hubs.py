@@ -259,6 +259,16 @@ async def test_a_stop_and_a_reset_at_the_robot_are_those_of_both_hubs(tmp_path: 
             await _holds(client, {})
 
 
+async def test_a_reset_by_name_at_the_robot_lets_go_of_it_at_the_hubs_too(tmp_path: Path) -> None:
+    async with _stopping(Pair(tmp_path)) as (_, (one, two), robot, _cart):
+        assert (await _estop(one))["status"] == "completed"
+        (name,) = await _held(robot)
+        reset = await _estop(robot, reset=True, scope=name)
+        assert reset["body"]["scopes"], "the tenant's latch goes on for others"
+        for client in (one, two):
+            await _holds(client, {})
+
+
 async def test_stops_and_resets_at_both_hubs_at_once_leave_all_with_what_the_robot_has(
     tmp_path: Path,
 ) -> None:
