@@ -9,7 +9,7 @@ import structlog
 
 from rcp_client.calls import Call
 from rcp_client.client import Client
-from rcp_client.messages import Reply
+from rcp_client.messages import Notice, Reply
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import Host, MotionState
@@ -29,11 +29,16 @@ class RobotStop:
         self._host, self._robot = host, robot
         self._asking: asyncio.Task[None] | None = None
         self._told: dict[str, Any] | None = None
-        """The last state of the gateway's e-stop."""
+        """The last state of the gateway's e-stop on the present link."""
         self._time = 0
         """When that was, ns by the robot's clock."""
         self._held = 0
-        """Since when it is latched, as far as known here; 0: it is not."""
+        """Since when it is latched, if seen since the last request for a stop; 0: not seen."""
+        client.channel.listeners.append(self._heard)
+
+    def _heard(self, notice: Notice) -> None:
+        if notice.code == "disconnected":
+            self._told = None  # others may reset it meanwhile
 
     def motion(self) -> MotionState:
         """Report whether all that the gateway shows the hub is stopped, as it measures."""
@@ -51,6 +56,7 @@ class RobotStop:
 
     def ask(self) -> asyncio.Task[None]:
         """Send the stop within this call, unless one is on its way; return its answer."""
+        self._held = 0  # a reset from before this stop must not undo it, whenever it is told
         if self._asking is None or self._asking.done():
             body = {"reason": f"hub {self._hub}"}
             envelope = {"type": "execute", "path": _PATH, "body": body, "deadline": _WAIT}

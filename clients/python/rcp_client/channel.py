@@ -320,6 +320,10 @@ class Channel:
         """Send a call, possibly again, with additional fields."""
         self._go(call, self._link, **facts)
 
+    def is_current(self, link: object) -> bool:
+        """Return whether this is the connection in use, and its handshake is complete."""
+        return self.connected and link is self._link
+
     def calls_of_before(self) -> list[Call]:
         """List the unanswered calls that were not sent on the current connection."""
         before = [call for call in self.calls.every() if call.link is not self._link]

@@ -39,7 +39,7 @@ def connect(
     """Create a client; `async with` connects it.
 
     Defaults come from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway on this machine,
-    and the token that `rcpd demo` has stored for this user. Times are in seconds: `deadline` for
+    and, with a single address, the token that `rcpd demo` has stored for this user. Times are in seconds: `deadline` for
     requests without their own, `connect_timeout` for one attempt, `patience` for reconnecting after
     a lost connection (None never gives up), `heartbeat` for detecting a dead connection.
 
@@ -55,7 +55,7 @@ def connect(
     """
     url = url or os.environ.get("RCP_URL") or DEFAULT_URL
     first, *others = addresses = [Address.parse(one.strip()) for one in url.split(",")]
-    token = token or find_token(first.url)
+    token = token or find_token(None if others else first.url)  # a stored one is for one gateway
     for address in addresses:
         check_secrecy(address, token, plaintext=plaintext)
     secure = next((address for address in addresses if address.secure), first)

@@ -25,10 +25,13 @@ def token_path(url: str) -> Path:
     return Path(base) / "rcp" / f"{host}_{address.port}.token"
 
 
-def find_token(url: str) -> str | None:
-    """Return the token in `RCP_TOKEN`, or in the token file if only this user can access it."""
+def find_token(url: str | None) -> str | None:
+    """Return the token in `RCP_TOKEN`, or in the token file if only this user can access it.
+
+    Without an address, only the one in `RCP_TOKEN`.
+    """
     given = os.environ.get("RCP_TOKEN")
-    return given or _from_file(token_path(url))
+    return given or (None if url is None else _from_file(token_path(url)))
 
 
 def _from_file(path: Path) -> str | None:

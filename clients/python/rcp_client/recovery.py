@@ -7,7 +7,7 @@ If the session is resumed, the gateway still knows every idempotency key, possib
 so that a repeated request is executed once. The same holds for a new session on the same gateway. A
 restarted gateway does not know the keys: then the outcome of a command is looked up, and nothing is
 repeated. A hub knows no keys of another hub, or of its own earlier run, but the robots' gateways
-behind it know those of what concerns robots.
+behind it know those of what concerns robots. Of a batch nothing is repeated there.
 """
 
 from __future__ import annotations
@@ -45,6 +45,10 @@ class Requests(Protocol):
 
     def calls_of_before(self) -> list[Call]:
         """List the calls that were not sent on the current connection."""
+        ...
+
+    def is_current(self, link: object) -> bool:
+        """Return whether this is the connection in use, and its handshake is complete."""
         ...
 
     def send(self, call: Call, **facts: Any) -> None:
@@ -109,9 +113,12 @@ class Recovery:
 
         `outside` tells that robots' own gateways know the keys of what concerns robots.
         """
-        if concerns_gateway(call.envelope):
-            return not (restarted or self._moved)
-        return outside or not restarted
+        if not (restarted or self._moved):
+            return True
+        # Some parts of a batch may have been carried out before; the refusal of a part of its
+        # repeat would not say so.
+        is_batch = call.envelope["type"] == "batch"
+        return outside and not is_batch and not concerns_gateway(call.envelope)
 
     def _refused(self, call: Call, tries: Tries, reply: Reply) -> None:
         """Repeat a call again whose robot this gateway does not reach yet.
@@ -131,7 +138,7 @@ class Recovery:
         link = call.link
         if not await tries.again(error):
             self._fail(call, error)
-        elif call.link is link and not call.end.done():  # otherwise it was sent again meanwhile
+        elif self._requests.is_current(link) and not call.end.done():  # else `restore` judges it
             self._again(call)
 
     def _fail(self, call: Call, error: RcpError) -> None:

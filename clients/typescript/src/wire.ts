@@ -212,6 +212,8 @@ export interface EstopState {
   scopes: Record<string, Record<string, unknown>>;
   /** Groups of robots that can be named as a scope. */
   groups?: string[];
+  /** When one of the robots was last reset since the gateway was started. */
+  reset?: string | null;
 }
 
 /** How a robot was found after a hold. */

@@ -309,7 +309,8 @@ test("an e-stop holds until it is reset by who may", async () => {
   const drive = { linear: { x: 0.1 }, angular: { z: 0 } };
   assert.equal((await refusal(operator.write("/actuator/cmd_vel", drive))).code, "estop_active");
   assert.equal((await refusal(operator.resetEstop({ dryRun: true }))).code, "forbidden");
-  await boss.resetEstop({ scope: "/tenant/alpha" });
+  const { reset } = await boss.resetEstop({ scope: "/tenant/alpha" });
+  assert.ok(reset && Date.parse(reset) > 0);
   // The clock of the gateway is known to half a round trip: one more, and the command is the younger for sure.
   await new Promise((resolve) => setTimeout(resolve, 50));
   await operator.write("/actuator/cmd_vel", { linear: { x: 0 }, angular: { z: 0 } });

@@ -154,6 +154,45 @@ async def test_a_robot_that_returns_is_stopped_before_its_command_goes_on() -> N
         assert len(cart.ran) == 1
 
 
+async def test_a_reset_at_a_robot_that_is_away_does_not_undo_a_later_stop_of_the_hub() -> None:
+    port = free_port()
+    async with AsyncExitStack() as stack:
+        hub = await stack.enter_async_context(serving(_hub(port)))
+        cable = await stack.enter_async_context(Cable(port).laid())
+        text = robot_at(cable.port, _ROBOT) + _ADMIN
+        served = await stack.enter_async_context(serving(text, scripted(Cart)))
+        cart: Any = served.life.backend
+        client = await _client(stack, hub, "r7")
+        local = served.client(ADMIN)
+        stack.push_async_callback(local.close)
+        assert (await _estop(local))["status"] == "completed"
+        await _confirmed(client, "fleet/r7")
+        cable.part()
+        unit = hub.supervisor.unit("r7")
+
+        async def lost() -> bool:
+            return unit.state == "down"
+
+        await eventually(lost, "it is away", _BOUND)
+        assert (await _estop(local, reset=True))["status"] == "completed"
+        await local.send(type="execute", path="/tenant/alpha/action/go", body=1.0)
+        await cart.started.get()
+        reply = await _estop(client, soon=True)
+        assert reply["error"]["code"] == "device_timeout", reply
+        cable.mend()
+        await _confirmed(client, "fleet/r7")
+        assert unit.latch is not None
+        assert unit.latch.shown is None  # it is the hub's own
+        assert not cart.moving
+        assert await _state(local) == {"cart": "confirmed"}
+        assert (await _estop(local, reset=True))["status"] == "completed"  # and a later one does
+
+        async def released() -> bool:
+            return unit.latch is None
+
+        await eventually(released, "the hub has learnt of the reset", _BOUND)
+
+
 async def test_a_cancel_reaches_a_robot_that_was_away_and_is_not_told_before() -> None:
     port = free_port()
     async with AsyncExitStack() as stack:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import AsyncGenerator
+from typing import Any
 
 import pytest
 
+from rcp_client.console.fleet import fleet
 from rcp_client.console.outline import outline
 from rcp_client.console.output import Output, clean, compact, exit_code, pretty
 from rcp_client.errors import ConnectionLost, unknown_outcome
@@ -79,3 +82,41 @@ def test_a_schema_is_one_line_for_each_field() -> None:
     assert rows["path"] == ("list of number in m", "")
     assert rows["data"] == ("bytes", "")
     assert max(name.count(".") for name in rows) <= 7
+
+
+class _LaterHub:
+    """What a hub of a later version says of its links."""
+
+    _STATES = ("ready", "asleep", None, "down")
+
+    async def discover(self, *_: Any, **__: Any) -> list[Any]:
+        return [_Link(f"/tenant/a/sensor/r{num}/link") for num in range(len(self._STATES))]
+
+    async def pages(self, _: str) -> AsyncGenerator[list[dict[str, Any]]]:
+        bodies = [{} if state is None else {"state": state} for state in self._STATES]
+        yield [
+            {"path": f"/tenant/a/sensor/r{num}/link", "status": "completed", "body": body}
+            for num, body in enumerate(bodies)
+        ]
+
+
+class _Link:
+    schema_ids = {"value": "GatewayLink.1"}  # noqa: RUF012 - never changed
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("as_json", [True, False])
+async def test_links_in_unknown_states_are_listed_first(
+    capsys: pytest.CaptureFixture[str], *, as_json: bool
+) -> None:
+    hub: Any = _LaterHub()
+    assert await fleet(hub, Output(json=as_json), {}) == 0
+    shown = capsys.readouterr().out
+    if as_json:
+        states = [json.loads(line)["state"] for line in shown.splitlines()]
+        assert states == ["asleep", "unknown", "down", "ready"]
+    else:
+        assert "r1 is asleep" in shown

@@ -13,7 +13,8 @@ _FAILED = 1
 _LINKS = "/tenant/*/sensor/**/link"
 _LINK = "GatewayLink."
 """Prefix of the value schema id of every link that a hub shows."""
-_ORDER = ("down", "degraded", "ready")
+_RANK = {"down": 0, "degraded": 1, "ready": 2}
+"""Order of the states; one that is not known here comes first."""
 _HEAD = (
     "ROBOT", "STATE", "GATEWAY", "RCP", "ROUND TRIP", "CLOCK", "SENT", "RECEIVED", "LOST", "LAST SEEN"
 )  # fmt: skip
@@ -28,7 +29,7 @@ async def fleet(client: Client, out: Output, _: dict[str, Any]) -> int:
     found: list[dict[str, Any]] = []
     async for items in client.pages(_LINKS):
         found += [_row(item) for item in items if item["path"] in paths]
-    found.sort(key=lambda row: (_ORDER.index(row["state"]), row["robot"]))
+    found.sort(key=lambda row: (_RANK.get(row["state"], -1), row["robot"]))
     if out.json:
         for row in found:
             out.document(row)
@@ -49,7 +50,7 @@ async def _nothing(client: Client, out: Output) -> int:
 
 def _row(item: dict[str, Any]) -> dict[str, Any]:
     _, _, tenant, _, *robot, _ = item["path"].split("/")
-    row = {"robot": "/".join(("/tenant", tenant, *robot))}
+    row = {"robot": "/".join(("/tenant", tenant, *robot)), "state": "unknown"}
     if item.get("status") == "completed":
         return row | item["body"]
     return row | {"state": "down", "detail": (item.get("error") or {}).get("message")}
