@@ -125,6 +125,18 @@ class ConfigurationFile:
             click.echo(f"rcpd: cannot roll back: {error}", err=True)
             return False
 
+    def restart(self, seconds: float) -> None:
+        """Start the gateway again after its end, or after some time if a plugin hangs as it closes."""
+        self.restarts = True
+        late = threading.Timer(seconds, self._restart_late)
+        late.daemon = True
+        late.start()
+
+    def _restart_late(self) -> None:
+        if self.restarts:  # nobody has stopped it since
+            click.echo("rcpd: restarting without waiting for a plugin", err=True)
+            run_again()
+
     def _await_service(self, seconds: float) -> None:
         self._late = threading.Timer(seconds, self._never_served)
         self._late.daemon = True

@@ -6,7 +6,6 @@ import asyncio
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -139,10 +138,7 @@ def _watch_probation(
 ) -> None:
     def restart() -> None:
         click.echo("rcpd: restarting with another configuration", err=True)
-        file.restarts = True
-        late = threading.Timer(_CLOSE, _restart_late, [file])
-        late.daemon = True
-        late.start()
+        file.restart(_CLOSE)
         stop.set()
 
     probation = Probation(server, file, restart)
@@ -150,10 +146,3 @@ def _watch_probation(
     serve = server.kernel.features.service(SERVED_CONFIGURATION)
     if serve is not None:
         serve(probation)
-
-
-def _restart_late(file: ConfigurationFile) -> None:
-    """Start again although a plugin hangs as it closes, unless somebody stops the gateway."""
-    if file.restarts:
-        click.echo("rcpd: restarting without waiting for a plugin", err=True)
-        run_again()

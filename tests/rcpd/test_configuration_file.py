@@ -130,3 +130,15 @@ def test_a_roll_back_that_fails_does_not_end_the_gateway(tmp_path: Path) -> None
     file = _started(path)
     assert (path.read_bytes(), file.on_probation) == (NEW, True)
     assert not file.fails()
+
+
+def test_a_restart_does_not_wait_for_a_gateway_that_hangs_as_it_closes(tmp_path: Path) -> None:
+    program = (
+        "import sys, time, pathlib; from rcpd.configuration_file import ConfigurationFile\n"
+        "mark = pathlib.Path(sys.argv[1])\n"
+        "if mark.exists(): sys.exit(5)\n"
+        "mark.touch(); ConfigurationFile(mark).restart(0.1)\n"
+        "time.sleep(300)"
+    )
+    command = [sys.executable, "-c", program, tmp_path / "mark"]
+    assert subprocess.run(command, timeout=120, check=False).returncode == 5

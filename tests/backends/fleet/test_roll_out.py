@@ -211,9 +211,9 @@ async def test_a_file_without_the_hub_rolls_back_by_itself(fleet: _Fleet) -> Non
     robot = await fleet.add("r7")
     before = robot.text
     text = before.replace(fleet.key.pem, HubKey().pem)
-    _end(fleet.roll_out(text, seconds=3.0), 1)
+    _end(fleet.roll_out(text, seconds=1.0), 1)
     await robot.is_in("rolled_back")
-    assert (await robot.state())["reason"] == "it was not confirmed within 3 s"
+    assert (await robot.state())["reason"] == "it was not confirmed within 1 s"
     assert robot.text == before
     await fleet.record("r7", what="configuration", outcome="rolled_back")
 
@@ -224,7 +224,7 @@ async def test_a_file_that_cuts_the_robot_from_its_router_rolls_back_by_itself(
     robot = await fleet.add("r7")
     before = robot.text
     text = before.replace(f"127.0.0.1:{fleet.port}", f"127.0.0.1:{free_port()}")
-    _end(fleet.roll_out(text, "--restart", seconds=5.0), 1)
+    _end(fleet.roll_out(text, "--restart", seconds=2.0), 1)
     await robot.is_in("rolled_back")
     assert robot.text == before
     assert robot.process.poll() is None
@@ -252,7 +252,7 @@ async def test_a_file_with_which_a_backend_is_not_ready_again_rolls_back(fleet: 
     before = robot.text
     nowhere = [f"tcp/127.0.0.1:{free_port()}"]
     more = backend("more", use="fleet", hub="h9", connect=nowhere, token=ADMIN)
-    _end(fleet.roll_out(before + more, seconds=5.0), 1)
+    _end(fleet.roll_out(before + more, seconds=2.0), 1)
     await robot.is_in("rolled_back")
     assert robot.text == before
 
