@@ -15,6 +15,7 @@ from rcp_fleet.access import access_rules
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
 from rcp_fleet.link import FleetLinks
+from rcp_fleet.link_names import LinkNames
 from rcp_fleet.revocations import Revocations
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -201,7 +202,8 @@ async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[Fleet
         revocations = None
         if config.revoked is not None:
             revocations = Revocations(session, host.tenant, config.revoked)
-        links = FleetLinks(session, host.tenant, config.hub, config.silence)
+        names = LinkNames(loop.time)
+        links = FleetLinks(session, names, host.tenant, config.hub, config.silence)
         backend = FleetBackend(config, links, host, signer, revocations)
         tokens = partial(session.liveliness().declare_subscriber, alive(host.tenant), history=True)
         repeating = loop.create_task(_repeat(revocations), name="fleet revocations")

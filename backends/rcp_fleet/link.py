@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections import deque
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
@@ -13,8 +12,10 @@ import zenoh
 
 from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.messages import Codec
+from rcp_fleet.link_names import LinkNames
 from rcp_fleet.values import decoded
 from rcp_zenoh.budget import Allowance
+from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.inbox import received
 from rcp_zenoh.keys import LinkKeys
 from rcp_zenoh.lane import Priority
@@ -32,7 +33,8 @@ class FleetLink(Carrier):
     def __init__(
         self,
         session: zenoh.Session,
-        keys: LinkKeys,
+        key: zenoh.KeyExpr,
+        token: str,
         silence: float,
         statistics: LinkStatistics,
         is_feed: Callable[[str | None], bool],
@@ -47,8 +49,8 @@ class FleetLink(Carrier):
         self._why = "the link was closed"
         self._waiting: deque[bytes] = deque()
         """Messages for which the window has no room yet."""
-        self._pipe = Pipe(session, keys.up, silence, self, Allowance(), self._note)
-        self._token = session.liveliness().declare_token(keys.token)
+        self._pipe = Pipe(session, key, silence, self, Allowance(), self._note)
+        self._token = session.liveliness().declare_token(token)
         statistics.opened(self._pipe)
 
     @property
@@ -107,9 +109,12 @@ class FleetLink(Carrier):
 class FleetLinks:
     """The links of a hub: one subscriber for what all gateways say to it."""
 
-    def __init__(self, session: zenoh.Session, tenant: str, hub: str, silence: float) -> None:
+    def __init__(
+        self, session: zenoh.Session, names: LinkNames, tenant: str, hub: str, silence: float
+    ) -> None:
         self._session, self._tenant, self._hub = session, tenant, hub
-        self._silence = silence
+        self._names, self._silence = names, silence
+        self._declared = DeclaredKeys(session)
         self._links: dict[str, FleetLink] = {}
         """By the key on which the gateway speaks."""
 
@@ -135,17 +140,27 @@ class FleetLinks:
         lost: Lost,
     ) -> FleetLink:
         """Open a link with a gateway."""
-        keys = LinkKeys.of(self._tenant, gateway, self._hub, secrets.token_hex(8))
+        name = self._names.take(gateway)
+        keys = LinkKeys.of(self._tenant, gateway, self._hub, name)
 
         # A key that Zenoh knows has a route; for any other it looks through those of all gateways.
-        known = self._session.declare_keyexpr(keys.down)
+        self._declared.of(keys.down)
+        up = self._declared.of(keys.up)
 
         def ended(link: Carrier) -> None:
             del self._links[keys.down]
-            self._session.undeclare(known)
+            self._names.release(gateway, name)
             lost(link)
 
         link = self._links[keys.down] = FleetLink(
-            self._session, keys, self._silence, statistics, is_feed, codec, received, ended
+            self._session,
+            up,
+            keys.token,
+            self._silence,
+            statistics,
+            is_feed,
+            codec,
+            received,
+            ended,
         )
         return link

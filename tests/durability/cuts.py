@@ -29,6 +29,7 @@ from rcp_client.client import Client
 from rcp_client.messages import Codec, Notice
 from rcp_client.settings import Settings
 from rcp_fleet.link import FleetLink, FleetLinks
+from rcp_fleet.link_names import LinkNames
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
@@ -247,7 +248,8 @@ async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
     config = configuration("client", connect=[f"tcp/127.0.0.1:{port}"], silence=SILENCE)
     async with AsyncExitStack() as stack:
         session = await stack.enter_async_context(opened(config, patient=False))
-        links = FleetLinks(session, "alpha", "h2", SILENCE)
+        names = LinkNames(asyncio.get_running_loop().time)
+        links = FleetLinks(session, names, "alpha", "h2", SILENCE)
         await stack.enter_async_context(links.receiving())
 
         async def dial(codec: Codec, received: Any, lost: Any) -> FleetLink:

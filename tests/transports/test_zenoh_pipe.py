@@ -32,7 +32,7 @@ class _End:
         self.lose: Callable[[bytes], bool] = lambda _: False
         loop = asyncio.get_running_loop()
         self._subscriber = session.declare_subscriber(theirs, on_loop(loop, self._take))
-        self.pipe = Pipe(session, ours, _SILENCE, self, Allowance())
+        self.pipe = Pipe(session, zenoh.KeyExpr(ours), _SILENCE, self, Allowance())
 
     @property
     def received(self) -> list[bytes | None]:

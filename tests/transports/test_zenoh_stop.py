@@ -57,7 +57,7 @@ class _Hub:
         self.messages: list[Message] = []
         self._subscriber = session.declare_subscriber(keys.down, on_loop(loop, self._take))
         self._token = session.liveliness().declare_token(keys.token)
-        self.pipe = Pipe(session, keys.up, 10.0, self, Allowance())
+        self.pipe = Pipe(session, zenoh.KeyExpr(keys.up), 10.0, self, Allowance())
 
     def send(self, priority: Priority, **envelope: object) -> None:
         self.pipe.send(msgspec.msgpack.encode(envelope), priority)
@@ -107,9 +107,10 @@ async def test_no_stop_of_many_at_once_is_dropped_while_the_link_is_held_up() ->
                 "stop/*", on_loop(loop, lambda sample: arrived.append(str(sample.key_expr)))
             )
             filled = far.declare_subscriber("fill", on_loop(loop, lambda _: None))
-            filling = Lane(near, "fill", Priority.UPDATES)
-            stops = [Lane(near, f"stop/{number}", Priority.STOP) for number in range(_MANY)]
-            ready = Lane(near, "stop/ready", Priority.CONTROL)
+            filling = Lane(near, zenoh.KeyExpr("fill"), Priority.UPDATES)
+            keys = [zenoh.KeyExpr(f"stop/{number}") for number in range(_MANY)]
+            stops = [Lane(near, key, Priority.STOP) for key in keys]
+            ready = Lane(near, zenoh.KeyExpr("stop/ready"), Priority.CONTROL)
 
             async def known() -> bool:
                 ready.put(b"", b"")

@@ -34,7 +34,7 @@ class HubLink:
         self,
         client_api: ClientApi,
         session: zenoh.Session,
-        key: str,
+        key: zenoh.KeyExpr,
         encoding: Encoding,
         config: ZenohConfig,
         allowance: Allowance,

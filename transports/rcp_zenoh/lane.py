@@ -66,7 +66,7 @@ class Lane:
         "written",
     )
 
-    def __init__(self, session: zenoh.Session, key: str, priority: Priority) -> None:
+    def __init__(self, session: zenoh.Session, key: zenoh.KeyExpr, priority: Priority) -> None:
         self._session, self._key, self._priority = session, key, priority
         self._publisher: zenoh.Publisher | None = None
         self._delay = DelayWindow(PART) if priority is Priority.BULK else None

@@ -82,7 +82,7 @@ class Pipe:
     def __init__(
         self,
         session: zenoh.Session,
-        key: str,
+        key: zenoh.KeyExpr,
         silence: float,
         owner: PipeOwner,
         allowance: Allowance,
@@ -90,7 +90,7 @@ class Pipe:
     ) -> None:
         """Open an end that sends on `key`, and ends after a `silence` of so many seconds.
 
-        `on_beat` is called after each heartbeat.
+        `key` is a declared one. `on_beat` is called after each heartbeat.
         """
         self._owner, self._silence, self.on_beat = owner, silence, on_beat
         self._allowance = allowance

@@ -15,6 +15,7 @@ from rcp_kernel.features import ServiceKey
 from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
+from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
@@ -36,7 +37,7 @@ class _Links:
         statistics: Statistics,
     ) -> None:
         self._config, self._client_api, self._session = config, client_api, session
-        self._statistics = statistics
+        self._statistics, self._declared = statistics, DeclaredKeys(session)
         limit = config.budget
         self._allowance = Allowance() if limit is None else Budget(client_api.loop, limit)
         self._links: dict[tuple[str, str], HubLink] = {}
@@ -54,7 +55,7 @@ class _Links:
             self._links[hub, link] = HubLink(
                 self._client_api,
                 self._session,
-                keys.down,
+                self._declared.of(keys.down),
                 encoding_of(link),
                 config,
                 self._allowance,
