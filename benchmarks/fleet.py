@@ -26,6 +26,7 @@ import uvloop
 
 ROBOTS, PROCESSES = 1000, 4
 NEAR = 100  # robots whose poses are subscribed to
+CLIENTS = 1, 4, 10  # that subscribe to the same poses
 SECONDS = 4.0
 SILENCE = 30.0  # s: a thousand robots on a busy machine are silent for longer than 3 s
 KEY = "key-of-the-benchmark"
@@ -84,13 +85,42 @@ def resources():
     ]
 
 
+class Publishers:
+    """Publish poses on many paths, as the robots do and, to compare, the hub itself."""
+
+    def __init__(self) -> None:
+        self._running: list[asyncio.Task[None]] = []
+
+    def run(self, paths, rate: float) -> None:
+        """Publish on each of these pairs of host and name at a rate, evenly spread over time."""
+        for task in self._running:
+            task.cancel()
+        groups = [paths[i::10] for i in range(min(10, len(paths)))] if rate else []
+        self._running = [
+            asyncio.create_task(self._publish(group, rate, i / rate / 10))
+            for i, group in enumerate(groups)
+        ]
+
+    async def _publish(self, group, rate: float, offset: float) -> None:
+        from rcp_kernel.types import Point, PoseStamped
+
+        loop = asyncio.get_running_loop()
+        due = loop.time() + offset
+        while True:
+            await asyncio.sleep(max(0.0, due - loop.time()))
+            due = max(due + 1 / rate, loop.time() - 1.0)
+            pose = PoseStamped(position=Point(x=due % 100, y=2.0))
+            for host, name in group:
+                host.publish(name, pose, time.time_ns())
+
+
 class Robots:
     """The robots of one process."""
 
     def __init__(self) -> None:
         self.all = []
         self.halts: list[float] = []
-        self.publishing: list[asyncio.Task[None]] = []
+        self.publishers = Publishers()
 
     def make(self, host):
         """Make one."""
@@ -108,27 +138,8 @@ class Robots:
         return robot
 
     def publish(self, rate: float, count: int) -> None:
-        """Let the first `count` publish poses at a rate, evenly spread over time."""
-        for task in self.publishing:
-            task.cancel()
-        chosen = self.all[:count]
-        groups = [chosen[i::10] for i in range(min(10, len(chosen)))]
-        self.publishing = [
-            asyncio.create_task(self._publish(group, rate, i / rate / 10))
-            for i, group in enumerate(groups)
-        ]
-
-    async def _publish(self, group, rate: float, offset: float) -> None:
-        from rcp_kernel.types import Point, PoseStamped
-
-        loop = asyncio.get_running_loop()
-        due = loop.time() + offset
-        while True:
-            await asyncio.sleep(max(0.0, due - loop.time()))
-            due = max(due + 1 / rate, loop.time() - 1.0)
-            pose = PoseStamped(position=Point(x=due % 100, y=2.0))
-            for robot in group:
-                robot.host.publish("sensor/pose", pose, time.time_ns())
+        """Let the first `count` publish poses at a rate."""
+        self.publishers.run([(robot.host, "sensor/pose") for robot in self.all[:count]], rate)
 
 
 async def serve_robots(port: str, first: str, count: str) -> None:
@@ -198,15 +209,28 @@ class Hub:
                 if batch:
                     self.connection.outbox.again()
 
-        self.served, self.robots = served, robots
-        self.sink = Sink(served.server.client_api, KEY, Encoding.MSGPACK)
+        self.served, self.robots, self.publishers = served, robots, Publishers()
+        self.new_sink = lambda: Sink(served.server.client_api, KEY, Encoding.MSGPACK)
+        self.sink = self.new_sink()
+        self.sinks = [self.sink]
+        self.subscribed: list[tuple[Sink, str]] = []
 
     async def known(self) -> int:
         """Return how many robots are declared."""
-        if not self.served.lives:
-            return 0
-        fleet = self.served.life.backend
-        return sum(one.ready for one in fleet.gateways.values())
+        fleets = [one.backend for one in self.served.lives if one.kind == "fleet"]
+        return sum(one.ready for fleet in fleets for one in fleet.gateways.values())
+
+    def own(self, rate: float, count: int) -> list[str]:
+        """Publish as many poses from a backend of the hub itself, and return their paths."""
+        from rcp_kernel.model import Resource
+        from rcp_kernel.types import PoseStamped
+
+        host = next(one.backend.host for one in self.served.lives if one.kind == "own")
+        names = [f"sensor/own/pose{number}" for number in range(count)]
+        for name in names:
+            host.declare(Resource(name=name, description="Pose.", value=PoseStamped))
+        self.publishers.run([(host, name) for name in names], rate)
+        return [f"/tenant/t/{name}" for name in names]
 
     async def discover(self) -> None:
         """Discover everything as a client."""
@@ -246,17 +270,19 @@ class Hub:
         series = sum(not line.startswith(b"#") for line in text.splitlines())
         say(series=series, cpu=round(cpu() - spent, 3), longest_step_ms=round(longest * 1e3, 2))
 
-    async def subscribe(self, gateways: list[str]) -> None:
-        """Subscribe to poses, and wait for one of each."""
-        paths = [f"/tenant/t/sensor/{one}/pose" for one in gateways]
+    async def subscribe(self, paths: list[str]) -> None:
+        """Subscribe to poses with every client."""
         body = {"paths": paths[1:], "qos": {"depth": 64}}
-        reply = await self.sink.request("subscribe", paths[0], body=body, within=60)
-        assert reply["status"] == "completed", reply
-        self.id = reply["body"]["subscription"]
+        for sink in self.sinks:
+            reply = await sink.request("subscribe", paths[0], body=body, within=60)
+            assert reply["status"] == "completed", reply
+            self.subscribed.append((sink, reply["body"]["subscription"]))
 
     async def unsubscribe(self) -> None:
-        """End the subscription."""
-        await self.sink.request("unsubscribe", body={"subscription": self.id}, within=60)
+        """End the subscriptions."""
+        while self.subscribed:
+            sink, id_ = self.subscribed.pop()
+            await sink.request("unsubscribe", body={"subscription": id_}, within=60)
 
     async def flow(self, seconds: float) -> dict[str, float]:
         """Take updates for a while."""
@@ -269,8 +295,9 @@ class Hub:
         begun, spent = time.perf_counter(), cpu()
         await asyncio.sleep(seconds)
         spent, took, got = cpu() - spent, time.perf_counter() - begun, list(updates)
-        decoded = [(now, msgspec.msgpack.decode(data)) for now, data in got]
-        ages = sorted((now - parse_time(one["timestamp"])) / 1e6 for now, one in decoded)
+        updates.clear()  # they are no memory of the hub
+        decoder = msgspec.msgpack.Decoder(msgspec.defstruct("Update", [("timestamp", str)]))
+        ages = sorted((now - parse_time(decoder.decode(one).timestamp)) / 1e6 for now, one in got)
         if not ages:
             return {"updates": 0}
         return {
@@ -287,14 +314,15 @@ async def serve_hub(port: str, count: str) -> None:
     """Run the hub, and do as the parent says."""
     from rcp_fleet import rcp_backends
     from rcp_kernel.config.file import parse
-    from rcp_kernel.testing import serve
+    from rcp_kernel.testing import ScriptedRobot, scripted, serve
     from rcpd.garbage import collected_at_rest
 
     robots = int(count)
     text = (
         f'{OFF}[[backends]]\nuse = "fleet"\nname = "fleet"\ntenant = "t"\nhub = "h1"\n'
         f'connect = ["tcp/127.0.0.1:{port}"]\ntoken = "{KEY}"\n'
-        f"silence = {SILENCE}\nconnect_timeout = {SILENCE}\n{LIMITS}{KEYS}"
+        f"silence = {SILENCE}\nconnect_timeout = {SILENCE}\n"
+        f'[[backends]]\nuse = "own"\nname = "own"\ntenant = "t"\n{LIMITS}{KEYS}'
     )
     import zenoh  # noqa: F401 - its memory is not that of the robots
 
@@ -315,7 +343,8 @@ async def serve_hub(port: str, count: str) -> None:
         # As `rcpd serve` does.
         stack.enter_context(collected_at_rest(asyncio.get_running_loop(), lambda: True))
         enter = stack.enter_async_context
-        served = await enter(serve(parse(text, "bench"), *rcp_backends()))
+        own = scripted(ScriptedRobot, "own")
+        served = await enter(serve(parse(text, "bench"), *rcp_backends(), own))
         hub = Hub(served, robots)
         while (known := await hub.known()) < robots:  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0.02)
@@ -331,10 +360,17 @@ async def serve_hub(port: str, count: str) -> None:
                 case ["metrics"]:
                     await hub.metrics()
                 case ["subscribe", *names]:
-                    await hub.subscribe(names)
+                    await hub.subscribe([f"/tenant/t/sensor/{one}/pose" for one in names])
                     say(subscribed=len(names))
+                case ["clients", count]:
+                    hub.sinks[1:] = [hub.new_sink() for _ in range(int(count) - 1)]
+                    say(clients=len(hub.sinks))
+                case ["own", rate, many]:
+                    await hub.subscribe(hub.own(float(rate), int(many)))
+                    say(subscribed=int(many))
                 case ["unsubscribe"]:
                     await hub.unsubscribe()
+                    hub.publishers.run([], 0.0)
                     say(unsubscribed=True)
                 case ["flow", seconds]:
                     say(**await hub.flow(float(seconds)))
@@ -411,6 +447,31 @@ class Spending:
         return spent
 
 
+def compare(hub: Child, fleet: list[Child], names: list[str], spending: Spending) -> None:
+    """Measure updates through the hub beside as many that a backend of the hub publishes."""
+    for clients in CLIENTS:
+        hub.ask(f"clients {clients}")
+        found = []
+        for what in ("of robots", "of its own"):
+            if what == "of robots":
+                for child in fleet:
+                    child.send(f"rate 100 {len(names) // len(fleet)}")
+                hub.ask(f"subscribe {' '.join(names)}")
+            else:
+                hub.ask(f"own 100 {len(names)}")
+            time.sleep(1)
+            spending.look()
+            flow = hub.ask(f"flow {SECONDS}")
+            found.append(flow["per_cpu_s"])
+            report(f"{len(names)} poses {what}, 100 Hz, to {clients}", flow)
+            report("  CPU s", spending.look())
+            hub.ask("unsubscribe")
+            for child in fleet:
+                child.send("rate 0 0")
+        report("  through the hub / of its own", round(found[0] / found[1], 2))
+    hub.ask("clients 1")
+
+
 def main(robots: int, processes: int) -> None:
     """Measure everything once."""
     quiet()
@@ -446,13 +507,8 @@ def main(robots: int, processes: int) -> None:
     spending.look()
     report("100 robots, 10 Hz", hub.ask(f"flow {SECONDS}"))
     report("  CPU s", spending.look())
-    for child in fleet:
-        child.send(f"rate 100 {near}")
-    time.sleep(1)
-    spending.look()
-    report("100 robots, 100 Hz", hub.ask(f"flow {SECONDS}"))
-    report("  CPU s", spending.look())
     hub.ask("unsubscribe")
+    compare(hub, fleet, names, spending)
     for child in fleet:
         child.send(f"rate 10 {share}")
     every = [f"r{i}" for i in range(share * processes)]

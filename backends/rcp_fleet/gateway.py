@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Coroutine, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -16,7 +16,16 @@ from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
 from rcp_fleet.link import FleetLinks
 from rcp_fleet.link_status import LinkStatus
-from rcp_fleet.resources import CONFIGURATION, facts_of, name_of, resource_of
+from rcp_fleet.resources import (
+    CONFIGURATION,
+    ESTOP,
+    ROBOTS,
+    STATUS,
+    TREE,
+    facts_of,
+    name_of,
+    resource_of,
+)
 from rcp_fleet.sessions import GatewaySessions
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -65,8 +74,8 @@ class RemoteGateway:
         """Whether its resources are declared and it can be reached."""
         self._reached = asyncio.Event()
         """Set while it is."""
-        self._returned = asyncio.Event()
-        """Set when a new link has been made."""
+        self._returned = asyncio.get_running_loop().create_future()
+        """Done when a new link has been made, and then another one."""
         self._paths: dict[str, str] = {}
         self._numbers = RobotNumbers()
         self._streams: dict[tuple[str, float | None], _Stream] = {}
@@ -85,7 +94,9 @@ class RemoteGateway:
         if notice.code == "refused":
             self._refused(notice.message or "refused")
         elif notice.code == "reconnected":
-            self._returned.set()
+            returned = self._returned
+            self._returned = asyncio.get_running_loop().create_future()
+            returned.set_result(None)
         self._review()
 
     def _refused(self, reason: str) -> None:
@@ -127,19 +138,33 @@ class RemoteGateway:
 
     async def _follow(self) -> None:
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._follow_tree())
-            group.create_task(self._ask_version())
-            group.create_task(self._follow_facts())
-            group.create_task(self.stops.follow())
+            group.create_task(self._keep(TREE, self._follow_tree))
+            group.create_task(self._keep(STATUS, self._ask_version))
+            group.create_task(self._keep(ROBOTS, self._follow_facts))
+            group.create_task(self._keep(ESTOP, self.stops.follow))
 
-    async def _follow_tree(self) -> None:
+    async def _keep(self, path: str, follow: Callable[[str], AsyncIterator[object]]) -> None:
+        """Follow what a gateway offers; again after each cut if it does not: it may be replaced."""
+        while True:
+            returned = self._returned
+            try:
+                async for _ in follow(path):
+                    self.link.offers(path)
+            except (ConnectionLost, DeadlineExceeded):
+                await asyncio.sleep(_LONGEST_PAUSE)
+                continue
+            except RcpError as error:  # an earlier version, or one that does not let the hub see it
+                log.info("fleet_not_offered", gateway=self.name, path=path, reason=error.message)
+                self.link.lacks(path)
+                if path == TREE:  # what it has now is what it will have
+                    await self._declare()
+            await asyncio.shield(returned)
+
+    async def _follow_tree(self, path: str) -> AsyncIterator[object]:
         """Declare what the gateway has, and again whenever its tree changes."""
-        try:
-            async for _ in self._client.subscribe("/system/tree"):
-                await self._declare()
-        except RcpError as error:  # an earlier version: what it has now is what it will have
-            log.info("fleet_tree_not_followed", gateway=self.name, reason=error.message)
+        async for update in self._client.subscribe(path):
             await self._declare()
+            yield update
 
     async def _declare(self) -> None:
         found = await self._discover()
@@ -168,25 +193,18 @@ class RemoteGateway:
                 log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
             await asyncio.sleep(_LONGEST_PAUSE)
 
-    async def _follow_facts(self) -> None:
+    async def _follow_facts(self, path: str) -> AsyncIterator[object]:
         """Describe the robot as its gateway's inventory does, if it has one."""
-        try:
-            async for update in self._client.subscribe("/system/robots", rate=1.0):
-                self._host.describe(facts_of(update.body), self.name)
-                self.link.robots(update.body)
-        except RcpError as error:
-            log.info("fleet_robot_not_described", gateway=self.name, reason=error.message)
+        async for update in self._client.subscribe(path, rate=1.0):
+            self._host.describe(facts_of(update.body), self.name)
+            self.link.robots(update.body)
+            yield update
 
-    async def _ask_version(self) -> None:
-        """Learn the version of the gateway, again after each cut: it may have been replaced."""
-        while True:
-            self._returned.clear()
-            try:
-                facts = await self._client.read("/system/status", fields=["version"])
-                self.link.runs(facts.get("version"))
-            except RcpError as error:
-                log.info("fleet_version_unknown", gateway=self.name, reason=error.message)
-            await self._returned.wait()
+    async def _ask_version(self, path: str) -> AsyncIterator[object]:
+        """Learn the version of the gateway: once for each link."""
+        facts = await self._client.read(path, fields=["version"])
+        self.link.runs(facts.get("version"))
+        yield facts
 
     def _review(self) -> None:
         connected = self._client.connected

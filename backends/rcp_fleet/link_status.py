@@ -31,6 +31,7 @@ class LinkStatus:
         """Why its robot is not ready, as the gateway says."""
         self._version: str | None = None
         self._protocol: str | None = None
+        self._lacks: set[str] = set()
         self._changed = asyncio.Event()
         # The hub's own, and no resource of the robot: these cannot be read while it is down.
         resource = Resource(
@@ -64,6 +65,17 @@ class LinkStatus:
         self._version = version
         self._changed.set()
 
+    def lacks(self, path: str) -> None:
+        """Note that the gateway does not offer a path of its own to this hub."""
+        self._lacks.add(path)
+        self._changed.set()
+
+    def offers(self, path: str) -> None:
+        """Note that it does."""
+        if path in self._lacks:
+            self._lacks.remove(path)
+            self._changed.set()
+
     def robots(self, listed: list[dict[str, Any]]) -> None:
         """Note what the gateway's inventory says of the robots behind it."""
         states = {one["path"]: one["state"] for one in listed if one["state"] != "ready"}
@@ -87,6 +99,7 @@ class LinkStatus:
             detail=detail,
             version=self._version,
             protocol=self._protocol,
+            lacks=tuple(sorted(self._lacks)),
             latency=None if state == "down" else row.get("latency"),
             clock_offset=row.get("clock_offset"),
             clock_bound=row.get("clock_bound"),

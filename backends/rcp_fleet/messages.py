@@ -27,6 +27,9 @@ class GatewayLink(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """Version of the gateway."""
     protocol: str | None = None
     """Version of RCP that it speaks."""
+    lacks: tuple[str, ...] = ()
+    """What the gateway does not offer to this hub: because it is of an earlier version, or because
+    of its configuration."""
     latency: _Seconds | None = None
     """The last round trip."""
     clock_offset: _Seconds | None = None

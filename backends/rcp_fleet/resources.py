@@ -10,7 +10,19 @@ from rcp_client.messages import ResourceInfo
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.spi import Dimensions, RobotFacts
 
-__all__ = ["CONFIGURATION", "facts_of", "name_of", "resource_of"]
+__all__ = [
+    "CONFIGURATION",
+    "ESTOP",
+    "ROBOTS",
+    "STATUS",
+    "TREE",
+    "facts_of",
+    "name_of",
+    "resource_of",
+]
+
+TREE, STATUS, ROBOTS, ESTOP = "/system/tree", "/system/status", "/system/robots", "/system/estop"
+"""What a hub follows of a gateway."""
 
 CONFIGURATION = "/system/configuration"
 """The one path of a gateway's own that hubs show."""

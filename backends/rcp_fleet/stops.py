@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
 from typing import Any
-
-import structlog
 
 from rcp_client.calls import Call
 from rcp_client.client import Client
 from rcp_client.messages import Notice, Reply
+from rcp_fleet.resources import ESTOP
 from rcp_kernel.clock import parse_time
-from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import Host, MotionState
 
 __all__ = ["RobotStop"]
 
-log = structlog.get_logger("rcp.fleet")
-_PATH = "/system/estop"
 _WAIT = 10.0  # s for the gateway's answer; it answers after 5 s if the robot is not at rest
 
 
@@ -59,7 +56,7 @@ class RobotStop:
         self._held = 0  # a reset from before this stop must not undo it, whenever it is told
         if self._asking is None or self._asking.done():
             body = {"reason": f"hub {self._hub}"}
-            envelope = {"type": "execute", "path": _PATH, "body": body, "deadline": _WAIT}
+            envelope = {"type": "execute", "path": ESTOP, "body": body, "deadline": _WAIT}
             call = self._client.channel.start(envelope, "always")
             self._asking = asyncio.create_task(self._answer(call), name="fleet stop")
         return self._asking
@@ -99,15 +96,13 @@ class RobotStop:
         if self._client.connected and not (self._told and self._told["robots"]):
             self.ask().add_done_callback(_seen)
 
-    async def follow(self) -> None:
+    async def follow(self, path: str) -> AsyncIterator[object]:
         """Keep up with the gateway's e-stop, which others may set and reset."""
-        try:
-            async for update in self._client.subscribe(_PATH):
-                time = parse_time(update.timestamp)
-                if time >= self._time:  # an answer overtakes updates
-                    self._learn(update.body, time)
-        except RcpError as error:
-            log.warning("fleet_estop_not_followed", hub=self._hub, reason=error.message)
+        async for update in self._client.subscribe(path):
+            time = parse_time(update.timestamp)
+            if time >= self._time:  # an answer overtakes updates
+                self._learn(update.body, time)
+            yield update
 
 
 def _seen(task: asyncio.Task[None]) -> None:

@@ -97,11 +97,22 @@ def obstacle(point: EntryPoint) -> str | None:
     try:
         module = importlib.import_module(point.value)
     except ImportError as error:
-        return f"{error}; {_remedy(point)}"
+        return f"{error}; {_remedy_of(error, point)}"
     offers = [getattr(module, hook, None) for hook in _KINDS]
     kinds = [kind for offer in offers if offer is not None for kind in offer()]
     name = next(filter(None, map(_lacking, kinds)), None)
     return None if name is None else f"No module named '{name}'; {_remedy(point)}"
+
+
+def _remedy_of(error: BaseException, point: EntryPoint) -> str:
+    """Return what to do about a plugin whose module raises when it is imported."""
+    name = (error.name or "") if isinstance(error, ImportError) else ""
+    package = name.partition(".")[0]
+    is_code = package == point.value.partition(".")[0] or package.startswith("rcp_")
+    # A library that is not installed, or in a version that does not fit.
+    if package and (not is_code or find_spec(package) is None):
+        return _remedy(point)
+    return f"fix its module {point.value}, or remove '{point.name}' from the configuration"
 
 
 def _remedy(point: EntryPoint) -> str:
@@ -210,7 +221,7 @@ class Plugins:
             except (Exception, SystemExit, KeyboardInterrupt) as error:
                 # Whatever its module does, it does not stop the gateway.
                 reason = str(error) if isinstance(error, ImportError) else repr(error)
-                self.missing.append(Missing(group, name, reason, _remedy(point)))
+                self.missing.append(Missing(group, name, reason, _remedy_of(error, point)))
                 continue
             register(self._manager, module, f"{group}.{name}")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import shutil
 import subprocess
 from collections.abc import Generator
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 from websockets.asyncio.client import connect as connect_bare
 
-from clients.test_typescript import require_packages
+from clients.test_typescript import typescript
 from late import PATH, LateGateway
 from plugins.client.test_codegen import node
 from rcp_client import connect
@@ -22,8 +21,6 @@ from rcp_kernel.values import Encoding
 BOUND = 60.0  # s that any wait of a test may take
 LATE = 0.4  # s from the port to the robot
 RESTARTS = int(os.environ.get("RCP_RESTARTS", "3"))
-_CLIENT = Path(__file__).parents[2] / "clients" / "typescript"
-_PACKAGES = Path(__file__).parents[2] / "plugins/rcp_dashboard/web/node_modules"
 
 
 @pytest.fixture
@@ -80,16 +77,12 @@ def test_the_typescript_client_has_data_after_each_restart(
 ) -> None:
     found = node()
     assert found is not None
-    require_packages()
-    for part in ("src", "test"):
-        shutil.copytree(_CLIENT / part, tmp_path / part)
-    shutil.copy(_CLIENT / "package.json", tmp_path)
-    (tmp_path / "node_modules").symlink_to(_PACKAGES)
+    client_folder = typescript(tmp_path)
     run = gateway.start()
     with subprocess.Popen(
         [found, "--no-warnings", "test/late.ts"],
         stdout=subprocess.PIPE,
-        cwd=tmp_path,
+        cwd=client_folder,
         env=os.environ | {"RCP_URL": gateway.url, "RCP_PATH": PATH},
         text=True,
     ) as client:

@@ -27,17 +27,23 @@ def require_packages() -> None:
         pytest.skip(reason)
 
 
+def typescript(folder: Path) -> Path:
+    """Copy the client and its tests to where they can be run; return where that is."""
+    require_packages()
+    client = folder / "client"
+    for part in ("src", "test"):
+        shutil.copytree(_CLIENT / part, client / part)
+    shutil.copy(_CLIENT / "package.json", client)
+    (client / "node_modules").symlink_to(_PACKAGES)  # the dashboard has what it needs
+    return client
+
+
 @pytest.mark.skipif(node() is None, reason="needs Node")
 @pytest.mark.parametrize("encoding", ["json", "msgpack"])
 def test_the_typescript_client_does_what_its_own_tests_say(tmp_path: Path, encoding: str) -> None:
     found = node()
     assert found is not None
-    require_packages()
-    client = tmp_path / "client"
-    for part in ("src", "test"):
-        shutil.copytree(_CLIENT / part, client / part)
-    shutil.copy(_CLIENT / "package.json", client)
-    (client / "node_modules").symlink_to(_PACKAGES)  # the dashboard has what it needs
+    client = typescript(tmp_path)
     with demo(tmp_path) as running:
         admin = re.search(r"rcp_ad_[\w-]+", running.banner)
         assert admin is not None

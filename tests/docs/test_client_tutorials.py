@@ -10,6 +10,8 @@ from types import ModuleType
 import pytest
 
 from docs.pages import DOCS
+from rcp_kernel.api import Connection
+from rcp_kernel.streams.outbox import Outbox
 from rcpd.scaffold import write_plugin
 
 
@@ -26,6 +28,15 @@ def _module(page: str, name: str) -> ModuleType:
 TestTcp = _module("write-a-transport.md", "rcp_tcp").TestTcp
 TestText = _module("write-an-adapter.md", "rcp_text").TestText
 pytestmark = pytest.mark.filterwarnings("error")
+
+
+def test_what_a_page_says_of_a_connection_exists() -> None:
+    text = (DOCS / "write-a-transport.md").read_text("utf-8")
+    cells = re.findall(r"^\| (`.+?`(?:, `.+?`)*) \|", text, re.MULTILINE)
+    names = re.findall(r"(outbox|connection)\.(\w+)", " ".join(cells))
+    assert len(names) > 8
+    known = {"outbox": set(dir(Outbox)), "connection": set(dir(Connection))}
+    assert [name for of, name in names if name not in known[of]] == []
 
 
 @pytest.mark.parametrize(("kind", "name"), [("transport", "tcp"), ("adapter", "text")])

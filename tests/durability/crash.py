@@ -50,6 +50,9 @@ IN_FLIGHT = 6  # requests of each client
 SCOPES = 24  # that leases are taken on
 TTL = 1.0  # s of a lease
 AGAIN = 60  # keys sent again in each life
+KNOWN = (
+    10_000  # keys: the gateway remembers the last 20,000, those sent again for the first time too
+)
 SHORTEST, LONGEST = 0.1, 2.0  # s that a life lasts at most once it is ready
 ENOUGH = 10  # replies in a life; with fewer it was too short to see anything
 FINAL = ("completed", "failed", "rejected", "cancelled")
@@ -408,8 +411,9 @@ class Inspector:
             self.hello = {}
 
     def again(self) -> list[Sent]:
-        """Choose keys to send again: the latest, and some of any age."""
-        older = random.sample(self.keys, min(10, len(self.keys)))
+        """Choose keys to send again: the latest, and some of any age that the gateway remembers."""
+        known = self.keys[-KNOWN:]
+        older = random.sample(known, min(10, len(known)))
         chosen = dict([*older, *self.keys[-AGAIN:]])
         return list(chosen.items())
 

@@ -1,4 +1,4 @@
-"""A router, a hub and a robot's gateway as processes of their own: whichever is killed comes back."""
+"""A router, hubs and a robot's gateway as processes of their own: whichever is killed comes back."""
 
 from __future__ import annotations
 
@@ -30,16 +30,18 @@ MOVE = "/tenant/alpha/action/r7/move_to"
 
 
 class Fleet:
-    """The three processes."""
+    """The processes: one hub, or two."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *hubs: str) -> None:
         with socket.socket() as one:
             one.bind(("127.0.0.1", 0))
             self._endpoint = f"tcp/127.0.0.1:{one.getsockname()[1]}"
         self._folder = folder
         self._router = self._start_router()
         self.robot = self.start_robot()
-        self.hub = self.start_hub()
+        self.hubs: dict[str, Served] = {}
+        for hub in hubs or ("h1",):
+            self.start_hub(hub)
 
     def _start_router(self) -> subprocess.Popen[str]:
         command = [sys.executable, "-c", _ROUTER, self._endpoint]
@@ -50,7 +52,7 @@ class Fleet:
 
     def restart_router(self) -> None:
         self.kill_router()
-        until(lambda: not self.ready)
+        until(lambda: self.lost)
         self._router = self._start_router()
 
     def kill_router(self) -> None:
@@ -68,37 +70,46 @@ class Fleet:
         self.robot = self._start("robot", CONFIG + zenoh)
         return self.robot
 
-    def start_hub(self) -> Served:
+    def start_hub(self, name: str = "h1") -> None:
         link: dict[str, Any] = {"connect": [self._endpoint], "silence": 1.0}
-        fleet = backend("fleet", use="fleet", hub="h1", token=ADMIN, **link)
-        self.hub = self._start("hub", listener() + fleet + key("admin", ADMIN))
-        return self.hub
+        fleet = backend("fleet", use="fleet", hub=name, token=ADMIN, **link)
+        self.hubs[name] = self._start(name, listener() + fleet + key("admin", ADMIN))
+
+    @property
+    def hub(self) -> Served:
+        """The first of the hubs."""
+        return self.hubs["h1"]
 
     @property
     def ready(self) -> bool:
-        """Whether the hub reaches the robot."""
-        backend: dict[str, Any] = self.hub.status()["backends"][0]
-        return backend["state"] == "ready" and self.reads
+        """Whether each hub reaches the robot."""
+        return all(map(_reaches, self.hubs.values()))
 
     @property
-    def reads(self) -> bool:
-        """Whether the hub reads a value of the robot."""
-        reply = self.hub.ask("GET", f"{POSE}?fresh=true")
-        return reply["status"] == "completed"
+    def lost(self) -> bool:
+        """Whether no hub reaches it."""
+        return not any(map(_reaches, self.hubs.values()))
 
     def commands(self) -> list[dict[str, Any]]:
         """List the commands that the robot's gateway knows."""
         return self.robot.ask("GET", "/system/commands")["body"]
 
 
+def _reaches(hub: Served) -> bool:
+    backend: dict[str, Any] = hub.status()["backends"][0]
+    reply = hub.ask("GET", f"{POSE}?fresh=true")
+    return backend["state"] == "ready" and reply["status"] == "completed"
+
+
 @contextmanager
-def _fleet(folder: Path) -> Iterator[Fleet]:
-    fleet = Fleet(folder)
+def _fleet(folder: Path, *hubs: str) -> Iterator[Fleet]:
+    fleet = Fleet(folder, *hubs)
     try:
         until(lambda: fleet.ready)
         yield fleet
     finally:
-        fleet.hub.kill()
+        for hub in fleet.hubs.values():
+            hub.kill()
         fleet.robot.kill()
         fleet.kill_router()
 
@@ -129,3 +140,32 @@ def test_a_hub_that_was_killed_finds_its_robot_and_what_runs_there_ends_once(
         until(lambda: fleet.ready)
         until(lambda: fleet.commands()[0]["status"] == "completed")
         assert len(fleet.commands()) == 1
+
+
+def test_two_hubs_find_their_robot_and_its_router_again_and_a_command_ends_once(
+    tmp_path: Path,
+) -> None:
+    with _fleet(tmp_path, "h1", "h2") as fleet:
+        far = {"position": {"x": 5.0, "y": 0.0}, "speed": 0.1}
+        started = fleet.hub.ask("POST", MOVE, far)
+        assert started["status"] in ("accepted", "in_progress"), started
+        until(fleet.commands)
+        fleet.robot.kill()
+        until(lambda: fleet.lost)
+        fleet.start_robot()
+        until(lambda: fleet.ready)
+        (ended,) = fleet.commands()
+        # What ran when its gateway was killed is not begun again.
+        assert ended["status"] == "failed", ended
+        until(lambda: _last(fleet.hub)["status"] == "failed")
+        fleet.restart_router()
+        until(lambda: fleet.ready)
+        moved = fleet.hubs["h2"].ask("POST", MOVE, {"position": {"x": 0.1, "y": 0.0}})
+        assert moved["status"] in ("accepted", "in_progress", "completed"), moved
+        until(lambda: [one["status"] for one in fleet.commands()].count("completed") == 1)
+        assert len(fleet.commands()) == 2
+
+
+def _last(hub: Served) -> dict[str, Any]:
+    """Return the last command that a hub knows."""
+    return hub.ask("GET", "/system/commands")["body"][-1]

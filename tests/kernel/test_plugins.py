@@ -148,6 +148,25 @@ async def test_a_backend_whose_library_is_missing_says_what_to_install_and_stops
         assert (ready, states) == (False, {"needy": "down"})
 
 
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from rcp_kernel.spi import NoSuchThing",
+        "import rcp_kernel.no_such_module",
+        "from rcp_of_others_needy import no_such_name",
+        "raise ImportError('not today')",
+        "1 / 0",
+    ],
+)
+def test_an_error_of_a_plugins_own_module_is_not_blamed_on_a_library(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, source: str
+) -> None:
+    distributed(monkeypatch, tmp_path, "backends", "needy", source, "needy")
+    (missing,) = plugins.Plugins(parse(configured("needy"), "f")).missing
+    advice = "fix its module rcp_of_others_needy, or remove 'needy' from the configuration"
+    assert missing.remedy == advice
+
+
 @pytest.mark.anyio
 async def test_an_adapter_whose_library_is_missing_says_what_to_install_and_stops_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path

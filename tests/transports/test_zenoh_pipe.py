@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
@@ -15,6 +16,7 @@ import zenoh
 from rcp_kernel.testing import eventually
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.lane import PART, WINDOWS, Priority
+from rcp_zenoh.path import PathTimes
 from rcp_zenoh.pipe import Message, Pipe
 from rcp_zenoh.session import configuration, on_loop, opened
 
@@ -25,6 +27,7 @@ class _End:
     """A pipe, what it received, and why it ended."""
 
     def __init__(self, session: zenoh.Session, ours: str, theirs: str) -> None:
+        self.session = session
         self.longest = 1 << 30
         self.messages: list[Message] = []
         self.reasons: list[str] = []
@@ -168,3 +171,16 @@ async def test_clocks_are_compared_by_the_fastest_of_eight() -> None:
         assert offset is not None
         assert abs(offset[0]) <= offset[1] + 0.001  # it is the same clock
         assert not far.reasons
+
+
+async def test_what_a_later_version_says_besides_is_no_end() -> None:
+    async with _ends() as (near, far):
+        near.pipe.send(b"before", Priority.CONTROL)
+        await _comes(lambda: far.received == [b"before"], "the message is there")
+        session = near.session
+        beat = PathTimes().beat((0, 0, 0, 0), idle=False).write()
+        for kind, number, data in ((b"x", 9, b"?"), (b"h", 0, beat + b"more"), (b"m", 2, b"after")):
+            head = struct.pack("<cBQ", kind, Priority.CONTROL, number) + b"more"
+            session.put("test/up", data, attachment=head)
+        await _comes(lambda: far.received == [b"before", b"after"], "the other message is there")
+        assert far.reasons == []

@@ -31,10 +31,10 @@ class Beat(NamedTuple):
 
     @classmethod
     def read(cls, data: bytes) -> Beat | None:
-        """Decode a heartbeat."""
-        if len(data) != _FORM.size:
+        """Decode a heartbeat; a later version may say more."""
+        if len(data) < _FORM.size:
             return None
-        idle, *taken, sent, wall, echo, held = _FORM.unpack(data)
+        idle, *taken, sent, wall, echo, held = _FORM.unpack_from(data)
         return cls(idle, tuple(taken), sent, wall, echo, held)
 
     def write(self) -> bytes:

@@ -192,10 +192,10 @@ class Pipe:
             return None
         attachment = sample.attachment
         raw = b"" if attachment is None else attachment.to_bytes()
-        if len(raw) != _HEAD.size or raw[1] >= len(self._lanes):
+        if len(raw) < _HEAD.size or raw[1] >= len(self._lanes):
             self.end("the other end sent something that is not a message")
             return None
-        kind, place, number = _HEAD.unpack(raw)
+        kind, place, number = _HEAD.unpack_from(raw)
         self._heard = self.heard = self._loop.time()
         priority = _PRIORITIES[place]
         if kind in _DATA:
@@ -206,9 +206,9 @@ class Pipe:
             self._check(priority, number)
         elif kind == _BEAT:
             self._beat(sample.payload.to_bytes())
-        else:
+        elif kind == _END:
             self.end("the other end closed the link", tell=False)
-        return None
+        return None  # of a later version, if it is of none of these kinds
 
     def _message(
         self, sample: zenoh.Sample, kind: bytes, priority: Priority, number: int

@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from functools import cache
 from typing import Any, Literal
 
 import structlog
@@ -62,12 +63,19 @@ def _settings(tls: TlsConfig | None) -> dict[str, object]:
     return {} if tls is None else tls.settings
 
 
+@cache
+def _log() -> None:
+    """Let Zenoh write on stdout what `RUST_LOG` says: by default, whose certificate it refuses."""
+    zenoh.init_log_from_env_or("zenoh_link_tls=warn,zenoh_link_quic=warn")
+
+
 @asynccontextmanager
 async def opened(config: zenoh.Config, *, patient: bool) -> AsyncGenerator[zenoh.Session]:
     """Open a session, and close it at the end.
 
     :raises NotReady: it cannot be opened, and the caller is not `patient`.
     """
+    _log()
     while True:
         try:
             session = await asyncio.to_thread(zenoh.open, config)

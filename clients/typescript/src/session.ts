@@ -1,14 +1,19 @@
+import { Addresses } from "./addresses.ts";
 import { Clock, Moment } from "./clock.ts";
 import type { Command } from "./command.ts";
 import { ConnectionLost, RcpError, repeatable, unanswered } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
+import { keyed, notYet, repeatOf } from "./repeats.ts";
 import type { Subscription } from "./subscription.ts";
 import { type Codec, type Discovered, FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
 
 export type State = "connecting" | "open" | "waiting" | "refused" | "closed";
 
 export interface SessionOptions {
-  /** The gateway, as http(s) or ws(s), with a path prefix where it stands behind one. */
+  /**
+   * The gateway, as http(s) or ws(s), with a path prefix where it stands behind one. Several with commas between them are
+   * those of one gateway, or of the hubs of a fleet: the next is tried when one is lost.
+   */
   url: string;
   token?: string;
   tenant?: string;
@@ -23,6 +28,7 @@ export interface SessionOptions {
 }
 
 interface Waiting {
+  request: Request & { id: string };
   take: (reply: Reply) => boolean;
   lose: (error: ConnectionLost) => void;
   /** Whether it may be asked again although it was sent. */
@@ -33,11 +39,13 @@ interface Waiting {
   answered: boolean;
 }
 
+const MOVES = new Set(["read", "discover", "status", "write", "execute"]);
 const DEADLINE = 10; // s, the gateway's own default
 const GRACE = 2; // s beyond a deadline before the answer is given up here
 const SETTLE = 3000; // ms after a resume until what has no answer counts as lost on the way
 const SILENCE = 6000; // ms without any answer after which a connection is dead
 const OPENING = 10_000; // ms that a connection may take to stand, the greeting included
+const AGAIN = 1000; // ms until a hub that does not reach a robot yet is asked again
 const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
 
 /** What a client holds at the gateway, over as many connections as it takes. */
@@ -54,6 +62,7 @@ export class Session {
   /** Call back when the session is a new one, so that nothing of an earlier one stands. */
   onfresh: (() => void) | undefined;
   #options: SessionOptions;
+  #addresses: Addresses;
   #link: Link | undefined;
   #backoff = new Backoff();
   #retry: ReturnType<typeof setTimeout> | undefined;
@@ -70,6 +79,7 @@ export class Session {
 
   constructor(options: SessionOptions) {
     this.#options = options;
+    this.#addresses = new Addresses(options.url);
   }
 
   get token(): string | undefined {
@@ -165,14 +175,15 @@ export class Session {
     });
   }
 
-  #send(request: Request & { id: string }, waiting: Omit<Waiting, "repeatable">): void {
+  #send(request: Request & { id: string }, waiting: Omit<Waiting, "repeatable" | "request">): void {
     if (this.state !== "open" || this.#link === undefined) {
       const why = this.problem?.message ?? "the connection is not open yet";
       waiting.lose(new ConnectionLost(`not connected: ${why}`));
       return;
     }
-    this.#waiting.set(request.id, { ...waiting, repeatable: repeatable(request) });
-    this.#link.send(request);
+    const sent = this.#addresses.several ? { ...keyed(request), id: request.id } : request;
+    this.#waiting.set(request.id, { ...waiting, request: sent, repeatable: repeatable(request) });
+    this.#link.send(sent);
   }
 
   // -- the connection -----------------------------------------------------------------------
@@ -182,11 +193,8 @@ export class Session {
     const before = this.#link;
     this.#link = undefined;
     before?.close("another one is opened");
-    const url = new URL(this.#options.url);
-    url.protocol = url.protocol.replace("http", "ws");
-    url.pathname = `${url.pathname.replace(/\/+$/, "")}/rcp/v1/ws`;
     const { codec, encoding = codec?.name ?? "json" } = this.#options;
-    const link: Link = new Link(url.href, { codec, preferred: encoding }, {
+    const link: Link = new Link(this.#addresses.current, { codec, preferred: encoding }, {
       open: () => {
         if (link === this.#link) void this.#greet(link, this.hello !== undefined);
       },
@@ -216,8 +224,9 @@ export class Session {
     const sent = Date.now();
     const reply = await new Promise<Reply>((resolve) => {
       const id = this.newId("hello");
-      this.#waiting.set(id, { take: (told) => (resolve(told), true), lose: () => undefined, repeatable: true, cut: false, answered: false });
-      link.send({ type: "hello", id, body });
+      const request: Waiting["request"] = { type: "hello", id, body };
+      this.#waiting.set(id, { request, take: (told) => (resolve(told), true), lose: () => undefined, repeatable: true, cut: false, answered: false });
+      link.send(request);
     });
     if (link !== this.#link) return;
     if (reply.error) return this.#refused(link, new RcpError(reply.error), resuming);
@@ -225,11 +234,48 @@ export class Session {
     clearTimeout(this.#opening);
     this.hello = reply.body as Hello;
     this.problem = undefined;
+    const left = this.#addresses.begun() && !resuming ? this.#takeAlong() : [];
     if (!resuming) this.#loseAll("the session ended with the connection");
     this.#to("open");
     this.#pinging ??= setInterval(() => this.#ping(), (this.#options.ping ?? 2) * 1000);
     if (resuming) this.#resume();
     else this.#begin();
+    if (left.length > 0) void this.#repeat(link, left);
+  }
+
+  /** Take out what may be sent again at another hub. */
+  #takeAlong(): Waiting[] {
+    const left = [...this.#waiting.values()].filter(({ request }) => MOVES.has(request.type) && repeatOf(request) !== "never");
+    for (const { request } of left) this.#waiting.delete(request.id);
+    return left;
+  }
+
+  /** Send again what another hub had not answered; robots' own gateways know the keys of what they were asked to do. */
+  async #repeat(link: Link, left: Waiting[]): Promise<void> {
+    const again = (one: Waiting): void => {
+      if (link !== this.#link && this.state === "open") return one.lose(new ConnectionLost("the connection was lost again", undefined, one.repeatable));
+      if (link !== this.#link) return void this.#waiting.set(one.request.id, { ...one, cut: true }); // the next session judges it
+      one.cut = one.answered = false;
+      this.#waiting.set(one.request.id, one);
+      link.send(one.request);
+    };
+    for (const one of left) if (repeatOf(one.request) === "always") again(one);
+    const keys = left.filter(({ request }) => repeatOf(request) === "keyed");
+    if (keys.length === 0) return;
+    const status = await this.ask({ type: "read", path: "/system/status", body: { fields: ["backends"] } }).catch(() => undefined);
+    const backends = (status?.body as { backends?: { gateways?: boolean }[] } | undefined)?.backends ?? [];
+    const known = backends.length > 0 && backends.every(({ gateways }) => gateways);
+    for (const one of keys)
+      if (known || link !== this.#link) again({ ...one, take: (reply) => this.#retake(one, reply, again) });
+      else one.lose(new ConnectionLost("another gateway took over, which does not know what became of it", undefined, one.repeatable));
+  }
+
+  /** Take a reply to what was sent again: a refusal does not tell what became of it at the first hub. */
+  #retake(one: Waiting, reply: Reply, again: (one: Waiting) => void): boolean {
+    if (notYet(reply)) setTimeout(() => again({ ...one, take: (next) => this.#retake(one, next, again) }), AGAIN);
+    else if (reply.status === "rejected") one.lose(new ConnectionLost(`another hub refused it: ${reply.error?.message}`, undefined, one.repeatable));
+    else return one.take(reply);
+    return true;
   }
 
   /** The session stands with what it had; mend what was asked while there was no connection. */
@@ -273,12 +319,13 @@ export class Session {
     clearInterval(this.#pinging);
     this.#pinging = this.#pinged = undefined;
     if (this.state === "closed" || this.state === "refused") return;
+    const stood = this.state === "open";
     this.problem = new ConnectionLost(why);
     for (const waiting of this.#waiting.values()) waiting.cut = true;
     for (const id of this.subscriptions.keys()) this.#lose(id, why); // asked for again, however late that is
     this.clock.reset();
     clearTimeout(this.#retry);
-    this.#retry = setTimeout(() => this.#open(), this.#backoff.next());
+    this.#retry = setTimeout(() => this.#open(), this.#addresses.lost(stood) ? 0 : this.#backoff.next());
     this.#to("waiting");
   }
 
@@ -290,7 +337,9 @@ export class Session {
     if (this.#pinged !== undefined) this.onchange?.();
     this.#pinged ??= new Moment();
     const id = this.newId("ping");
+    const request: Waiting["request"] = { type: "ping", id };
     this.#waiting.set(id, {
+      request,
       take: (reply) => {
         this.#pinged = undefined;
         if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
@@ -303,7 +352,7 @@ export class Session {
       cut: false,
       answered: false,
     });
-    link.send({ type: "ping", id });
+    link.send(request);
   }
 
   // -- what comes in ------------------------------------------------------------------------

@@ -64,7 +64,7 @@ async def test_a_link_tells_versions_delay_clock_and_bytes() -> None:
         client = hub.client(OPERATOR)
         await appears(client, _POSE)
         version = gateway_version()
-        await comes(client, state="ready", version=version, protocol="1", lost=0, links=1)
+        await comes(client, state="ready", version=version, protocol="1", lost=0)
 
         async def measured() -> bool:
             return "latency" in await link(client)
@@ -75,6 +75,7 @@ async def test_a_link_tells_versions_delay_clock_and_bytes() -> None:
         assert 0 <= found["latency"] < _LONG
         assert abs(found["clock_offset"]) <= found["clock_bound"] + 0.1  # the same clock
         assert found["sent"] > 0
+        assert found["links"] > 0
         assert found["received"] > found["sent"], "discovery brings more than it asks"
         shown = (await catalogue(client, _LINK))[_LINK]
         assert shown["operations"] == ["read", "subscribe"]
@@ -113,7 +114,9 @@ async def test_a_subscriber_sees_a_robot_leave_and_return() -> None:
         assert "latency" not in gone
         assert gone["last_seen"] <= update["timestamp"]
         async with serving(robot_at(port)):
-            back = await comes(client, state="ready", links=2)
+            back = await comes(client, state="ready")
+            # More than two if it said goodbye before its token went: the hub tried once more.
+            assert back["links"] >= 2
             # Whichever arrives first, its last message or the end of its token.
             assert back["last_end"] in ("the other end closed the link", "the gateway is gone")
             assert back["sent"] >= gone["sent"], "what earlier links carried counts"

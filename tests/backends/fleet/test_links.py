@@ -68,8 +68,17 @@ async def test_a_robot_with_its_certificate_is_served(tmp_path: Path, scheme: st
         await client.close()
 
 
-@pytest.mark.parametrize("wrong", ["another CA", "expired", "no certificate"])
-async def test_a_wrong_certificate_does_not_get_in(tmp_path: Path, wrong: str) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "record"),
+    [
+        ("another CA", "invalid peer certificate: UnknownIssuer"),
+        ("expired", "invalid peer certificate: certificate expired"),
+        ("no certificate", "peer sent no certificates"),
+    ],
+)
+async def test_a_wrong_certificate_does_not_get_in_and_is_on_record(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], wrong: str, record: str
+) -> None:
     authority, port = Authority(tmp_path), free_port()
     signed = {
         "another CA": lambda: Authority(tmp_path, "Other CA").sign("r7"),
@@ -87,6 +96,13 @@ async def test_a_wrong_certificate_does_not_get_in(tmp_path: Path, wrong: str) -
         with pytest.raises(NotReady):
             async with opened(config, patient=False):
                 pass
+        told: list[str] = []
+
+        async def recorded() -> bool:
+            told.append(capfd.readouterr().out)
+            return record in "".join(told)
+
+        await eventually(recorded, f"{record!r} is said", _BOUND)
 
 
 async def test_one_robot_cannot_speak_as_another_nor_hear_it(tmp_path: Path) -> None:

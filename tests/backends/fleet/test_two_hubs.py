@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from ipaddress import ip_address
@@ -17,9 +18,11 @@ pytest.importorskip("zenoh")
 from backends.fleet.cart import Cart
 from backends.fleet.rig import appears, catalogue, free_port, process_of, serving
 from certs import Authority, Signed
+from clients.test_typescript import typescript
 from configuration import backend, configuration, key, listener, table
 from hubkeys import HubKey
 from plugins.client.heard import Heard
+from plugins.client.test_codegen import node
 from rcp_client import Client as Person
 from rcp_client import ConnectionLost, connect
 from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
@@ -190,6 +193,50 @@ async def test_a_person_whose_hub_is_killed_goes_on_with_the_other(tmp_path: Pat
         assert [await asyncio.wait_for(one, _BOUND) for one in sent] == [1.0, 1.0]
         assert await person.execute(_GO, 1.0, idempotency_key="mine") == 1.0
         assert [cart.ran, other.ran] == [[("action/go", 1.0)]] * 2
+
+
+@pytest.mark.skipif(node() is None, reason="needs Node")
+async def test_a_typescript_client_whose_hub_is_killed_goes_on_with_the_other(
+    tmp_path: Path,
+) -> None:
+    pair, found = Pair(tmp_path), node()
+    assert found is not None
+    async with AsyncExitStack() as stack:
+        _, cart = await stack.enter_async_context(_robot(pair))
+        hubs = {
+            hub: await stack.enter_async_context(
+                process_of(tmp_path / f"{hub}.toml", pair.hub(hub, listens=True))
+            )
+            for hub in pair.ports
+        }
+        for url in pair.urls.split(","):
+            await _opened(stack, url, 1)
+        cart.measure("sensor/count", 1.0)
+        client = await asyncio.create_subprocess_exec(
+            found, "--no-warnings", "test/failover.ts",
+            stdout=asyncio.subprocess.PIPE,
+            cwd=typescript(tmp_path),
+            env=os.environ
+            | {"RCP_URL": pair.urls, "RCP_TOKEN": OPERATOR, "RCP_GO": _GO, "RCP_COUNT": _COUNT},
+        )  # fmt: skip
+        stack.callback(lambda: client.returncode is None and client.kill())
+
+        async def says(line: str) -> None:
+            assert client.stdout is not None
+            async with asyncio.timeout(_BOUND):
+                while (told := (await client.stdout.readline()).decode().strip()) != line:
+                    assert told, f"the client ended before it said {line!r}"
+
+        await says("accepted")
+        hubs["h1"].kill()
+        await says("other hub")
+        cart.measure("sensor/count", 2.0)
+        await says("count 2")
+        assert (cart.halts, cart.stopped.empty()) == (0, True)
+        cart.release.set()
+        await says("result 1")
+        assert cart.ran == [("action/go", 1.0)]
+        assert await asyncio.wait_for(client.wait(), _BOUND) == 0
 
 
 async def _estop(client: Client, **body: Any) -> dict[str, Any]:

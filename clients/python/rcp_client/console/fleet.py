@@ -60,7 +60,10 @@ def _show(out: Output, found: list[dict[str, Any]]) -> None:
     troubled = [row for row in found if row["state"] != "ready"]
     for row in troubled:
         out.line(f"{row['robot']} is {out.paint(row['state'])}: {clean(row.get('detail') or '')}")
-    if troubled:
+    early = [row for row in found if row.get("lacks")]
+    for row in early:
+        out.line(f"The gateway of {row['robot']} does not offer {', '.join(row['lacks'])}")
+    if troubled or early:
         out.line()
     rows = [
         (
