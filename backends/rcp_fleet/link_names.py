@@ -10,6 +10,7 @@ from typing import NamedTuple
 __all__ = ["LinkNames"]
 
 _REST = 60.0  # s after the end of a link, by when its last messages have arrived or are lost
+_MANY = 16_384  # names of all gateways; each takes two of the 65,535 numbers of Zenoh
 
 
 class _Resting(NamedTuple):
@@ -28,9 +29,14 @@ class LinkNames:
         """By gateway; the one that has rested longest comes first."""
 
     def take(self, gateway: str) -> str:
-        """Return a name for a link with a gateway: a new one only if none has rested."""
+        """Return a name for a link with a gateway: a new one only if none has rested.
+
+        When there are many, because the links of a whole fleet end again and again, the one that
+        has rested longest will do: a link that an old message reaches ends, and is made again.
+        """
         resting = self._resting[gateway]
-        if resting and resting[0].until <= self._clock():
+        many = self._made.total() >= _MANY
+        if resting and (many or resting[0].until <= self._clock()):
             return resting.popleft().name
         self._made[gateway] += 1
         return f"{self._run}-{self._made[gateway]}"

@@ -31,6 +31,7 @@ from transports.cable import Cable
 
 _BOUND = 60.0  # s, on any machine
 _LINKS = 6
+_NUMBERS = 65_535  # that a Zenoh session has for keys
 
 
 class _Counting:
@@ -122,6 +123,21 @@ def test_another_run_has_other_names() -> None:
     assert LinkNames(lambda: 0.0).take("r7") != LinkNames(lambda: 0.0).take("r7")
 
 
+def test_a_fleet_whose_links_all_end_each_second_does_not_use_up_the_numbers() -> None:
+    now = 0.0
+    names = LinkNames(lambda: now)
+    gateways = [f"r{number}" for number in range(1000)]
+    taken = set[tuple[str, str]]()
+    for _ in range(60):
+        links = [(gateway, names.take(gateway)) for gateway in gateways]
+        taken.update(links)
+        for link in links:
+            names.release(*link)
+        now += 0.5
+    keys = 2 * len(taken)
+    assert keys < _NUMBERS
+
+
 async def test_a_key_is_declared_once() -> None:
     async with opened(configuration("router"), patient=False) as session:
         counting = _Counting(session)
@@ -157,6 +173,36 @@ async def test_links_after_links_take_the_keys_of_a_few(monkeypatch: pytest.Monk
         f"rcp/alpha/r7/{way}/h1/{link}" for way in ("in", "out") for link in links
     )
     assert sorted(robot.taken) == sorted(f"rcp/alpha/r7/out/h1/{link}" for link in links)
+
+
+async def test_links_after_links_leave_the_keys_of_others_alone() -> None:
+    port = free_port()
+    router = configuration("router", listen=[f"tcp/127.0.0.1:{port}"])
+    client = configuration("client", connect=[f"tcp/127.0.0.1:{port}"])
+    async with (
+        opened(router, patient=False) as far,
+        serving(robot_at(port)),
+        opened(client, patient=False) as session,
+    ):
+        arrived = list[str]()
+        note = on_loop(asyncio.get_running_loop(), lambda one: arrived.append(str(one.key_expr)))
+        subscriber = far.declare_subscriber("held/*", note)
+        held = [session.declare_keyexpr(f"held/{number}") for number in range(10)]
+        hub = _Hub(session, step=31.0, silence=3.0)  # two names, in turn
+        async with _joined(session), hub.receiving():
+            for _ in range(_NUMBERS - 25):  # as in a long life
+                session.undeclare(session.declare_keyexpr("spent"))
+            for _ in range(3 * _LINKS):
+                async with hub.client() as one:
+                    await one.read("/tenant/alpha/sensor/pose")
+            for key in held:
+                session.put(key, b"")
+
+            async def all_came() -> bool:
+                return sorted(arrived) == sorted(map(str, held))
+
+            await eventually(all_came, "each message came on its key", _BOUND)
+        subscriber.undeclare()
 
 
 @pytest.mark.parametrize("fault", ["part", "freeze"])
