@@ -57,6 +57,7 @@ class Robot:
             found = await self.client.discover(f"{self.path}/{name}")
             assert [one.path for one in found] == [f"{self.path}/{name}"], (self.path, name)
         await self._limits()
+        await self._placed()
         if await self.client.discover(f"{self.path}/service/enable"):
             await self.execute("service/enable")
         if self.flies:
@@ -103,15 +104,19 @@ class Robot:
         await self.execute("service/reset_system")
         velocity = await self.client.read(f"{self.path}/sensor/velocity", fresh=True)
         assert abs(velocity["linear"]["x"]) < 0.1, (self.path, velocity)
+        await self._placed()
+        assert await self.client.read(f"{self.path}/param/speed_limit", fresh=True) > 0.0
 
-        async def placed() -> bool:  # after power-on an autopilot has no position at first
+    async def _placed(self) -> None:
+        """Wait for its pose: after power-on an autopilot has none at first, and cannot be armed."""
+
+        async def placed() -> bool:
             with suppress(RcpError):
                 await self._pose()
                 return True
             return False
 
-        await eventually(placed, f"{self.path} tells its pose after the reset", _READY)
-        assert await self.client.read(f"{self.path}/param/speed_limit", fresh=True) > 0.0
+        await eventually(placed, f"{self.path} tells its pose", _READY)
 
 
 async def mobile(client: rcp_client.Client) -> list[dict[str, Any]]:
