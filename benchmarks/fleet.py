@@ -119,7 +119,8 @@ class Robots:
 
     def __init__(self) -> None:
         self.all = []
-        self.halts: list[float] = []
+        self.halts: dict[int, float] = {}
+        """When each was halted first since the last look."""
         self.publishers = Publishers()
 
     def make(self, host):
@@ -131,7 +132,7 @@ class Robots:
         class Rover(ScriptedRobot):
             async def halt(self) -> None:
                 await super().halt()
-                halts.append(time.time())
+                halts.setdefault(id(self), time.time())
 
         robot = Rover(host, *resources())
         self.all.append(robot)
@@ -168,7 +169,8 @@ async def serve_robots(port: str, first: str, count: str) -> None:
                 case ["rate", rate, count]:
                     robots.publish(float(rate), int(count))
                 case ["halts"]:
-                    say(halts=len(robots.halts), last=max(robots.halts, default=0.0))
+                    say(robots=len(robots.halts), last=max(robots.halts.values(), default=0.0))
+                    robots.halts.clear()
 
 
 # -- the hub -------------------------------------------------------------------------------------
@@ -376,6 +378,9 @@ async def serve_hub(port: str, count: str) -> None:
                     say(**await hub.flow(float(seconds)))
                 case ["memory"]:
                     say(memory_per_robot=round((memory() - before) / robots / 1000, 1))
+                case ["reset"]:
+                    await hub.sink.request("execute", "/system/estop", body={"reset": True})
+                    say(reset=True)
                 case ["stop"]:
                     begun, at, spent = time.perf_counter(), time.time(), cpu()
                     reply = await hub.sink.request("execute", "/system/estop", body={}, within=120)
@@ -472,6 +477,18 @@ def compare(hub: Child, fleet: list[Child], names: list[str], spending: Spending
     hub.ask("clients 1")
 
 
+def stop(hub: Child, fleet: list[Child], spending: Spending, what: str) -> None:
+    """Stop all robots, each of which publishes at 10 Hz."""
+    spending.look()
+    stopped = hub.ask("stop")
+    spent = spending.look()
+    halts = [child.ask("halts") for child in fleet]
+    last = max(one["last"] for one in halts) - stopped["at"]
+    report(f"e-stop, {what}", stopped)
+    report("  CPU s", spent)
+    report("  last robot halted after s", (sum(one["robots"] for one in halts), round(last, 2)))
+
+
 def main(robots: int, processes: int) -> None:
     """Measure everything once."""
     quiet()
@@ -511,6 +528,11 @@ def main(robots: int, processes: int) -> None:
     compare(hub, fleet, names, spending)
     for child in fleet:
         child.send(f"rate 10 {share}")
+    report("subscribed", hub.ask(f"subscribe {' '.join(names)}"))
+    time.sleep(1)
+    stop(hub, fleet, spending, "100 poses looked at")
+    hub.ask("reset")
+    hub.ask("unsubscribe")
     every = [f"r{i}" for i in range(share * processes)]
     report("subscribed", hub.ask(f"subscribe {' '.join(every)}"))
     time.sleep(3)
@@ -518,14 +540,7 @@ def main(robots: int, processes: int) -> None:
     report("all robots, 10 Hz", hub.ask(f"flow {SECONDS}"))
     report("  CPU s", spending.look())
     report("kB of the hub a robot", hub.ask("memory"))
-    spending.look()
-    stopped = hub.ask("stop")
-    spent = spending.look()
-    halts = [child.ask("halts") for child in fleet]
-    last = max(one["last"] for one in halts) - stopped["at"]
-    report("e-stop", stopped)
-    report("  CPU s", spent)
-    report("robots stopped, last after s", (sum(one["halts"] for one in halts), round(last, 2)))
+    stop(hub, fleet, spending, "all poses looked at")
     for child in (hub, *fleet, router):
         child.process.kill()
 

@@ -37,6 +37,7 @@ _LOOK = Operation.READ | Operation.SUBSCRIBE
 _LOG = "/system/log"
 _TREE = "/system/tree"
 _SOON = 0.02  # s that changes of the e-stop are gathered
+_RARELY = 20.0  # times as long as it takes to describe it: of a thousand robots, some milliseconds
 _SETTLED = 0.1  # s that changes of the tree are gathered
 
 
@@ -97,6 +98,8 @@ class System(BaseBackend):
         self._unit = StopGroup(self, None)
         self._unit.link = self
         self._estop_due: asyncio.TimerHandle | None = None
+        self._estop_took = 0.0
+        """How long it took to describe the e-stop the last time, s."""
         self._tree_due: asyncio.TimerHandle | None = None
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
@@ -166,11 +169,13 @@ class System(BaseBackend):
     def _estop_changed(self) -> None:
         """Publish the e-stop soon: a stop of many robots changes it many times, and must not wait."""
         if self._estop_due is None:
-            self._estop_due = self._loop.call_later(_SOON, self._publish_estop)
+            pause = max(_SOON, self._estop_took * _RARELY)
+            self._estop_due = self._loop.call_later(pause, self._publish_estop)
 
     def _publish_estop(self) -> None:
-        self._estop_due = None
+        self._estop_due, begun = None, self._loop.time()
         self._publish("estop", self._estop.everything())
+        self._estop_took = self._loop.time() - begun
 
     def _tree_changed(self, _: Entry) -> None:
         """Announce a change of the tree, after a while: backends declare one by one."""

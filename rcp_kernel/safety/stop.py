@@ -4,7 +4,8 @@ One state machine for every backend. A stop is confirmed by measurement only: th
 has returned since it was requested, and its `motion` says that the robot is at rest. A robot that
 cannot be reached is never confirmed. Until it is, the stop is repeated; as long as an e-stop is
 latched it is asserted again ten times a second, and a robot that moves again is stopped again and
-raises an alarm.
+raises an alarm. A robot's own gateway does so itself: it is reminded once a second, so that a latched
+fleet does not take the hub's time.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ log = structlog.get_logger("rcp.safety")
 Phase = Literal["requested", "commanded", "confirmed"]
 _NUMBER = re.compile(r"[-\d.]+")
 _PERIOD = 0.1  # s between two assertions of a latched stop
+_TURNS = 10  # periods in which each robot's own gateway, which asserts by itself, has its turn
 _ALONE = 0.25  # s that the halt of a whole backend may take before its robots are halted one by one
 
 
@@ -105,6 +107,8 @@ class StopController:
         self._record = record
         self._stops: dict[StopGroup, Stop] = {}
         self._timer: asyncio.TimerHandle | None = None
+        self._turn = 0
+        """Which of the robots with gateways of their own had their turn last."""
         self._watchers: list[Callable[[], None]] = []
         self.alarms = 0
         """Number of times a stopped robot has moved again."""
@@ -332,7 +336,10 @@ class StopController:
 
     def _tick(self) -> None:
         self._timer = None
-        for stop in list(self._stops.values()):
+        self._turn = (self._turn + 1) % _TURNS
+        for number, stop in enumerate(list(self._stops.values())):
+            if stop.unit.owner.has_gateways and number % _TURNS != self._turn:
+                continue
             if stop.unit.latch is None:
                 self.end([stop.unit])
             elif stop.unit.backend is None:
