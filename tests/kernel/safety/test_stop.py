@@ -14,6 +14,7 @@ from kernel.safety.scripted import (
     DRIVE,
     FAST,
     GO,
+    Scripted,
     estop,
     scripted,
     scripted_world,
@@ -150,6 +151,28 @@ async def test_a_latched_stop_is_asserted_again_and_again_and_no_longer_after_th
     assert write["status"] == "completed"
     await periods(admin, stepped, 0.5)
     assert robot.sent == ["write 1"]
+
+
+class OwnGateway(Scripted):
+    """Has a gateway that asserts its stop itself."""
+
+    has_gateways = True
+
+
+@pytest.mark.parametrize(
+    ("make", "least", "most"), [(Scripted, 25, 31), (OwnGateway, 2, 4)], ids=["here", "gateway"]
+)
+async def test_a_robot_whose_own_gateway_asserts_its_stop_is_reminded_once_a_second(
+    gateway_clock: Clock, stepped: SteppedClock, make: type[Scripted], least: int, most: int
+) -> None:
+    async with scripted_world(make=make, clock=gateway_clock) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        await estop(admin)
+        robot.sent.clear()
+        for _ in range(30):
+            stepped.advance(0.1)
+            await admin.ask(type="ping")
+        assert least <= robot.sent.count("hold_stop") <= most
 
 
 async def test_a_reset_ends_the_halts_of_a_robot_that_was_never_confirmed(
