@@ -321,10 +321,12 @@ class BackendSupervisor:
         """Show the e-stop of a robot's own gateway; one that was reset there holds nothing here."""
         unit = self.unit(robot)
         if unit.latch is not None and state is None and reset:
-            for key in (unit.identity, unit.name):
-                self._latches.reset(key, unit.keys)
-            unit.release(now())
-            self._stops.end([unit])
+            if not self._stops.has_partners(unit):  # they were not reset
+                self._latches.reset(unit.identity, unit.keys)
+            self._latches.reset(unit.name, unit.keys)
+            if unit.latch is None:
+                unit.release(now())
+                self._stops.end([unit])
         else:
             self._latches.show(unit.name, state)
 

@@ -154,6 +154,10 @@ class StopController:
             if stop is not None and unit.latch is not None:
                 self._halt(stop)
 
+    def has_partners(self, unit: StopGroup) -> bool:
+        """Return whether another backend of the same robot is stopped too."""
+        return any(other.identity == unit.identity and other is not unit for other in self._stops)
+
     def end(self, units: Iterable[StopGroup]) -> None:
         """Release robots whose latch was reset; a halt in progress ends by itself."""
         for unit in units:

@@ -114,8 +114,8 @@ class Latches:
                 self._keep(other, latch)
 
     def _within(self, key: str) -> list[str]:
-        if key == GATEWAY:
-            return list(self.held)
+        if key == GATEWAY:  # what a robot's own gateway holds is reset there
+            return [held for held, latch in self.held.items() if latch.shown is None]
         below = key + "/"  # the robots of a backend, or of a tenant
         return [held for held in self.held if held == key or held.startswith(below)]
 

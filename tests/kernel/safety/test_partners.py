@@ -102,3 +102,68 @@ async def test_a_hold_of_the_robot_holds_all_its_backends(parts: Parts) -> None:
     held = await world.client(ADMIN).ask(type="execute", path=HOLD)
     assert held["status"] == "completed"
     assert (base.sent, torso.sent, other.sent) == (["hold"], ["hold"], [])
+
+
+class Fleet(Scripted):
+    """A hub's end of the robot's own gateway, and of that of another robot."""
+
+    has_gateways = True
+
+    def declare(self) -> None:
+        self.add(
+            *(
+                Resource(
+                    name=f"actuator/{robot}/drive",
+                    robot=robot,
+                    description="Drives.",
+                    value=quantity("m/s"),
+                    safe=0.0,
+                    valid_for=0.5,
+                )
+                for robot in ("r1", "r2")
+            )
+        )
+
+
+@pytest.fixture
+async def hub() -> AsyncGenerator[tuple[World, Host]]:
+    """A hub with a gateway's robot, of which another backend of the hub is a part."""
+    made: list[Scripted] = []
+
+    def make(host: Host) -> Scripted:
+        kind = Torso if getattr(host, "name", "") == "torso" else Fleet
+        made.append(kind(host))
+        return made[-1]
+
+    text = HEAD + backend("fleet") + backend("torso", robot="r1")
+    async with world_of(text, make) as world:
+        yield world, next(m.host for m in made if isinstance(m, Fleet))
+
+
+async def test_a_reset_at_the_robots_gateway_frees_only_what_was_reset_there(
+    hub: tuple[World, Host],
+) -> None:
+    world, host = hub
+    admin = world.client(ADMIN)
+    assert set((await estop(admin))["body"]["robots"]) == {"fleet/r1", "fleet/r2", "torso"}
+    host.own_estop("r1", None, reset=True)
+    state = (await admin.ask(type="read", path="/system/estop"))["body"]
+    assert set(state["robots"]) == {"fleet/r2", "torso"}
+    assert host.is_latched("r1") is False
+    write = await admin.ask(type="write", path=TORSO, body=1.0)
+    assert write["error"]["code"] == "estop_active"
+    host.own_estop("r2", None, reset=True)
+    assert (await estop(admin, reset=True))["body"]["active"] is False
+    assert (await admin.ask(type="write", path=TORSO, body=1.0))["status"] == "completed"
+
+
+async def test_a_reset_of_all_goes_on_showing_what_a_gateway_holds_that_is_not_discovered_yet(
+    hub: tuple[World, Host],
+) -> None:
+    world, host = hub
+    told = {"by": "someone", "reason": "at the robot", "since": "2026-01-01T00:00:00Z"}
+    host.own_estop("r9", told)
+    assert (await estop(world.client(ADMIN), reset=True))["status"] == "completed"
+    assert host.is_latched("r9")
+    host.own_estop("r9", None)
+    assert not host.is_latched("r9")
