@@ -320,11 +320,11 @@ class BackendSupervisor:
     ) -> None:
         """Show the e-stop of a robot's own gateway; one that was reset there holds nothing here."""
         unit = self.unit(robot)
-        if unit.latch is not None and state is None and reset:
+        if state is None and reset and self.is_latched(robot):
             if not self._stops.has_partners(unit):  # they were not reset
                 self._latches.reset(unit.identity, unit.keys)
             self._latches.reset(unit.name, unit.keys)
-            if unit.latch is None:
+            if not self.is_latched(robot):
                 unit.release(now())
                 self._stops.end([unit])
         else:
