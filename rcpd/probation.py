@@ -23,6 +23,7 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features.configuration import FileState
 from rcpd.configuration_file import RETRY, ConfigurationFile, Proposal
+from rcpd.hidden import Hidden
 
 __all__ = ["Probation"]
 
@@ -82,6 +83,7 @@ class Probation:
         if self._file.on_probation:
             raise PreconditionFailed("another configuration is on probation", retry_after=5.0)
         source = str(self._file.path)
+        hidden = Hidden(text)
         try:
             fresh = parse(text, source, show_values=False)
             parts = needs_restart(self._running, fresh)
@@ -90,8 +92,8 @@ class Probation:
             else:
                 prepared = prepare_reload(self._running, fresh, source)
         except StartupError as error:
-            raise InvalidValue(str(error)) from None
-        _check_plugins(prepared, source)
+            raise InvalidValue(hidden.reason(str(error), source)) from None
+        _check_plugins(prepared, source, hidden)
         if parts and not restart:
             raise PreconditionFailed(
                 f"the configuration needs a restart: it changes {', '.join(parts)}",
@@ -224,9 +226,10 @@ def _not_yet(what: str) -> AdapterUnavailable:
     return AdapterUnavailable(f"the configuration is on probation, {what}", retry_after=0.5)
 
 
-def _check_plugins(prepared: Prepared, source: str) -> None:
+def _check_plugins(prepared: Prepared, source: str, hidden: Hidden) -> None:
     for one in prepared.plugins.missing:
+        why = f"{source}: {one.group} '{one.name}' cannot be imported: {one.reason}"
         raise InvalidValue(
-            f"{source}: {one.group} '{one.name}' cannot be imported: {one.reason}",
+            hidden.reason(why, source),
             remedy=f"On the robot: {one.remedy}",
         )

@@ -11,6 +11,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -49,6 +50,7 @@ __all__ = [
     "decode_table",
     "load",
     "parse",
+    "secrets_of",
 ]
 
 _Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]+$", max_length=64)]
@@ -294,6 +296,27 @@ def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], s
 
 _DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
 """Keys of tables, of the kernel or plugins, whose values are secrets by name."""
+
+
+def secrets_of(text: str) -> list[str]:
+    """List what must not be shown of a file: values from the environment, and what keys call secret."""
+    found: list[str] = []
+
+    def note(node: Any, key: str) -> None:
+        if is_map(node):
+            for name, item in node.items():
+                note(item, name)
+        elif is_list(node):
+            for item in node:
+                note(item, key)
+        elif isinstance(node, str):
+            found.extend(os.environ.get(name, "") for name in _SECRET.findall(node))
+            if _DEAR.search(key):
+                found.append(node)
+
+    with suppress(tomllib.TOMLDecodeError):
+        note(tomllib.loads(text), "")
+    return [value for value in found if value]
 
 
 def decode_table(raw: Any, type_: type[Any], where: str) -> Any:

@@ -121,6 +121,31 @@ async def test_a_faulty_proposal_is_refused_with_the_place_but_without_the_value
         assert table.split("\n")[1].partition(" ")[0] in str(refused.value)
 
 
+ZENOH = '[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\nconnect = ["{}"]\n'
+
+
+@pytest.mark.parametrize("endpoint", ["${SECRET}", "tcp/user:${SECRET}", "tcp/${PORT}:${SECRET}/x"])
+async def test_what_a_plugin_says_of_a_proposal_shows_nothing_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, endpoint: str
+) -> None:
+    monkeypatch.setenv("SECRET", "Hunter2-S3cr3t")
+    monkeypatch.setenv("PORT", "7")
+    async with _gateway(tmp_path) as gateway:
+        with pytest.raises(InvalidValue, match="`rcpd check`") as refused:
+            gateway.propose(OLD + ZENOH.format(endpoint), restart=True)
+        assert not any(part in str(refused.value).lower() for part in ("hunter2", "s3cr3t"))
+
+
+async def test_what_a_plugin_says_of_a_proposal_without_secrets_is_passed_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROBOT", "alpha")
+    async with _gateway(tmp_path) as gateway:
+        text = ZENOH.format("nonsense").replace('"alpha"', '"${ROBOT}"')
+        with pytest.raises(InvalidValue, match="nonsense"):
+            gateway.propose(OLD + text, restart=True)
+
+
 async def test_only_the_file_in_force_is_confirmed(tmp_path: Path) -> None:
     async with _gateway(tmp_path) as gateway:
         digest = gateway.propose(NEW)
