@@ -47,13 +47,12 @@ class GatewayLeases:
             if unit.robot is not None and _has(scope, unit)
         ]
 
-    def told(self, unit: StopGroup) -> None:
-        """Note what a robot's gateway has said."""
-        own = unit.own_leases
+    def told(self, unit: StopGroup) -> bool:
+        """Note what a robot's gateway has said; return whether there is or was a lease."""
+        before, own = self._leased.pop(unit.name, None), unit.own_leases
         if own is not None and own.leases:
             self._leased[unit.name] = unit
-        else:
-            self._leased.pop(unit.name, None)
+        return before is not None or unit.name in self._leased
 
     def others(self) -> Iterator[RobotLease]:
         """Go through the leases at gateways that were not granted through this one."""

@@ -405,10 +405,11 @@ class Leases:
             self.compare(lease)
 
     def _told(self, unit: StopGroup) -> None:
-        self.gateways.told(unit)
+        changed = self.gateways.told(unit)
         for lease in list(self.held.values()):
             self._compare(lease, unit)
-        self._changed()
+        if changed:
+            self._changed()
 
     def compare(self, lease: Lease) -> None:
         """Revoke a lease that a robot's own gateway has ended or given to somebody else."""

@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.cart import Cart
-from backends.fleet.rig import appears, serving
-from backends.fleet.test_two_hubs import Pair
+from backends.fleet.rig import appears, process_of, serving
+from backends.fleet.test_two_hubs import Pair, opened
 from configuration import key
 from rcp_fleet.leases import hub_scope, robot_scope
 from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
@@ -235,6 +235,47 @@ async def test_a_cut_longer_than_a_lease_ends_it_at_both_ends(tmp_path: Path) ->
         lost = await ann.until(lambda m: m.get("code") == "lease_lost", _BOUND)
         assert (lost["scope"], lost["by"]) == (_ROBOT, "its own gateway")
         await _shows(ann)
+
+
+async def test_a_hub_that_is_started_again_goes_on_with_a_lease_that_the_robot_still_holds(
+    tmp_path: Path,
+) -> None:
+    pair = Pair(tmp_path)
+    async with AsyncExitStack() as stack:
+        robot = await stack.enter_async_context(serving(pair.robot("r7", "h1"), scripted(Cart)))
+        robot.life.backend.release.set()
+        ids: list[list[str]] = []
+        for run in range(2):
+            async with serving(pair.hub("h1", store=True)) as hub:
+                ann = hub.client(OPERATOR)
+                await appears(ann, _GO)
+                if run == 0:
+                    assert (await _lease(ann, "acquire", ttl=50))["status"] == "completed"
+                local = robot.client(OPERATOR)
+                both = [(await c.request("read", "/system/leases"))["body"] for c in (ann, local)]
+                ids.append([one["lease"] for leases in both for one in leases])
+                await local.close()
+            await ann.close()
+        assert len(ids[0]) == 2
+        assert ids[0] == ids[1]
+
+
+async def test_the_python_client_holds_a_lease_through_a_hub(tmp_path: Path) -> None:
+    pair = Pair(tmp_path)
+    async with AsyncExitStack() as stack:
+        hub = process_of(tmp_path / "h1.toml", pair.hub("h1", listens=True))
+        await stack.enter_async_context(hub)
+        robot = await stack.enter_async_context(serving(pair.robot("r7", "h1"), scripted(Cart)))
+        robot.life.backend.release.set()
+        local = robot.client(ADMIN)
+        stack.push_async_callback(local.close)
+        person = await opened(stack, pair.urls.split(",")[0], 1)
+        async with person.lease(_ROBOT, ttl=1.0):
+            for number in range(30):  # longer than it lasts without being renewed
+                assert await person.execute(_GO, float(number)) == number
+                await asyncio.sleep(0.05)
+            assert await _leases(local) == [(_TENANT, "ann")]
+        await _shows(local)
 
 
 @pytest.mark.parametrize(
