@@ -10,7 +10,7 @@ from collections.abc import Coroutine, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from rcp_kernel.clock import Clock
-from rcp_kernel.errors import DeadlineExceeded
+from rcp_kernel.errors import DeadlineExceeded, Refused
 from rcp_kernel.features import Scope
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.spi import RobotLease, RobotLeaseRequest
@@ -90,15 +90,26 @@ class GatewayLeases:
             for unit in sorted(units, key=lambda unit: unit.name)
         }
         # What somebody had before stays theirs; another hub's lease of the person may be the same.
-        fresh = {u: one for u, one in wanted.items() if not _holds(u, one.scope, principal)}
+        fresh = {u for u, one in wanted.items() if not _holds(u, one.scope, principal)}
+        refused = set(wanted)
+
+        async def ask(unit: StopGroup) -> RobotLease:
+            refused.discard(unit)
+            try:
+                return await unit.lease_own(wanted[unit])
+            except Refused:
+                refused.add(unit)
+                raise
+
         try:
             # Whoever gets the first one has gone ahead of others who ask for the same.
             first, *rest = wanted
-            granted = {first: await first.lease_own(wanted[first])}
-            granted |= await _all({unit: unit.lease_own(wanted[unit]) for unit in rest})
+            granted = {first: await ask(first)}
+            granted |= await _all({unit: ask(unit) for unit in rest})
             return self._granted(granted, before)
         except BaseException:
-            undo = [self._undo(unit, one.scope) for unit, one in fresh.items()]
+            # Not where it was refused: a release would also forgive an earlier loss there.
+            undo = [self._undo(unit, wanted[unit].scope) for unit in fresh - refused]
             _background(asyncio.gather(*undo, return_exceptions=True))
             raise
 

@@ -31,9 +31,15 @@ class _Site:
     """Two hubs and one robot, with ann, bob and an administrator at each."""
 
     def __init__(
-        self, stack: AsyncExitStack, hubs: list[Served], robot: Served, cart: Cart
+        self, stack: AsyncExitStack, pair: Pair, hubs: list[Served], robot: Served, cart: Cart
     ) -> None:
-        self._stack, self._hubs, self.robot, self.cart = stack, hubs, robot, cart
+        self._stack, self._pair, self._hubs = stack, pair, hubs
+        self.robot, self.cart = robot, cart
+
+    async def enter(self, robot: str) -> Served:
+        """Run the gateway of another robot."""
+        text = self._pair.robot(robot)
+        return await self._stack.enter_async_context(serving(text, scripted(Cart)))
 
     async def client(self, place: str, secret: str) -> Client:
         """Return a client at `h1`, `h2` or the robot."""
@@ -46,16 +52,15 @@ class _Site:
 
 
 @asynccontextmanager
-async def _site(folder: Path, *, store: bool = False) -> AsyncGenerator[_Site]:
+async def _site(folder: Path) -> AsyncGenerator[_Site]:
     pair = Pair(folder)
     async with AsyncExitStack() as stack:
         hubs = [
-            await stack.enter_async_context(serving(pair.hub(hub, store=store) + _PEOPLE))
-            for hub in pair.ports
+            await stack.enter_async_context(serving(pair.hub(hub) + _PEOPLE)) for hub in pair.ports
         ]
         robot = await stack.enter_async_context(serving(pair.robot() + _PEOPLE, scripted(Cart)))
         cart: Any = robot.life.backend
-        yield _Site(stack, hubs, robot, cart)
+        yield _Site(stack, pair, hubs, robot, cart)
 
 
 async def _lease(client: Client, do: str, scope: str = _ROBOT, **body: Any) -> dict[str, Any]:
@@ -198,6 +203,27 @@ async def test_a_stop_by_one_hub_ends_the_leases_of_both(tmp_path: Path) -> None
             await _shows(client)
 
 
+async def test_of_two_robots_both_are_granted_or_none(tmp_path: Path) -> None:
+    async with _site(tmp_path) as site:
+        other = await site.enter("r1")
+        ann, bob = await site.client("h1", OPERATOR), await site.client("h2", _BOB)
+        for client in (ann, bob):
+            await appears(client, _GO.replace("r7", "r1"))
+        held = await _lease(bob, "acquire", ttl=50)
+        assert held["status"] == "completed", held
+        refused = await _lease(ann, "acquire", _TENANT, ttl=50)  # r1 is asked first, and grants it
+        assert refused["error"]["code"] == "lease_held", refused
+        assert refused["error"]["details"]["scope"] == _ROBOT
+        local = other.client(OPERATOR)
+        await _shows(local)  # it was given back
+        await local.close()
+        assert (await _lease(bob, "release"))["status"] == "completed"
+        assert (await _lease(ann, "acquire", _TENANT, ttl=50))["status"] == "completed"
+        for robot in ("r1", "r7"):
+            refused = await bob.request("execute", f"/tenant/alpha/action/{robot}/go", body=1.0)
+            assert refused["error"]["details"]["holder"] == "ann", refused
+
+
 async def test_no_lease_is_granted_on_a_robot_that_cannot_be_asked(tmp_path: Path) -> None:
     pair = Pair(tmp_path)
     async with AsyncExitStack() as stack:
@@ -243,7 +269,8 @@ async def test_a_hub_that_is_started_again_goes_on_with_a_lease_that_the_robot_s
     pair = Pair(tmp_path)
     async with AsyncExitStack() as stack:
         robot = await stack.enter_async_context(serving(pair.robot("r7", "h1"), scripted(Cart)))
-        robot.life.backend.release.set()
+        cart: Any = robot.life.backend
+        cart.release.set()
         ids: list[list[str]] = []
         for run in range(2):
             async with serving(pair.hub("h1", store=True)) as hub:
@@ -266,7 +293,8 @@ async def test_the_python_client_holds_a_lease_through_a_hub(tmp_path: Path) -> 
         hub = process_of(tmp_path / "h1.toml", pair.hub("h1", listens=True))
         await stack.enter_async_context(hub)
         robot = await stack.enter_async_context(serving(pair.robot("r7", "h1"), scripted(Cart)))
-        robot.life.backend.release.set()
+        cart: Any = robot.life.backend
+        cart.release.set()
         local = robot.client(ADMIN)
         stack.push_async_callback(local.close)
         person = await opened(stack, pair.urls.split(",")[0], 1)
