@@ -31,6 +31,7 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.role import Rule
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
@@ -70,7 +71,6 @@ from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.connections import ConnectionParts
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
@@ -461,7 +461,6 @@ def _system(
         latches=motion.latches,
         stops=motion.stops,
         registry=base.registry,
-        hub=base.hub,
         sights=base.sights,
         recent=recent,
         features=features.resources,

@@ -267,16 +267,12 @@ class Commands:
         if command.continuation is None:
             # Not by the task's callback, a turn of the loop later: a result that comes at once is
             # sent together with `accepted`.
-            self._complete(command, result)
+            end_permit()  # what follows from the result is not the robot's any more
+            command.task = None
+            if command.finished is None:
+                self._end(command, result)
+            self._release(command)
         return result
-
-    def _complete(self, command: Command, result: Any) -> None:
-        """End a command with its result, at the end of its own task."""
-        end_permit()  # what follows from the result is not the robot's any more
-        command.task = None
-        if command.finished is None:
-            self._end(command, result)
-        self._release(command)
 
     def _progress(
         self,

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import msgspec
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.queued_request import QueuedRequest
@@ -36,7 +37,6 @@ from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command, CommandListener, Record
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -305,7 +305,7 @@ class ExecuteHandler:
         """Execute a service of the gateway at once; the reply is sent once it is stored."""
         started = perf_counter()
         reply = self._served(service, session, request, entry, value)
-        self._counts.conclude(session, reply, started)
+        self._counts.conclude(session.transport, reply, started)
         self._replies.when_stored(answer, request)(reply)
 
     def _served(

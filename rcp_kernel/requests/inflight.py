@@ -12,11 +12,11 @@ from typing import Any
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import end_permit
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.timers import Deadlines
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, DeadlineExceeded, DuplicateRequest, QueueFull, RcpError
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Reply, Request, failure
@@ -187,5 +187,5 @@ class _Pending:
             assert error is not None
             reply = failure(error, request.type, request.id, self._path)
         reply.custom = request.custom
-        inflight.counts.conclude(session, reply, self._started)
+        inflight.counts.conclude(session.transport, reply, self._started)
         answer(reply)

@@ -15,6 +15,7 @@ from msgspec import Meta
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.contract.turns import Turns, Work, at_once
 from rcp_kernel.errors import (
@@ -31,7 +32,6 @@ from rcp_kernel.requests.object_list import ObjectList, expected, is_listing, li
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.account import passes
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
@@ -151,7 +151,7 @@ class ReadHandler:
             sample = entry.latest
             assert sample is not None
             reply = _reply(request, entry, sample, options)
-            self._counts.conclude(session, reply, started)
+            self._counts.conclude(session.transport, reply, started)
             answer(reply)
             yield
 

@@ -13,12 +13,12 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.errors import QueueFull, RcpError
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply

@@ -172,11 +172,6 @@ class Hub:
         entry.listeners = [listener for listener in entry.listeners if listener is not feed]
         return True
 
-    @staticmethod
-    def keep(entry: Entry) -> None:
-        """Keep the whole history of a path even without subscribers."""
-        _keep_history(entry, 0.0)
-
     def listen(self, entry: Entry, listener: Listener) -> None:
         """Offer every sample to a listener of the gateway, and keep the source running for it."""
         if listener not in entry.listeners:
