@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 
 import msgspec
 
+from rcp_conditions.filters import Change, parse_where
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
@@ -36,11 +37,11 @@ from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.streams.filters import Change, Options, check_fields, parse_where, seconds
 from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.options import Options, check_fields, seconds
 from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.shared_update import SharedUpdate
