@@ -24,7 +24,6 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
@@ -49,6 +48,7 @@ from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
+from rcp_scheduling.turns import Turns
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store
 

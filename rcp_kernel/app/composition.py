@@ -33,8 +33,6 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.contract.timers import Deadlines
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.services import FeatureServices
@@ -81,6 +79,8 @@ from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
+from rcp_scheduling.timers import Deadlines
+from rcp_scheduling.turns import Turns
 from rcp_store.ledger import Ledger
 from rcp_store.store import Store
 

@@ -13,7 +13,6 @@ from rcp_kernel.clock import Clock
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
@@ -23,6 +22,7 @@ from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.backpressure import shed, waiting_bytes
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
+from rcp_scheduling.turns import Turns, Work
 from rcp_store.ledger import Ledger
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store

@@ -10,8 +10,8 @@ from contextvars import ContextVar
 import msgspec
 
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.timers import moment_of
 from rcp_kernel.wire import Request
+from rcp_scheduling.timers import moment_of
 
 __all__ = ["Caller", "asked", "caller"]
 

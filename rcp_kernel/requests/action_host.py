@@ -10,7 +10,6 @@ import msgspec
 
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.contract.digest import bounded, hashing
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
@@ -28,6 +27,7 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
+from rcp_scheduling.turns import Turns
 
 __all__ = ["GatewayActionHost"]
 

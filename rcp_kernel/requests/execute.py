@@ -16,7 +16,6 @@ from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.queued_request import QueuedRequest
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter
@@ -43,6 +42,7 @@ from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import FINAL, Reply, Request
+from rcp_scheduling.turns import at_once
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 

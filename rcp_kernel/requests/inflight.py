@@ -14,12 +14,12 @@ from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import end_permit
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.timers import Deadlines
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, DeadlineExceeded, DuplicateRequest, QueueFull, RcpError
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Reply, Request, failure
+from rcp_scheduling.timers import Deadlines
+from rcp_scheduling.turns import Turns
 
 __all__ = ["InFlight"]
 

@@ -17,7 +17,6 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import attribute_error
-from rcp_kernel.contract.turns import Turns, Work, at_once
 from rcp_kernel.errors import (
     AdapterUnavailable,
     FilterUnsupported,
@@ -41,6 +40,7 @@ from rcp_kernel.tree.registry import Registry
 from rcp_kernel.tree.samples import Sample, masked, project
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Body, Reply, Request
+from rcp_scheduling.turns import Turns, Work, at_once
 
 __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 

@@ -14,7 +14,6 @@ import structlog
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.requests.exempt import Exemptions
@@ -23,6 +22,7 @@ from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request, failure
 from rcp_protocol.structure import LONG, check_structure
+from rcp_scheduling.turns import Turns
 
 __all__ = ["RequestRouter", "Route", "SteppedRoute"]
 

@@ -16,7 +16,6 @@ from rcp_conditions.filters import Change, parse_where
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
@@ -49,6 +48,7 @@ from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import Encoding, ValueType, value_type
 from rcp_kernel.wire import Reply, Request, error_body
+from rcp_scheduling.turns import Work
 
 __all__ = ["SubscribeHandler"]
 

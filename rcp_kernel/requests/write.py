@@ -10,7 +10,6 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
@@ -32,6 +31,7 @@ from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, Reply, Request
 from rcp_protocol.structure import LONG
+from rcp_scheduling.turns import Turns
 
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
 

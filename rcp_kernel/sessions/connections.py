@@ -17,7 +17,6 @@ from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
@@ -39,6 +38,7 @@ from rcp_kernel.wire import (
     peek_header,
 )
 from rcp_protocol.structure import LONG, check_structure
+from rcp_scheduling.turns import Turns, Work
 
 __all__ = ["Connection", "ConnectionParts"]
 
