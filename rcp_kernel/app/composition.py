@@ -38,7 +38,7 @@ from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.atomic_write import AtomicWriteHandler
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
@@ -70,7 +70,6 @@ from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.connections import ConnectionParts
 from rcp_kernel.sessions.handshake import Handshake
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
@@ -271,7 +270,7 @@ def _base(
 def _records(base: _Base, store: Store) -> _Records:
     events = EventBus()
     replies = ReplyGate(base.settings, base.loop)
-    journal = CommandJournal(store, base.inflight, base.counts, replies, base.clock)
+    journal = CommandJournal(store, base.settings, base.counts, replies, base.clock)
     return _Records(store, events, SafetyEvents(events), replies, journal)
 
 
@@ -297,7 +296,7 @@ def _features(
         events=records.events,
         ledger=Ledger(records.store),
         visibility=base.visibility,
-        place=base.inflight.place,
+        settings=base.settings,
         sessions=clients.sessions,
         control=Control(motion.commands, motion.deadman),
         scopes=base.scopes,

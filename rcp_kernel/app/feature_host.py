@@ -10,6 +10,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clock import Clock
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
@@ -43,7 +44,7 @@ class GatewayFeatureHost:
         events: EventBus,
         ledger: Ledger,
         visibility: Visibility,
-        place: Callable[[Session, Request], object],
+        settings: Settings,
         sessions: SessionDirectory,
         control: Control,
         scopes: ScopeRights,
@@ -63,7 +64,7 @@ class GatewayFeatureHost:
         self._events = events
         self.ledger = ledger
         self.visibility = visibility
-        self._place = place
+        self._settings = settings
         self._shutdown = shutdown
         self._turns = turns
         self.service = services.service
@@ -131,4 +132,4 @@ class GatewayFeatureHost:
 
     def check_place(self, session: Session, request: Request) -> None:
         """Refuse a request that its session has no place for."""
-        self._place(session, request)
+        session.place(request, self._settings.limits.in_flight)

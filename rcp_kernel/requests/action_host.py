@@ -14,6 +14,7 @@ from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.atomic_write import check_group
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.journal import CommandJournal
@@ -21,7 +22,6 @@ from rcp_kernel.requests.read import READ_OPTIONS
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.sessions.command import Command
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Handler, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry

@@ -10,10 +10,10 @@ from rcp_kernel.errors import EstopActive
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.waiting import WaitingCommand, WaitingCommands
 from rcp_kernel.sessions.command import Command, Record
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.registry import Registry

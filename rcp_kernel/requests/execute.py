@@ -21,7 +21,7 @@ from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.exempt import Exemptions
@@ -37,7 +37,6 @@ from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.long_value import LongValue
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import value_type

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import structlog
 
 from rcp_kernel.clock import Clock
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.metrics import Histogram, RequestCounts
 from rcp_kernel.requests.command_rows import TABLE, as_row, cut_off, from_rows
 from rcp_kernel.requests.idempotency import committed
-from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
@@ -56,7 +56,7 @@ class CommandJournal:
     def __init__(
         self,
         store: Store,
-        inflight: InFlight,
+        settings: Settings,
         counts: RequestCounts,
         replies: ReplyGate,
         clock: Clock,
@@ -66,7 +66,7 @@ class CommandJournal:
         Interrupted ones become `failed`, but for those that go on without this gateway.
         """
         self._store = store
-        self._inflight = inflight
+        self._settings = settings
         self._requests = counts
         self._replies = replies
         self._now = clock.now
@@ -164,9 +164,9 @@ class CommandJournal:
     ) -> None:
         """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: see `InFlight.place`.
+        :raises DuplicateRequest, QueueFull: see `Session.place`.
         """
-        key = self._inflight.place(session, request)
+        key = session.place(request, self._settings.limits.in_flight)
         session.inflight.add(key)
         if self._replies.demands:
             answer = self._replies.when_stored(answer, request)

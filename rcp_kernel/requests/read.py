@@ -26,13 +26,13 @@ from rcp_kernel.errors import (
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.object_list import ObjectList, expected, is_listing, listed
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.prompt_reply import PromptReply
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend, has_watch
 from rcp_kernel.tree.entry import Entry

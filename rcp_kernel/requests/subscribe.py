@@ -29,10 +29,10 @@ from rcp_kernel.errors import (
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.object_list import is_listing, listed
 from rcp_kernel.requests.pages import MOST, MOST_BYTES, cursor_of
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions

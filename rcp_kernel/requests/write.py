@@ -14,7 +14,7 @@ from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.atomic_write import AtomicWriteHandler, DryRun
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.keyed_write import KeyedWrites
@@ -23,7 +23,6 @@ from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
 from rcp_kernel.sessions.command import LinkLost
 from rcp_kernel.sessions.long_value import LongValue
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
