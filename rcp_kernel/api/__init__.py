@@ -26,7 +26,7 @@ from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.sessions.unsent import left_out
+from rcp_kernel.sessions.substitutes import left_out
 from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.streams.outbound import Backlog, Outbound
 from rcp_kernel.streams.outbox import Outbox, Wrap

@@ -225,11 +225,11 @@ def compose(
 
 def _grants(features: Sequence[ActiveFeature]) -> dict[str, tuple[Rule, ...]]:
     """Return the rules that features add to built-in roles."""
-    found: dict[str, tuple[Rule, ...]] = {}
+    grants: dict[str, tuple[Rule, ...]] = {}
     for feature in features:
         for role, rules in feature.kind.grants.items():
-            found[role] = (*found.get(role, ()), *rules)
-    return found
+            grants[role] = (*grants.get(role, ()), *rules)
+    return grants
 
 
 def _base(

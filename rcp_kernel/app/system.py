@@ -118,8 +118,8 @@ class System(BaseBackend):
         """Resources whose items can be searched and read in pages, by path."""
         self.services: dict[str, Service] = {}
         """Other executable resources of `/system`, by path."""
-        for one in features:
-            self._add(one)
+        for resource in features:
+            self._add(resource)
         self.entries[_LOG].keep_history()
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)

@@ -94,13 +94,13 @@ def histogram(
 ) -> Metric:
     """Return a histogram family, from rows of label values and histogram."""
     family = HistogramMetricFamily(name, text, labels=labels)
-    for values, found in rows:
+    for values, durations in rows:
         below = 0
         buckets: list[tuple[str, float]] = []
-        for bound, count in zip((*map(str, BUCKETS), "+Inf"), found.counts, strict=True):
+        for bound, count in zip((*map(str, BUCKETS), "+Inf"), durations.counts, strict=True):
             below += count
             buckets.append((bound, below))
-        family.add_metric(values, buckets, found.total)
+        family.add_metric(values, buckets, durations.total)
     return family
 
 

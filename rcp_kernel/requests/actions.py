@@ -114,14 +114,14 @@ class ActionHandler:
         return PreparedRun(run, waiting, units)
 
     def _units(self, run: ActionRun) -> Generator[None, None, list[StopGroup]]:
-        found: dict[StopGroup, None] = {}
+        units: dict[StopGroup, None] = {}
         for number, path in enumerate(run.touches, 1):
             entry = self._registry.entries.get(path)
             if entry is not None:
-                found[entry.unit] = None
+                units[entry.unit] = None
             if not number % _STEP:
                 yield
-        return list(found)
+        return list(units)
 
     def follow(self, command: Command, step: Record) -> None:
         """Handle a step of a command: the list of commands has changed."""

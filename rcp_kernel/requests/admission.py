@@ -70,9 +70,9 @@ class Resolver:
         bits = int(operation)
         if not int(entry.operations) & bits:
             offered = operation_names(entry.operations)
-            wanted = operation_names(operation)[0]
+            verb = operation_names(operation)[0]
             raise UnsupportedOperation(
-                f"{entry.path} does not offer `{wanted}`; it offers {', '.join(offered)}",
+                f"{entry.path} does not offer `{verb}`; it offers {', '.join(offered)}",
                 path=entry.path,
                 details={"allowed": offered},
             )
@@ -88,8 +88,8 @@ class Resolver:
         rights = session.rights
         if rights.masks.get(entry.path, 0) & int(operation) or rights.permits(entry, operation):
             return
-        wanted = operation_names(operation)[0]
-        text = f"{session.principal.name} may not {wanted} {entry.path}"
+        verb = operation_names(operation)[0]
+        text = f"{session.principal.name} may not {verb} {entry.path}"
         if not rights.depends(entry, operation):
             raise Forbidden(text, path=entry.path)
         blocking = rights.blocking_condition(entry, operation)

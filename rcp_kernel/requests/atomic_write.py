@@ -148,8 +148,8 @@ class AtomicWriteHandler:
         """Return whether all values bring an actuator to rest, so that no rate limit may refuse."""
         try:
             parts = _parts(request).items()
-            found = (self._item(session, request, path, body) for path, body in parts)
-            return all(is_safe(item.entry, item.value) for item in found)
+            items = (self._item(session, request, path, body) for path, body in parts)
+            return all(is_safe(item.entry, item.value) for item in items)
         except RcpError:
             return False
 
@@ -216,8 +216,8 @@ class AtomicWriteHandler:
         if request.valid_for is not None:
             safe = [entry for entry in entries if entry.resource.safe is not None]
             entries = safe or entries[:1]
-        found = {entry.path: self._deadman.window(entry, request) for entry in entries}
-        return {path: window for path, window in found.items() if window is not None}
+        windows = {entry.path: self._deadman.window(entry, request) for entry in entries}
+        return {path: window for path, window in windows.items() if window is not None}
 
     def _dry_run_reply(self, request: Request, admitted: _Admitted) -> Reply:
         return Reply(

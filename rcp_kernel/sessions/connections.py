@@ -23,7 +23,7 @@ from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Handler, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.sessions.unsent import left_out
+from rcp_kernel.sessions.substitutes import left_out
 from rcp_kernel.streams.outbound import SHARE, SMALL, Outbound
 from rcp_kernel.streams.outbox import FlushScheduler, Outbox
 from rcp_kernel.values import Encoding, value_type

@@ -244,17 +244,17 @@ class Entry:
 
     def size_ring(self) -> None:
         """Store as many samples as history and memory allow, fewer without subscribers."""
-        wanted = self.resource.history
+        length = self.resource.history
         if not (self.listeners or self.keeps_history):
-            wanted = min(wanted, _IDLE_HISTORY)
+            length = min(length, _IDLE_HISTORY)
         if self.latest is not None and self.value_type.grows:
             try:
-                wanted = min(wanted, _HISTORY_BYTES // max(1, self.latest.weight()))
+                length = min(length, _HISTORY_BYTES // max(1, self.latest.weight()))
             except RcpError:
-                wanted = 1
-        wanted = max(1, wanted)
-        if wanted != self.ring.maxlen:
-            self.ring = deque(self.ring, maxlen=wanted)
+                length = 1
+        length = max(1, length)
+        if length != self.ring.maxlen:
+            self.ring = deque(self.ring, maxlen=length)
 
     def adopt(self, old: Entry) -> None:
         """Go on where an entry of the same path left off: number, samples and listeners."""

@@ -294,7 +294,7 @@ def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
     """Keep only some fields, nested as they were: `position.x` gives `{"position": {"x": …}}`."""
     out: dict[str, Any] = {}
     for dotted in fields:
-        found = Field(dotted).one(value)
+        field = Field(dotted).one(value)
         names = dotted.split(".")
         place = out
         for name in names[:-1]:
@@ -303,5 +303,5 @@ def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
                 break
             place = inner
         else:
-            place[names[-1]] = to_plain(found)
+            place[names[-1]] = to_plain(field)
     return out
