@@ -543,13 +543,13 @@ def _handlers(
         dry_run=features.dry_run,
         exempt=requests.exempt,
         keys=requests.keys,
+        keyed=keyed,
         inflight=inflight,
         counts=base.counts,
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
         frames=features.frames,
-        loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
     router.add("read", read.read, stepped=read.read_in_steps)

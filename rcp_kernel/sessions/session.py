@@ -189,14 +189,16 @@ class Session:
 
     @property
     def holder(self) -> str:
-        """The holder of what the session acquires: itself, or its principal if it is shared."""
+        """The holder of what the session acquires: itself, or its principal if others act for it too."""
         return self.holders[0]
 
     @property
     def holders(self) -> tuple[str, ...]:
         """Whose holdings are the session's: its own, and those of its principal as a whole."""
         whole = f"{self.principal.proof}:{self.principal.name}"
-        return (whole,) if self.shared else (self.id, whole)
+        # A person may come by several hubs, which tell their own sessions apart themselves.
+        as_person = self.shared or self.principal.via is not None
+        return (whole,) if as_person else (self.id, whole)
 
     @property
     def stateless(self) -> bool:

@@ -14,7 +14,16 @@ from typing import Any, Literal, Protocol
 from rcp_kernel.clock import Clock, now
 from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
-from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
+from rcp_kernel.spi import (
+    Anchor,
+    Backend,
+    FrameTree,
+    MotionState,
+    OwnLeases,
+    RobotFacts,
+    RobotLease,
+    RobotLeaseRequest,
+)
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Form, Sample, form_of, forms
 from rcp_kernel.values import ValueType, value_type
@@ -287,6 +296,7 @@ class StopGroup:
         "lost",
         "name",
         "own",
+        "own_leases",
         "owner",
         "retired",
         "robot",
@@ -327,6 +337,8 @@ class StopGroup:
         """Where one of its frames is fixed to the earth."""
         self.frames: FrameTree | None = None
         """The transforms between its frames, if its backend receives them."""
+        self.own_leases: OwnLeases | None = None
+        """The leases on it, as its own gateway says, if it has one that can be asked."""
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches
@@ -443,6 +455,14 @@ class StopGroup:
         :raises RcpError: it refuses, or cannot be reached.
         """
         await self._open().reset_estop(self.robot)
+
+    async def lease_own(self, request: RobotLeaseRequest) -> RobotLease:
+        """Ask its own gateway for a lease: see `Backend.lease`.
+
+        :raises RcpError: it refuses, or cannot be reached.
+        """
+        assert self.robot is not None
+        return await self._open().lease(self.robot, request)
 
     async def hold(self) -> None:
         """Bring it to rest without an e-stop.
