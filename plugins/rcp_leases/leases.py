@@ -16,7 +16,6 @@ from typing import Any
 import structlog
 
 from rcp_kernel.clock import iso
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.features import Call, FeatureHost, Scope, Slot
 from rcp_kernel.model import Operation, Pattern
@@ -26,6 +25,7 @@ from rcp_leases.config import LeasesConfig
 from rcp_leases.gateways import GatewayLeases, Granted
 from rcp_leases.lease import Held, Lease, refusal
 from rcp_leases.losses import Loss, Losses
+from rcp_scheduling.turns import Work
 
 __all__ = ["COMMANDING", "Leases"]
 

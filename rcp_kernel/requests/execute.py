@@ -13,16 +13,16 @@ from typing import Any, Protocol
 import msgspec
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.queued_request import QueuedRequest
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.exempt import Exemptions
@@ -38,13 +38,12 @@ from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command, CommandListener, Record
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.long_value import LongValue
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import FINAL, Reply, Request
+from rcp_scheduling.turns import at_once
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
@@ -329,7 +328,7 @@ class ExecuteHandler:
             else:
                 reply = made(body)
                 self._keyed.note_service(session, request, entry.path, _ignore)(reply)
-        self._counts.conclude(session, reply, started)
+        self._counts.conclude(session.transport, reply, started)
         answer(reply)
 
     def _serve_later(

@@ -25,7 +25,7 @@ from rcp_kernel.spi import (
     RobotLeaseRequest,
 )
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
-from rcp_kernel.tree.samples import Sample, encoded_of
+from rcp_kernel.tree.samples import Form, Sample, form_of, forms
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
@@ -124,6 +124,7 @@ class Entry:
         "feedback_type",
         "input_type",
         "is_hold",
+        "keeps_history",
         "kind",
         "label",
         "latest",
@@ -190,6 +191,8 @@ class Entry:
         self.numbered = False
         """Whether its samples have the numbers of their source: `Encoded`."""
         self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
+        self.keeps_history = False
+        """Whether its whole history is stored even without subscribers."""
         self.listeners: list[Listener] = []
         self.sustained = 0.0
         """Rate in Hz at which it is published regardless of subscribers."""
@@ -215,18 +218,21 @@ class Entry:
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
-        usual = type(value) is self.value_type.type
-        if not usual and (encoded := encoded_of(value)) is not None:
-            if self.latest is not None and encoded.seq <= self.seq:
+        form: Form = "value"
+        if type(value) is not self.value_type.type:  # the usual value has no other form
+            kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+            form = forms.get(kind) or form_of(value)
+        if form == "encoded":
+            if self.latest is not None and value.seq <= self.seq:
                 return self.latest
             self.numbered = True
-            self.seq, timestamp = encoded.seq, encoded.timestamp
+            self.seq, timestamp = value.seq, value.timestamp
         elif self.numbered:  # its source is to publish it, with a number
-            self.latest = Sample(self, value, timestamp or received, received, self.seq)
+            self.latest = Sample(self, value, timestamp or received, received, self.seq, form)
             return self.latest
         else:
             self.seq += 1
-        sample = Sample(self, value, timestamp or received, received, self.seq)
+        sample = Sample(self, value, timestamp or received, received, self.seq, form)
         latest = self.latest
         if latest is not None:
             latest.release()
@@ -240,22 +246,29 @@ class Entry:
             self.size_ring()
         return sample
 
+    def keep_history(self) -> None:
+        """Store the whole history even without subscribers."""
+        self.keeps_history = True
+        self.size_ring()
+
     def size_ring(self) -> None:
         """Store as many samples as history and memory allow, fewer without subscribers."""
-        wanted = self.resource.history if self.listeners else _IDLE_HISTORY
-        wanted = min(wanted, self.resource.history)
+        length = self.resource.history
+        if not (self.listeners or self.keeps_history):
+            length = min(length, _IDLE_HISTORY)
         if self.latest is not None and self.value_type.grows:
             try:
-                wanted = min(wanted, _HISTORY_BYTES // max(1, self.latest.weight()))
+                length = min(length, _HISTORY_BYTES // max(1, self.latest.weight()))
             except RcpError:
-                wanted = 1
-        wanted = max(1, wanted)
-        if wanted != self.ring.maxlen:
-            self.ring = deque(self.ring, maxlen=wanted)
+                length = 1
+        length = max(1, length)
+        if length != self.ring.maxlen:
+            self.ring = deque(self.ring, maxlen=length)
 
     def adopt(self, old: Entry) -> None:
         """Go on where an entry of the same path left off: number, samples and listeners."""
         self.seq, self.numbered = old.seq, old.numbered
+        self.keeps_history = old.keeps_history
         self.listeners = old.listeners
         self.sustained = old.sustained
         self.written = old.written
