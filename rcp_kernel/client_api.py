@@ -8,7 +8,15 @@ HTTP. It only translates; all decisions are the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Generator, Iterable, Iterator, MutableMapping
+from collections.abc import (
+    Awaitable,
+    Callable,
+    Generator,
+    Iterable,
+    Iterator,
+    Mapping,
+    MutableMapping,
+)
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
@@ -33,7 +41,7 @@ from rcp_kernel.errors import (
     Unauthenticated,
 )
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
-from rcp_kernel.model import Pattern
+from rcp_kernel.model import NativeType, Pattern
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
 from rcp_kernel.requests.replies import ReplyGate
@@ -437,6 +445,13 @@ class ClientApi:
         """
         session.charge()
         return self._parts.discovery.schemas(session.rights)
+
+    def native_types(self, session: Session, path: str) -> Mapping[str, NativeType]:
+        """Return the serialised types of a resource by part (`value`, `input`, `output`).
+
+        Empty for a resource that has none, or that the session may not see.
+        """
+        return self._parts.discovery.native_types(session.rights, path)
 
     def rights(self, principal: Principal) -> Rights:
         """Return the compiled rights of a principal."""

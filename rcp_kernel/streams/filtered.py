@@ -7,13 +7,13 @@ from collections.abc import Callable, Generator, Hashable, Iterable
 from typing import Any, NamedTuple, Protocol
 
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.streams.filters import Change
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.streams.path_subscription import PathSubscription, Subscriber
 from rcp_kernel.streams.shared_update import SharedUpdate
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.samples import Sample, masked, project
+from rcp_kernel.tree.samples import Rendering, Sample, masked, project
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, encode_body, encode_frame
 
@@ -315,6 +315,9 @@ class ViewSubscription(PathSubscription):
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, *_ = self._heads or self._make_heads()
+        if type(self.fields) is Rendering:
+            text = f"{self.entry.path} is different for each reader: it has no form of an adapter"
+            raise UnsupportedOperation(text, path=self.entry.path)
         made = self._made
         assert made is not None
         facts: dict[str, Any] = {

@@ -20,7 +20,7 @@ from rcp_kernel.streams.outbound import SHARE, Backlog
 from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
 
-__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Wrap"]
+__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Translator", "Wrap"]
 
 log = structlog.get_logger("rcp.streams")
 BUDGET = 262_144  # bytes that an outbox sends at once
@@ -67,6 +67,18 @@ class PendingPath(Protocol):
 
     def shed(self, known: Container[str], reason: str) -> None:
         """Conflate, or end a reliable subscription whose id is `known`, for a reason."""
+        ...
+
+
+class Translator(Protocol):
+    """An adapter's words for what a client is told besides its updates."""
+
+    def notice(self, code: str, facts: dict[str, Any]) -> None:
+        """Handle a notice, with the fields that it has on the wire."""
+        ...
+
+    def skipped(self, subscription: str, path: str, count: int) -> None:
+        """Take note of samples skipped before the next update: the client was too slow for them."""
         ...
 
 
@@ -156,6 +168,7 @@ class Outbox:
         "renderings",
         "takes_long",
         "text",
+        "translator",
         "updates",
         "waiting",
     )
@@ -205,6 +218,8 @@ class Outbox:
         self.prioritised = False
         self.renderings: dict[str, Rendering] = {}
         """How updates are written, by the id of their subscription, see `render`."""
+        self.translator: Translator | None = None
+        """Has another protocol's words for what is not an update, see `translate`."""
         self.updates = 0
         self.high_water = 0
 
@@ -232,6 +247,13 @@ class Outbox:
         returns False if the socket is not writable.
         """
         self.framing, self.direct, self.takes_long = framing, direct, False
+
+    def translate(self, translator: Translator) -> None:
+        """Have notices and skipped samples told in another protocol's words.
+
+        What is queued by `put` is then text if it begins with `{`, else binary.
+        """
+        self.translator = translator
 
     def send_messages(self, *, long: bool = False) -> None:
         """Collect whole messages without frames (the default).
@@ -351,7 +373,9 @@ class Outbox:
         elif out and self.framing is not None:
             text = self.text
             frame = self.framing
-            if len(out) == 1 and not long:
+            if self.translator is not None:
+                out = [part for data in out for part in (frame(len(data), data[:1] == b"{"), data)]
+            elif len(out) == 1 and not long:
                 out[0] = frame(len(out[0]), text) + out[0]
             elif long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]

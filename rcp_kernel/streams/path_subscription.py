@@ -360,7 +360,10 @@ class PathSubscription:
             )
             self.named = True
             return data
-        if not self.dropped or type(self.fields) is Rendering:
+        if type(self.fields) is Rendering:
+            self._tell_skipped()
+            return head + tail
+        if not self.dropped:
             return head + tail
         return (
             head_dropped
@@ -375,6 +378,12 @@ class PathSubscription:
         outbox = self.outbox
         limit = self.longest
         return limit is not None and len(tail) > limit and not (outbox and outbox.takes_long)
+
+    def _tell_skipped(self) -> None:
+        translator = None if self.outbox is None else self.outbox.translator
+        if self.dropped and translator is not None:
+            translator.skipped(self.subscription.id, self.entry.path, self.dropped)
+            self.dropped = 0
 
     def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
         assert self.outbox is not None
