@@ -60,7 +60,8 @@ def _class_of(type_: Type) -> Any:
 
 
 def _text(cls: Any) -> str:
-    return text_of(cls) or "".join(f"{_spelled(f.type)} {f.name}\n" for f in fields_of(cls))
+    known = text_of(cls).strip("\0 \n")  # some compiled texts end with a NUL
+    return known or "\n".join(f"{_spelled(f.type)} {f.name}" for f in fields_of(cls))
 
 
 def _spelled(type_: Type) -> str:

@@ -150,10 +150,12 @@ async def site(
     if own_port is not None:
         options["port"] = own_port
     made: list[Robot] = []
+    opened = asyncio.Event()
 
     @asynccontextmanager
     async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
         made.append(Robot(host))
+        opened.set()
         yield made[-1]
 
     text = (
@@ -170,7 +172,5 @@ async def site(
     kind = BackendKind("robot", NoOptions, open_robot)
     config = parse(text, "test")
     async with serve(config, kind, adapters=tuple(rcp_adapters())) as served:
-        async with asyncio.timeout(10):
-            while not made:
-                await asyncio.sleep(0)
+        await asyncio.wait_for(opened.wait(), 10)
         yield Site(served, made)

@@ -51,14 +51,16 @@ async def test_what_is_wrong_is_told_and_the_connection_kept(
 
 
 async def test_ten_megabytes_are_told_and_the_connection_kept() -> None:
-    async with site(more="[limits]\nmessage = 8388608\n") as made:
-        async with viewing(made.url, OPERATOR) as viewer:
-            await viewer.socket.send(b"\x01" + bytes(10_000_000))
-            assert "10000001 bytes" in (await viewer.op("status"))["message"]
-            await viewer.socket.send(b"[" + b"1," * 2_000_000 + b"1]")
-            assert "operation of" in (await viewer.op("status"))["message"]
-            await viewer.subscribe("/sensor/level")
-            await viewer.message()
+    async with (
+        site(more="[limits]\nmessage = 8388608\n") as made,
+        viewing(made.url, OPERATOR) as viewer,
+    ):
+        await viewer.socket.send(b"\x01" + bytes(10_000_000))
+        assert "10000001 bytes" in (await viewer.op("status"))["message"]
+        await viewer.socket.send(b"[" + b"1," * 2_000_000 + b"1]")
+        assert "operation of" in (await viewer.op("status"))["message"]
+        await viewer.subscribe("/sensor/level")
+        await viewer.message()
 
 
 async def test_ten_megabytes_that_are_published_hold_nobody_up(

@@ -76,7 +76,8 @@ async def test_a_pose_comes_as_the_type_that_panels_draw(gateway: Site, viewer: 
     channel = await viewer.subscribe("/sensor/pose")
     assert channel["schemaName"] == "foxglove.PoseInFrame"
     gateway.robot.measure(
-        "sensor/pose", PoseStamped(Point(1.0, 2.0), frame_id="map", timestamp="2026-05-29T14:12:04.5Z")
+        "sensor/pose",
+        PoseStamped(Point(1.0, 2.0), frame_id="map", timestamp="2026-05-29T14:12:04.5Z"),
     )
     value = json.loads((await viewer.message())[1])
     assert value["timestamp"] == {"sec": 1780063924, "nsec": 500_000_000}
