@@ -10,7 +10,7 @@ from rcp_foxglove.frames import Call, call_response
 from rcp_foxglove.offers import Service
 from rcp_foxglove.requests import Requests, body_of
 from rcp_foxglove.statuses import refusal_text
-from rcp_foxglove.views import View
+from rcp_foxglove.views import ESTOP, View
 from rcp_kernel.errors import QueueFull, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, Request, encode_body
@@ -34,7 +34,7 @@ class Calls:
         service = view.services.get(call.service)
         if service is None:
             self._fail(call, refusal_text(UnknownPath(f"service {call.service} does not exist")))
-        elif self._running >= _AT_ONCE:
+        elif self._running >= _AT_ONCE and service.path != ESTOP:
             error = QueueFull(f"{self._running} calls of this client are not answered yet")
             self._fail(call, refusal_text(error))
         else:

@@ -47,12 +47,12 @@ class News:
         elif topic is None:
             if code == "fence_left":
                 self._statuses.tell(text, WARNING)
-        elif code in ("stale", "deadline_missed"):
-            self._statuses.show(f"stale:{topic}", f"{topic}: {text}", WARNING)
-        elif code in ("paused", "no_transform"):
+        elif code == "paused":
             self._statuses.show(f"paused:{topic}", f"{topic}: {text}", WARNING)
-        elif code in ("resumed", "resource_added"):
+        elif code == "resumed":
             self._statuses.remove(f"paused:{topic}")
+        elif code == "stale":
+            self._statuses.tell(f"{topic}: {text}", WARNING)
 
     def skipped(self, subscription: str, path: str, count: int) -> None:
         """Count samples that the client was too slow for; tell it at most once a second."""

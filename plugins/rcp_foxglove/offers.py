@@ -50,6 +50,8 @@ class Target(NamedTuple):
     backend: str
     native: NativeType | None
     deadman: bool
+    valid_for: float | None
+    """Validity of a message, in seconds, unless the configuration says otherwise."""
 
 
 class ParameterOffer(NamedTuple):

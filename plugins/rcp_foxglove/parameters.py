@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import binascii
 from collections.abc import Callable, Iterable
 from itertools import count
 from typing import Any
@@ -118,13 +116,7 @@ class Parameters:
         """Write a parameter; return why it was refused."""
         if wish.value is msgspec.UNSET or wish.value is None:
             return "A parameter cannot be removed. Set a value."
-        value = wish.value
-        if wish.type == "byte_array":
-            try:
-                value = base64.b64decode(value, validate=True)
-            except (binascii.Error, ValueError, TypeError):
-                return "The value of a byte_array is not base64."
-        body = msgspec.Raw(msgspec.json.encode(value))
+        body = msgspec.Raw(msgspec.json.encode(wish.value))
         request = Request(type="write", path=offer.path, body=body)
         reply = await self._requests.request(request)
         return None if reply.error is None else refusal_text(reply)

@@ -24,7 +24,8 @@ class _Channel:
     def __init__(self, facts: ClientChannel, target: Target | None) -> None:
         self.facts = facts
         self.target = target
-        self.waiting: deque[bytes] = deque()
+        self.waiting: deque[tuple[bytes, float]] = deque()
+        """Payloads, each with the time of its receipt by the loop's clock."""
         self.busy = False
         self.skipped = 0
 
@@ -94,9 +95,10 @@ class Publishing:
             return
         if channel.target is None:
             return  # the reason is shown
-        channel.waiting.append(payload)
+        channel.waiting.append((payload, self._now()))
         if channel.busy:
-            if len(channel.waiting) > _WAITING:
+            # Of velocities only the newest one matters, and an old one must not come late.
+            if len(channel.waiting) > (1 if channel.target.deadman else _WAITING):
                 channel.waiting.popleft()
                 channel.skipped += 1
             return
@@ -106,23 +108,28 @@ class Publishing:
     async def _write_all(self, channel: _Channel) -> None:
         try:
             while channel.waiting and channel.target is not None:
-                await self._write(channel, channel.target, channel.waiting.popleft())
+                payload, received = channel.waiting.popleft()
+                await self._write(channel, channel.target, payload, received)
         finally:
             channel.busy = False
 
-    async def _write(self, channel: _Channel, target: Target, payload: bytes) -> None:
+    async def _write(
+        self, channel: _Channel, target: Target, payload: bytes, received: float
+    ) -> None:
+        window = (self._valid_for or target.valid_for) if target.deadman else None
         try:
             body, encoding = await body_of(
                 self._requests, channel.facts.encoding, payload, target.native
             )
-            request = Request(
-                type="write",
-                path=target.path,
-                body=body,
-                encoding=encoding,
-                valid_for=self._valid_for if target.deadman else None,
-            )
             await self._leases.keep(target.path)
+            if window is not None:
+                window -= self._now() - received
+                if window <= 0:
+                    channel.skipped += 1
+                    return
+            request = Request(
+                type="write", path=target.path, body=body, encoding=encoding, valid_for=window
+            )
             reply = await self._requests.request(request)
             if reply.error is not None and reply.error["code"] == "lease_required":
                 refusal = await self._leases.acquire(target.path)
@@ -131,6 +138,9 @@ class Publishing:
             self._statuses.show(channel.status, f"{channel.facts.topic}: {refusal_text(error)}")
             return
         self._show(channel, reply)
+
+    def _now(self) -> float:
+        return self._requests.client_api.loop.time()
 
     def _show(self, channel: _Channel, reply: Reply) -> None:
         topic, skipped = channel.facts.topic, channel.skipped

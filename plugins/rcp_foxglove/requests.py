@@ -11,7 +11,7 @@ import structlog
 
 from rcp_kernel.api import LONG_MESSAGE, Connection, check_structure
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.errors import BadRequest, InvalidValue, RcpError
+from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
 from rcp_kernel.model import NativeType
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, Request
@@ -84,6 +84,12 @@ async def body_of(
     if native is None or native.decode is None or encoding != native.encoding:
         known = "" if native is None or native.decode is None else f" or {native.encoding}"
         raise BadRequest(f"the encoding {encoding[:40]!r} is not known", remedy=f"Use json{known}.")
+    most = requests.client_api.limits.values  # each has a byte at least, and it is one step
+    if len(payload) > most:
+        raise PayloadTooLarge(
+            f"a command of {len(payload)} bytes in {encoding} is too long: the limit is {most}",
+            remedy="Send it as json, or raise `limits.values` of the gateway.",
+        )
     try:
         value = native.decode(payload)
     except Exception as error:

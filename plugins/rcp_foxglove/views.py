@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from itertools import chain, count
-from typing import Any
 from weakref import WeakKeyDictionary
 
 from rcp_foxglove.config import FoxgloveConfig
@@ -21,10 +20,10 @@ from rcp_kernel.api import Query, Rights, Session, SharedWork
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import NativeType, Pattern, tenant_of
 
-__all__ = ["View", "Views"]
+__all__ = ["ESTOP", "View", "Views"]
 
 _PAGE = 10  # resources read per step
-_ESTOP = "/system/estop"
+ESTOP = "/system/estop"
 _MARKS = {"number": "float64"}
 
 
@@ -81,36 +80,45 @@ class Views:
         view = View(*self._key(session))
         names = _Names(session.tenant, ros=self._config.ros_names)
         query: Query | None = Query(limit=_PAGE)
+        actuators: list[Facts] = []  # last: a topic with a sensor too is the sensor's
         while query is not None:
             page = yield from self._client_api.discover(session, "/**", query)
             for one in page["resources"]:
-                if self._shows(one["path"]):
-                    natives = self._client_api.native_types(session, one["path"])
-                    self._add(view, names, one, natives)
-                    yield
+                if not self._shows(one["path"]):
+                    continue
+                if one["kind"] == "actuator":
+                    actuators.append(one)
+                    continue
+                natives = self._client_api.native_types(session, one["path"])
+                self._add(view, names, one, natives)
+                yield
             cursor = page.get("cursor")
             query = None if cursor is None else Query(limit=_PAGE, cursor=cursor)
+            yield
+        for one in actuators:
+            natives = self._client_api.native_types(session, one["path"])
+            self._add(view, names, one, natives)
             yield
         self._views.setdefault(view.key[1], {})[view.key[2]] = view
         return view
 
     def _shows(self, path: str) -> bool:
         if path.startswith("/system/"):
-            return path == _ESTOP
+            return path == ESTOP
         tenant = tenant_of(path)
         return any(
             text == "/**" or Pattern(text, tenant).matches(path) for text in self._config.show
         )
 
     def _add(
-        self, view: View, names: _Names, one: Facts, natives: dict[str, NativeType] | Any
+        self, view: View, names: _Names, one: Facts, natives: Mapping[str, NativeType]
     ) -> None:
         kind, operations = one["kind"], one["operations"]
         if "execute" in operations:
             self._add_service(view, names, one, natives)
         elif kind == "param":
             self._add_parameter(view, names, one)
-        elif one["path"] != _ESTOP:
+        elif one["path"] != ESTOP:
             topic, native = names.topic(one, natives.get("value"))
             if "subscribe" in operations:
                 shown = native if kind in ("sensor", "event") else None
@@ -118,13 +126,14 @@ class Views:
                 view.channels[channel.id] = channel
                 view.publishers[topic] = one["backend"]
             if "write" in operations:
-                target = Target(
-                    topic, one["path"], one["backend"], natives.get("value"), "safe" in one
-                )
-                for name in {topic, names.own(one["path"]), one["path"]}:
+                target = _target(one, topic, natives.get("value"))
+                ros = one.get("meta", {}).get("topic")
+                for name in {ros, topic, names.own(one["path"]), one["path"]} - {None}:
                     view.targets.setdefault(name, target)
 
-    def _add_service(self, view: View, names: _Names, one: Facts, natives: Any) -> None:
+    def _add_service(
+        self, view: View, names: _Names, one: Facts, natives: Mapping[str, NativeType]
+    ) -> None:
         name = names.unique(one.get("meta", {}).get("service"), one["path"])
         service = service_of(one, name, natives, self._number)
         view.services[service.id] = service
@@ -146,6 +155,17 @@ class Views:
             mark = "float64_array"
         writable = "write" in one["operations"]
         view.parameters[name] = ParameterOffer(name, one["path"], mark, writable)
+
+
+def _target(one: Facts, topic: str, native: NativeType | None) -> Target:
+    return Target(
+        topic=topic,
+        path=one["path"],
+        backend=one["backend"],
+        native=native,
+        deadman="safe" in one,
+        valid_for=one.get("valid_for"),
+    )
 
 
 class _Names:
