@@ -79,8 +79,8 @@ async def bare(size: int, clients: int) -> None:
     server = await ws_create_server(lambda _: Bare(), "127.0.0.1", 0)
     print(server.sockets[0].getsockname()[1], flush=True)
     length = size + 13
-    short = b"\x82\x7e" + length.to_bytes(2, "big")
-    head = short if length < 65_536 else b"\x82\x7f" + length.to_bytes(8, "big")
+    wide = length >= 65_536
+    head = (b"\x82\x7f" if wide else b"\x82\x7e") + length.to_bytes(8 if wide else 2, "big")
     body = b"\x01" + bytes(12) + os.urandom(size)
     rate, burst = pace(size, clients)
 

@@ -30,8 +30,8 @@ _MARKS = {"number": "float64"}
 class View:
     """One generation of the tree as one set of rights shows it in one tenant."""
 
-    def __init__(self, generation: int, rights: Rights, tenant: str | None) -> None:
-        self.key = (generation, rights, tenant)
+    def __init__(self, generation: int) -> None:
+        self.generation = generation
         self.channels: dict[int, Channel] = {}
         self.services: dict[int, Service] = {}
         self.targets: dict[str, Target] = {}
@@ -56,18 +56,21 @@ class Views:
 
     def is_current(self, session: Session, view: View) -> bool:
         """Return whether a session still has a view."""
-        return view.key == self._key(session)
+        return self._current(session) is view
 
-    def _key(self, session: Session) -> tuple[int, Rights, str | None]:
-        return self._client_api.generation(session), session.rights, session.tenant
+    def _current(self, session: Session) -> View | None:
+        known = self._views.get(session.rights, {}).get(session.tenant)
+        if known is None or known.generation != self._client_api.generation(session):
+            return None
+        return known
 
     async def view(self, session: Session) -> View:
         """Return the present view of a session."""
-        key = self._key(session)
-        known = self._views.get(session.rights, {}).get(session.tenant)
-        if known is not None and known.key == key:
+        known = self._current(session)
+        if known is not None:
             return known
         turns, owner = self._client_api.turns, session.principal.identity
+        key = (self._client_api.generation(session), session.rights, session.tenant)
         return await self._reading.result(key, lambda: turns.finish(owner, self._read(session)))
 
     def _number(self, facts: tuple[str, ...]) -> int:
@@ -77,8 +80,9 @@ class Views:
         return number
 
     def _read(self, session: Session) -> Generator[None, None, View]:
-        view = View(*self._key(session))
-        names = _Names(session.tenant, ros=self._config.ros_names)
+        rights, tenant = session.rights, session.tenant
+        view = View(self._client_api.generation(session))
+        names = _Names(tenant, ros=self._config.ros_names)
         query: Query | None = Query(limit=_PAGE)
         actuators: list[Facts] = []  # last: a topic with a sensor too is the sensor's
         while query is not None:
@@ -99,7 +103,7 @@ class Views:
             natives = self._client_api.native_types(session, one["path"])
             self._add(view, names, one, natives)
             yield
-        self._views.setdefault(view.key[1], {})[view.key[2]] = view
+        self._views.setdefault(rights, {})[tenant] = view
         return view
 
     def _shows(self, path: str) -> bool:
