@@ -13,6 +13,7 @@ from typing import Any
 from rcp_kernel.model import NativeType
 from rcp_ros2.cdr import Codec
 from rcp_ros2.comments import text_of
+from rcp_ros2.definitions import BadText, parse
 from rcp_ros2.idl import Primitive, Ref, Sequence, Text, Type, fields_of, full_name
 from rcp_ros2.writer import writer
 
@@ -61,7 +62,19 @@ def _class_of(type_: Type) -> Any:
 
 def _text(cls: Any) -> str:
     known = text_of(cls).strip("\0 \n")  # some compiled texts end with a NUL
-    return known or "\n".join(f"{_spelled(f.type)} {f.name}" for f in fields_of(cls))
+    if known and _is_whole(cls, known):
+        return known
+    return "\n".join(f"{_spelled(f.type)} {f.name}" for f in fields_of(cls))
+
+
+def _is_whole(cls: Any, text: str) -> bool:
+    """Return whether a text has all fields: rosidl cuts those with characters that are not ASCII."""
+    name = full_name(cls)
+    try:
+        parts = parse(name, text)[name]
+    except BadText:
+        return False
+    return [part.name for part in parts] == [field.name for field in fields_of(cls)]
 
 
 def _spelled(type_: Type) -> str:
