@@ -12,6 +12,7 @@ from rcp_kernel.wire import Reply, Request
 __all__ = ["Leases"]
 
 _LEASES = "/system/leases"
+_EARLY = 0.95  # of its duration, before which a lease does not expire by itself
 _REASON = "publishes through the Foxglove protocol"
 
 
@@ -28,6 +29,16 @@ class Leases:
         self._requests = requests
         self._duration = duration
         self._held: dict[str, _Held] = {}
+        self._taken: set[str] = set()
+        """Paths whose lease somebody took: only the client itself may ask for it again."""
+
+    def begin(self, path: str) -> None:
+        """Allow a lease for a path on which the client begins to publish."""
+        self._taken.discard(path)
+
+    def may_acquire(self, path: str) -> bool:
+        """Return whether a lease may be acquired for a path."""
+        return path not in self._taken
 
     async def keep(self, path: str) -> None:
         """Renew the lease of a path in time, or acquire it again after a pause."""
@@ -44,10 +55,12 @@ class Leases:
         self._held[path] = _Held(_plain(reply.body)["lease"], self._now())
         return None
 
-    def lost(self, lease: str, by: str | None) -> None:
-        """Give up a lease that somebody else has taken: only the client itself may ask for it again."""
-        if by is not None:
-            self._held = {path: held for path, held in self._held.items() if held.lease != lease}
+    def lost(self, lease: str) -> None:
+        """Give up a lease that was lost before it expired: somebody took it, or stopped the robot."""
+        for path, held in list(self._held.items()):
+            if held.lease == lease and self._now() - held.since < _EARLY * self._duration:
+                del self._held[path]
+                self._taken.add(path)
 
     def _now(self) -> float:
         return self._requests.client_api.loop.time()

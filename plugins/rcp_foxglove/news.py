@@ -40,7 +40,7 @@ class News:
         if code in ("subscription_ended", "overrun"):
             self._subscriptions.lost(id_, text)
         elif code == "lease_lost":
-            self._leases.lost(facts.get("lease", ""), facts.get("by"))
+            self._leases.lost(facts.get("lease", ""))
             why = facts.get("reason") or "it was taken over"
             by = f" by {facts['by']}" if facts.get("by") else ""
             self._statuses.tell(f"Control of {facts.get('scope')} was lost{by}: {why}.", WARNING)

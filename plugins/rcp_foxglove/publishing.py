@@ -61,6 +61,8 @@ class Publishing:
             return
         channel = self._channels[facts.id] = _Channel(facts, None)
         self._place(channel, view)
+        if channel.target is not None:
+            self._leases.begin(channel.target.path)
 
     def renew(self, view: View) -> None:
         """Apply another view of the tree."""
@@ -131,7 +133,7 @@ class Publishing:
                 type="write", path=target.path, body=body, encoding=encoding, valid_for=window
             )
             reply = await self._requests.request(request)
-            if reply.error is not None and reply.error["code"] == "lease_required":
+            if _lacks_lease(reply) and self._leases.may_acquire(target.path):
                 refusal = await self._leases.acquire(target.path)
                 reply = refusal or await self._requests.request(request)
         except RcpError as error:
@@ -152,6 +154,10 @@ class Publishing:
             self._statuses.show(channel.status, text, WARNING)
         elif not channel.waiting:
             self._statuses.remove(channel.status)
+
+
+def _lacks_lease(reply: Reply) -> bool:
+    return reply.error is not None and reply.error["code"] in ("lease_required", "lease_lost")
 
 
 def _target(facts: ClientChannel, view: View) -> Target:

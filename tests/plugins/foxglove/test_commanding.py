@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from configuration import table
+from configuration import key, role, rule, table
 from plugins.foxglove.rig import ADMIN, OPERATOR, WATCHER, Site, site
 from plugins.foxglove.viewer import BOUND, Viewer, viewing
 from rcp_kernel.model import Resource
@@ -149,6 +149,45 @@ async def test_a_lease_is_acquired_where_one_is_required_and_released_at_the_end
             return Twist(LinearVelocity(0.1)) in [value for _, value in made.robot.writes]
 
         await eventually(taken, "the second viewer drives")
+
+
+async def test_a_lease_that_a_person_takes_is_not_taken_back() -> None:
+    take = {"do": "acquire", "scope": "/tenant/alpha/actuator", "take": True, "reason": "mine"}
+    text = LEASED + role(
+        "boss", rule("discover read write execute", "/**", "/system/leases"), priority=90
+    )
+    boss = "boss-of-these-tests"
+    async with (
+        site(more=text + key("boss", boss)) as made,
+        viewing(made.url, OPERATOR) as viewer,
+    ):
+        await advertised(viewer)
+        await viewer.publish(3, AHEAD)
+        await written(made)
+        person = made.served.client(boss)
+        held = await person.request("execute", "/system/leases", body=take)
+        assert held["status"] == "completed", held
+        assert "boss" in (await viewer.op("status", level=1))["message"]
+        before = len(made.robot.writes)
+        for _ in range(3):
+            await viewer.publish(3, {"linear": {"x": 0.9}})
+        await viewer.until(lambda: "publish:/cmd_vel" in viewer.statuses)
+        release = {"do": "release", "lease": held["body"]["lease"]}
+        done = await person.request("execute", "/system/leases", body=release)
+        assert done["status"] == "completed"
+        await viewer.publish(3, {"linear": {"x": 0.9}})
+        await viewer.send("getParameters", parameterNames=["/param/limit"], id="after")
+        await viewer.op("parameterValues", id="after")
+        driven = [value for _, value in made.robot.writes[before:]]
+        assert Twist(LinearVelocity(0.9)) not in driven
+        await viewer.send("unadvertise", channelIds=[3])
+        await advertised(viewer)
+
+        async def driving() -> bool:
+            await viewer.publish(3, {"linear": {"x": 0.9}})
+            return Twist(LinearVelocity(0.9)) in [value for _, value in made.robot.writes]
+
+        await eventually(driving, "the viewer drives again")
 
 
 async def test_two_tabs_that_drive_are_the_two_commanders_of_any_protocol(gateway: Site) -> None:
