@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 
 from rcp_foxglove.frames import message_head
+from rcp_foxglove.plain_fields import with_fields
 from rcp_kernel.api import Rendering, Sample
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.values import Encoding
@@ -45,7 +46,7 @@ def as_well_known(convert: Callable[[Any, int], dict[str, Any]]) -> Tail:
     """Return what writes values as a well-known type; `convert` gets a value and its time in ns."""
 
     def tail(sample: Sample) -> bytes:
-        value = sample.value
+        value = with_fields(sample.value)
         try:
             data = msgspec.json.encode(convert(value, sample.timestamp))
         except (AttributeError, TypeError, ValueError, RcpError) as error:  # a part is missing

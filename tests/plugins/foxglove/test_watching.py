@@ -7,7 +7,9 @@ import base64
 import json
 import struct
 import time
+from typing import Any, ClassVar
 
+import msgspec
 import pytest
 from websockets.exceptions import InvalidStatus
 
@@ -15,6 +17,7 @@ from plugins.foxglove.rig import ADMIN, OPERATOR, WATCHER, Picture, Serialised, 
 from plugins.foxglove.viewer import Viewer, viewing
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Point, PoseStamped, quantity
+from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio
 
@@ -83,6 +86,27 @@ async def test_a_pose_comes_as_the_type_that_panels_draw(gateway: Site, viewer: 
     assert value["timestamp"] == {"sec": 1780063924, "nsec": 500_000_000}
     assert value["frame_id"] == "map"
     assert value["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+
+
+class Passed(msgspec.Struct):
+    """A value as a hub passes it on."""
+
+    data: bytes
+    seq: int
+    timestamp: int
+    encoding: ClassVar[Encoding] = Encoding.MSGPACK
+
+    def decode(self) -> Any:
+        return msgspec.msgpack.decode(self.data)
+
+
+async def test_a_pose_that_passed_a_hub_is_drawn_too(gateway: Site, viewer: Viewer) -> None:
+    await viewer.subscribe("/sensor/pose")
+    data = msgspec.msgpack.encode(PoseStamped(Point(1.0, 2.0)))
+    gateway.robot.host.publish("sensor/pose", Passed(data, 7, 1_780_063_924_000_000_000))
+    value = json.loads((await viewer.message())[1])
+    assert value["timestamp"] == {"sec": 1_780_063_924, "nsec": 0}
+    assert value["pose"]["position"]["y"] == 2.0
 
 
 async def test_an_image_comes_as_the_type_that_panels_draw(gateway: Site, viewer: Viewer) -> None:
