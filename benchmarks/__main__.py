@@ -13,6 +13,7 @@ ALL = (
     "sse_fanout",
     "fanout",
     "beside_foxglove",
+    "foxglove_cdr",
     "starvation",
     "scale",
     "startup",

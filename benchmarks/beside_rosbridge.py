@@ -58,12 +58,16 @@ CASES = (
     Case("clouds-json", CLOUD, 10, 1, 1_000_000),
     Case("clouds-binary", CLOUD, 10, 1, 1_000_000, "msgpack", "binary"),
     Case("clouds-profile", CLOUD, 10, 1, 1_000_000, "native", "binary", profile=True),
+    Case("odom-cdr-10", ODOM, 1000, 10, 0, "cdr", "cdr"),
+    Case("odom-cdr-50", ODOM, 1000, 50, 0, "cdr", "cdr"),
+    Case("images-cdr", IMAGE, 30, 10, 0, "cdr", "cdr"),
     Case("service", "", 0, 1, service=True),
 )
 CONFIG = """
 log = {{level = "error"}}
 [transports.asgi]
 port = {port}
+[plugins.foxglove]
 [anonymous]
 role = "operator"
 [[backends]]
@@ -125,7 +129,7 @@ def run(case: Case, server: str) -> dict[str, float]:
         if server == "floor":
             follow = ["--service", "/reset"] if case.service else [case.type, "/value", case.floor]
             served = start(SERVER, sys.executable, str(HERE / "floor.py"), str(port), *follow)
-            encoding = "msgpack" if case.floor == "binary" else "json"
+            encoding = "msgpack" if case.floor == "binary" else case.floor
             asked += ["bare", f"ws://127.0.0.1:{port}", "--encoding", encoding]
         else:
             path = stack.enter_context(tempfile.NamedTemporaryFile("w", suffix=".toml"))
@@ -133,8 +137,12 @@ def run(case: Case, server: str) -> dict[str, float]:
             path.write(CONFIG.format(port=port, more=typed))
             path.flush()
             served = start(SERVER, "rcpd", "serve", path.name)
-            asked += ["rcp", f"ws://127.0.0.1:{port}/rcp/v1/ws", "--encoding", case.encoding]
-            asked += ["--topic", "/tenant/t/sensor/value"]
+            if case.encoding == "cdr":
+                asked += ["foxglove", f"ws://127.0.0.1:{port}/foxglove/t", "--topic", "/value"]
+            else:
+                asked += ["rcp", f"ws://127.0.0.1:{port}/rcp/v1/ws"]
+                asked += ["--topic", "/tenant/t/sensor/value"]
+            asked += ["--encoding", case.encoding]
         open_port(port)
         if case.service:
             name = "/reset" if server == "floor" else "/tenant/t/service/reset"

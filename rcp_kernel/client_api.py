@@ -8,7 +8,15 @@ HTTP. It only translates; all decisions are the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Generator, Iterable, Iterator, MutableMapping
+from collections.abc import (
+    Awaitable,
+    Callable,
+    Generator,
+    Iterable,
+    Iterator,
+    Mapping,
+    MutableMapping,
+)
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
@@ -33,7 +41,7 @@ from rcp_kernel.errors import (
     Unauthenticated,
 )
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
-from rcp_kernel.model import Pattern
+from rcp_kernel.model import NativeType, Pattern
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
 from rcp_kernel.requests.replies import ReplyGate
@@ -74,6 +82,11 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     kind: Literal["http", "websocket"] = "http"
     app: Asgi
     """A plain ASGI application; `scope["path"]` is the whole path."""
+    port: int | None = None
+    """A port of its own, which serves nothing else; None: that of the listener. It must be mounted
+    before the listener opens."""
+    url_secrets: frozenset[str] = frozenset()
+    """Parameters of the URL that may contain a secret, which is refused otherwise."""
     openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
     """Returns `paths` and `components` of the OpenAPI document for what a session sees of this
     mount;
@@ -212,11 +225,13 @@ class ClientApi:
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
 
-        :raises PluginError: another plugin serves the same prefix.
+        :raises PluginError: another plugin serves the same prefix, or has the same port.
         """
         for other in self.mounts:
             if _place(other) == _place(mount):
                 raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
+            if mount.port and mount.port == other.port and mount.name != other.name:
+                raise PluginError(f"'{mount.name}' and '{other.name}' both use port {mount.port}")
         self.mounts.append(mount)
 
     def unmount(self, mount: Mount) -> None:
@@ -431,6 +446,13 @@ class ClientApi:
         session.charge()
         return self._parts.discovery.schemas(session.rights)
 
+    def native_types(self, session: Session, path: str) -> Mapping[str, NativeType]:
+        """Return the serialised types of a resource by part (`value`, `input`, `output`).
+
+        Empty for a resource that has none, or that the session may not see.
+        """
+        return self._parts.discovery.native_types(session.rights, path)
+
     def rights(self, principal: Principal) -> Rights:
         """Return the compiled rights of a principal."""
         return self._parts.rules.rights(principal)
@@ -466,5 +488,5 @@ class ClientApi:
         return self._parts.status.exposition(session.rights)
 
 
-def _place(mount: Mount) -> tuple[str, str, str]:
-    return mount.kind, mount.prefix, mount.suffix
+def _place(mount: Mount) -> tuple[str, str, str, int | None]:
+    return mount.kind, mount.prefix, mount.suffix, mount.port

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from rcp_ros2.idl import full_name
 
-__all__ = ["Comments", "comments_of", "first_sentence", "remember"]
+__all__ = ["Comments", "comments_of", "first_sentence", "remember", "text_of"]
 
 _LONGEST = 400  # characters of one comment
 _PARTS = {"Request": 0, "Response": 1, "Goal": 0, "Result": 1, "Feedback": 2}
@@ -65,11 +65,16 @@ def remember(name: str, text: str) -> None:
 @lru_cache(maxsize=4096)
 def comments_of(cls: Any) -> Comments:
     """Return the comments on a message class, or on a part of a service or action."""
+    return parsed(text_of(cls))
+
+
+def text_of(cls: Any) -> str:
+    """Return the text of a message class, or of a part of a service or action; empty if unknown."""
     parent, _, part = full_name(cls).rpartition("_")
     if part in _PARTS and parent.split("/")[1] != "msg":
         texts = re.split(r"^---.*$", _text(parent), flags=re.MULTILINE)
-        return parsed(texts[_PARTS[part]]) if len(texts) > _PARTS[part] else Comments()
-    return parsed(_text(full_name(cls)))
+        return texts[_PARTS[part]] if len(texts) > _PARTS[part] else ""
+    return _text(full_name(cls))
 
 
 def _text(name: str) -> str:

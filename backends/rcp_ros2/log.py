@@ -16,6 +16,7 @@ from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Mapping, Qos
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
+from rcp_ros2.native import native_type
 from rcp_ros2.topics import Tap
 
 __all__ = ["Log"]
@@ -92,7 +93,13 @@ class Records(Binding):
             topic=_TOPIC,
             type="rcl_interfaces/msg/Log",
         )
-        resource = Resource(value=LogRecord, live=True, native="rcl_interfaces/msg/Log", **facts)
+        resource = Resource(
+            value=LogRecord,
+            live=True,
+            native="rcl_interfaces/msg/Log",
+            native_types={"value": native_type(cls)},
+            **facts,
+        )
         super().__init__(shared, resource, mapping)
         tap = Tap(_NAME, self._codec, taker=self._on_record)
         shared.subscriptions.tap(_TOPIC, cls, Qos(depth=_DEPTH), tap)

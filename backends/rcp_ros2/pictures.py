@@ -17,6 +17,7 @@ from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
 from rcp_ros2.jpeg import compress, is_here, wrapped
+from rcp_ros2.native import native_type
 from rcp_ros2.sensors import Observed
 from rcp_ros2.topics import Tap
 
@@ -67,6 +68,7 @@ class Picture(Binding):
             name=of.name + _LEAF,
             value=self._codec.type,
             native=_COMPRESSED,
+            native_types={"value": native_type(load(_COMPRESSED))},
             description=f"JPEG of {of.name}, at most {self._rate:g} per second.",
             timeout=of.timeout,
             deadline=of.deadline,

@@ -19,6 +19,7 @@ from rcp_ros2.config import Mapping
 from rcp_ros2.definitions import is_made
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
+from rcp_ros2.native import native_type
 from rcp_ros2.outlet import Hearing, Outlet
 from rcp_ros2.rest import Rest
 from rcp_ros2.ros import Ticket
@@ -76,7 +77,11 @@ class Observed(Binding):
         facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
         live = name.startswith("event/")
         resource = Resource(
-            value=framed(codec.type, mapping.frame), native=type_name, live=live, **facts
+            value=framed(codec.type, mapping.frame),
+            native=type_name,
+            native_types={"value": native_type(message)},
+            live=live,
+            **facts,
         )
         return cls(shared, resource, mapping, message, codec)
 
@@ -188,6 +193,7 @@ class Commanded(Binding):
             valid_for=valid_for or None,
             safe=self._safe,
             native=type_name,
+            native_types={"value": native_type(cls)},
             examples=example_of(self._type),
             **common(
                 name,

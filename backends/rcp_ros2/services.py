@@ -16,6 +16,7 @@ from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
+from rcp_ros2.native import native_type
 from rcp_ros2.types import example_of, inward
 
 __all__ = ["Called", "reader"]
@@ -75,6 +76,10 @@ class Called(Binding):
         resource = Resource(
             input=self._input,
             output=None if empty else Codec(response, unit=mapping.unit).type,
+            native_types={
+                "input": native_type(request),
+                "output": native_type(response, written=True),
+            },
             examples=example_of(self._input) if self._input else (),
             **facts,
         )

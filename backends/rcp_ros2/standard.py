@@ -6,13 +6,14 @@ from typing import Any
 
 from msgspec import structs
 
-from rcp_kernel.model import Resource
+from rcp_kernel.model import NativeType, Resource
 from rcp_kernel.types import Twist
 from rcp_profiles import STANDARD, bounded, twist_limits
 from rcp_ros2.binding import Shared
 from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
+from rcp_ros2.native import native_type
 from rcp_ros2.parameters import Described, Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Form, Observed
 from rcp_ros2.shapes import SHAPES, Shaped, joints_of
@@ -49,7 +50,15 @@ def observed(
     """Create a sensor of a profile; of joint states, only those of some `joints`."""
     codec = Shaped(cls, joints_of(joints) if joints else SHAPES[standard])
     own = Observed.of(shared, name, mapping, cls).resource
-    resource = defined(name, standard, mapping, value=codec.type, native=own.native, meta=own.meta)
+    resource = defined(
+        name,
+        standard,
+        mapping,
+        value=codec.type,
+        native=own.native,
+        native_types=own.native_types,
+        meta=own.meta,
+    )
     if SHAPES[standard].whole:  # the profile's examples lack the message's own fields
         resource = structs.replace(resource, examples=())
     made = Observed(shared, structs.replace(resource, timeout=own.timeout), mapping, cls, codec)
@@ -79,11 +88,20 @@ class Driven(Commanded):
             valid_for=own.valid_for,
             safe=own.safe,
             native=own.native,
+            native_types={"value": _native_twist(cls)},
             meta=own.meta,
             examples=examples,
         )
         self.resource = structs.replace(resource, moves=own.moves, energises=own.energises)
         self.standard = standard
+
+
+def _native_twist(cls: Any) -> NativeType:
+    native = native_type(cls)
+    decode = native.decode
+    if full_name(cls) == "geometry_msgs/msg/Twist" or decode is None:
+        return native
+    return structs.replace(native, decode=lambda data: decode(data).twist)
 
 
 def _form(cls: Any, type_: Any) -> Form:

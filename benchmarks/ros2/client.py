@@ -3,6 +3,7 @@
 python client.py rcp       ws://127.0.0.1:8080/rcp/v1/ws  --topic /sensor/odom [--encoding json|msgpack|native]
 python client.py rosbridge ws://127.0.0.1:9090            --topic /odom [--type nav_msgs/msg/Odometry]
                                                           [--encoding json|cbor-raw]
+python client.py foxglove  ws://127.0.0.1:8765            --topic /odom --encoding cdr
 python client.py bare      ws://127.0.0.1:9999            (floor.py)
 
 With `--service PATH` it calls a service of std_srvs/Trigger over and over instead. Prints a line when it
@@ -55,6 +56,9 @@ def stamp_of(data: bytes, encoding: str) -> int:
         message = cbor2.loads(data)["msg"]["bytes"]
         second, nano = struct.unpack_from("<iI", message, 4)
         return second * 10**9 + nano
+    if encoding == "cdr":
+        second, nano = struct.unpack_from("<iI", data, 13 + 4)
+        return second * 10**9 + nano
     message = msgspec.msgpack.decode(data)
     if encoding == "native":
         second, nano = struct.unpack_from("<iI", message["body"], 4)
@@ -91,6 +95,8 @@ class Subscriber(WSListener):
         if not State.counting:
             if ARGS.protocol == "rcp" and frame.payload_size < SHORT:
                 self.look(transport, frame.get_payload_as_bytes())
+            if ARGS.protocol == "foxglove" and frame.msg_type == WSMsgType.TEXT:
+                self.advertised(transport, json.loads(frame.get_payload_as_bytes()))
             return
         if frame.payload_size < 100:
             return
@@ -102,6 +108,13 @@ class Subscriber(WSListener):
         if State.frames % 7 == 0:
             now = time.time_ns()
             State.ages.append(now - stamp_of(frame.get_payload_as_bytes(), ARGS.encoding))
+
+    def advertised(self, transport, message: dict) -> None:
+        for one in message.get("channels", ()):
+            if one["topic"] == ARGS.topic:
+                wish = [{"id": 1, "channelId": one["id"]}]
+                ask = {"op": "subscribe", "subscriptions": wish}
+                transport.send(WSMsgType.TEXT, json.dumps(ask).encode())
 
     def look(self, transport, data: bytes) -> None:
         """Ask again where that may help: the robot may come up later than the gateway."""
@@ -147,6 +160,8 @@ async def main() -> None:
     headers = {}
     if ARGS.protocol == "rcp":
         headers["Sec-WebSocket-Protocol"] = SUBPROTOCOL[ARGS.encoding]
+    if ARGS.protocol == "foxglove":
+        headers["Sec-WebSocket-Protocol"] = "foxglove.sdk.v1"
     listener = Caller if ARGS.service else Subscriber
     for _ in range(ARGS.clients):
         await ws_connect(listener, ARGS.url, extra_headers=headers, max_frame_size=1 << 26)
@@ -173,12 +188,14 @@ async def main() -> None:
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("protocol", choices=["rcp", "rosbridge", "bare"])
+parser.add_argument("protocol", choices=["rcp", "rosbridge", "foxglove", "bare"])
 parser.add_argument("url")
 parser.add_argument("--topic")
 parser.add_argument("--type")
 parser.add_argument("--service")
-parser.add_argument("--encoding", default="json", choices=["json", "msgpack", "native", "cbor-raw"])
+parser.add_argument(
+    "--encoding", default="json", choices=["json", "msgpack", "native", "cbor-raw", "cdr"]
+)
 parser.add_argument("--clients", type=int, default=1)
 parser.add_argument("--depth", type=int, default=16)
 parser.add_argument("--seconds", type=float, default=4.0)

@@ -3,7 +3,7 @@
 Serialised subscription (events executor) -> compiled decoder -> msgspec -> encoded once -> one
 send for each client. Whoever connects gets every message of the one topic.
 
-python floor.py PORT nav_msgs/msg/Odometry /odom [json|binary]     or     python floor.py PORT --service /reset
+python floor.py PORT nav_msgs/msg/Odometry /odom [json|binary|cdr]     or     python floor.py PORT --service /reset
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from rcp_ros2.cdr import Codec
 from rcp_ros2.idl import load
 
 CLIENTS: set = set()
+_FRAME = b"\x01" + bytes(12)
 
 
 class Client(WSListener):
@@ -66,7 +67,11 @@ def follow(node, loop, type_: str, topic: str, encoding: str) -> None:
         nonlocal woken
         woken = False
         while queue:
-            body = encode({"op": "publish", "msg": codec.decode(queue.popleft())})
+            data = queue.popleft()
+            if encoding == "cdr":  # as the Foxglove protocol frames it
+                body = _FRAME + data
+            else:
+                body = encode({"op": "publish", "msg": codec.decode(data)})
             for client in CLIENTS:
                 client.send(kind, body)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from typing import Annotated, Any
 
 import msgspec
@@ -13,7 +13,7 @@ from rcp_kernel.access.sights import Sights
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.features.feature import Describe
 from rcp_kernel.features.frames import FrameConverter
-from rcp_kernel.model import Kind, Operation, Pattern, operation_names
+from rcp_kernel.model import Kind, NativeType, Operation, Pattern, operation_names
 from rcp_kernel.requests.discovery_page import Description, DiscoveryPage
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of
 from rcp_kernel.tree.entry import Entry
@@ -167,6 +167,13 @@ class Discovery:
     def _described(self, entry: Entry, *, schemas: bool) -> dict[str, Any]:
         facts = self._description(entry).facts
         return dict(facts) if schemas else {k: v for k, v in facts.items() if k not in _SCHEMAS}
+
+    def native_types(self, rights: Rights, path: str) -> Mapping[str, NativeType]:
+        """Return the serialised types of a resource, by the part that has it; empty if hidden."""
+        entry = self._registry.entries.get(path)
+        if entry is None or not entry.operations & reach(rights.mask(path)):
+            return {}
+        return entry.resource.native_types
 
     def schemas(self, rights: Rights) -> Generator[None, None, dict[str, dict[str, Any]]]:
         """Collect in steps every schema of the visible resources, by id."""

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple, Protocol
 
 from rcp_conditions.filters import Change
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.streams.path_subscription import PathSubscription, Subscriber
 from rcp_kernel.streams.shared_update import SharedUpdate
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.samples import Sample, masked, project
+from rcp_kernel.tree.samples import Rendering, Sample, masked, project
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, encode_body, encode_frame
 
@@ -266,7 +266,7 @@ class ViewSubscription(PathSubscription):
         try:
             value = yield from steps
             cut = isinstance(value, Body) and value.cut
-            if self.fields is not None:
+            if isinstance(self.fields, tuple):
                 value = project(value.value if isinstance(value, Body) else value, self.fields)
             return _Made(sees, encode_body(value, encoding), cut)
         except Exception as error:  # a fault in the view drops this update and is logged
@@ -315,6 +315,9 @@ class ViewSubscription(PathSubscription):
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, *_ = self._heads or self._make_heads()
+        if type(self.fields) is Rendering:
+            text = f"{self.entry.path} is different for each reader: it has no form of an adapter"
+            raise UnsupportedOperation(text, path=self.entry.path)
         made = self._made
         assert made is not None
         facts: dict[str, Any] = {

@@ -16,5 +16,8 @@ def notice(outbox: Outbox | None, code: str, **facts: Any) -> None:
     if outbox is None:
         return
     kept = {key: value for key, value in facts.items() if value is not None}
+    if outbox.translator is not None:
+        outbox.translator.notice(code, kept)
+        return
     fields = {"type": "notice", "code": code, **kept, "timestamp": iso(now())}
     outbox.put(encode_frame(fields, b"", outbox.encoding))

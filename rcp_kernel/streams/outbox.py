@@ -17,10 +17,10 @@ from typing import Any, Protocol
 import structlog
 
 from rcp_kernel.streams.outbound import SHARE, Backlog
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
 
-__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Wrap"]
+__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Translator", "Wrap"]
 
 log = structlog.get_logger("rcp.streams")
 BUDGET = 262_144  # bytes that an outbox sends at once
@@ -67,6 +67,18 @@ class PendingPath(Protocol):
 
     def shed(self, known: Container[str], reason: str) -> None:
         """Conflate, or end a reliable subscription whose id is `known`, for a reason."""
+        ...
+
+
+class Translator(Protocol):
+    """An adapter's words for what a client is told besides its updates."""
+
+    def notice(self, code: str, facts: dict[str, Any]) -> None:
+        """Handle a notice, with the fields that it has on the wire."""
+        ...
+
+    def skipped(self, subscription: str, path: str, count: int) -> None:
+        """Take note of samples skipped before the next update: the client was too slow for them."""
         ...
 
 
@@ -153,8 +165,10 @@ class Outbox:
         "paused",
         "pending",
         "prioritised",
+        "renderings",
         "takes_long",
         "text",
+        "translator",
         "updates",
         "waiting",
     )
@@ -202,6 +216,10 @@ class Outbox:
         """Number of subscriptions being checked for paths that the client may no longer see: no
         update is collected meanwhile. Changed by `hold` and `release`."""
         self.prioritised = False
+        self.renderings: dict[str, Rendering] = {}
+        """How updates are written, by the id of their subscription, see `render`."""
+        self.translator: Translator | None = None
+        """Has another protocol's words for what is not an update, see `translate`."""
         self.updates = 0
         self.high_water = 0
 
@@ -230,6 +248,13 @@ class Outbox:
         """
         self.framing, self.direct, self.takes_long = framing, direct, False
 
+    def translate(self, translator: Translator) -> None:
+        """Have notices and skipped samples told in another protocol's words.
+
+        What is queued by `put` is then text if it begins with `{`, else binary.
+        """
+        self.translator = translator
+
     def send_messages(self, *, long: bool = False) -> None:
         """Collect whole messages without frames (the default).
 
@@ -237,6 +262,16 @@ class Outbox:
         """
         self.framing = self.direct = None
         self.takes_long = long
+
+    def render(self, subscription: str, rendering: Rendering | None) -> None:
+        """Write the updates of a subscription that is to be made in an adapter's own form.
+
+        Its option `encoding` says whether they are text (`json`) or binary (`cbor`). None forgets it.
+        """
+        if rendering is None:
+            self.renderings.pop(subscription, None)
+        else:
+            self.renderings[subscription] = rendering
 
     def hand(self, buffered: int) -> None:
         """Set the number of bytes that the transport has written and the client has not read."""
@@ -338,7 +373,9 @@ class Outbox:
         elif out and self.framing is not None:
             text = self.text
             frame = self.framing
-            if long:  # the head is a separate part, so that a long body is not copied
+            if self.translator is not None:
+                out = [part for data in out for part in (frame(len(data), data[:1] == b"{"), data)]
+            elif long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]
             else:
                 for place, data in enumerate(out):

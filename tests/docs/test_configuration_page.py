@@ -134,7 +134,8 @@ def test_every_transport_of_the_house_is_told() -> None:
 
 
 def test_every_adapter_of_the_house_is_told() -> None:
-    for name, kind in Plugins(parse("[plugins.a2a]\n[plugins.mcp]\n", "test")).adapters.items():
+    text = "[plugins.a2a]\n[plugins.foxglove]\n[plugins.mcp]\n"
+    for name, kind in Plugins(parse(text, "test")).adapters.items():
         agree(section(PAGE, f"`[plugins.{name}]`"), kind.config)
 
 

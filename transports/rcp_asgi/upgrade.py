@@ -35,7 +35,8 @@ __all__ = ["Upgrade"]
 log = structlog.get_logger("rcp.asgi")
 _QUEUE = 64  # messages that an ASGI application may leave unread before reading pauses
 _GOING_AWAY = 1001
-_BINARY = ("rcp.v1.cbor", "rcp.v1.msgpack")
+_BINARY = ("rcp.v1.cbor", "rcp.v1.msgpack", "foxglove.sdk.v1", "foxglove.websocket.v1")
+"""Subprotocols of data that compression costs more than it saves."""
 
 
 class Upgrade(asyncio.Protocol):

@@ -6,6 +6,7 @@ A path is a plain `str` for speed; the functions here validate it.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from enum import IntFlag, StrEnum
 from functools import lru_cache
 from typing import Any, Literal
@@ -19,6 +20,7 @@ __all__ = [
     "MAX_PATH",
     "MOVING",
     "Kind",
+    "NativeType",
     "Operation",
     "Pattern",
     "Policy",
@@ -190,6 +192,23 @@ def _expression(segment: str) -> str:
     return r"/[^/]+" if segment == "*" else "/" + re.escape(segment)
 
 
+class NativeType(msgspec.Struct, frozen=True, kw_only=True):
+    """A backend's own serialised type, for clients that read and write its bytes themselves."""
+
+    name: str
+    """`nav_msgs/msg/Odometry`."""
+    encoding: str
+    """Of the bytes: `cdr`."""
+    schema_encoding: str
+    """Of `schema`: `ros2msg`."""
+    schema: str
+    """Everything that a decoder needs."""
+    decode: Callable[[bytes], Any] | None = None
+    """Returns the value of a command; any error means that the bytes are no such message."""
+    encode: Callable[[Any], bytes] | None = None
+    """Returns the bytes of a result."""
+
+
 class Resource(msgspec.Struct, frozen=True, kw_only=True):
     """One addressable resource of a robot, as its backend declares it."""
 
@@ -247,6 +266,8 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
     """Samples kept for `history` and for resuming subscriptions."""
     native: str | None = None
     """Name of the backend's own serialized type (`nav_msgs/msg/Odometry`), if it has one."""
+    native_types: dict[str, NativeType] = {}
+    """The serialised types of its `value`, or of its `input` and `output`, by these words."""
     meta: dict[str, Any] = {}
     """Further facts for discovery: the topic, node or register behind the path."""
     profiles: tuple[str, ...] = ()

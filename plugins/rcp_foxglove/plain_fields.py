@@ -1,0 +1,31 @@
+"""The fields of values that passed a hub as those of any other value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["with_fields"]
+
+
+class _Fields:
+    """A map whose entries are read as attributes."""
+
+    __slots__ = ("_entries",)
+
+    def __init__(self, entries: dict[str, Any]) -> None:
+        self._entries = entries
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return with_fields(self._entries[name])
+        except KeyError:
+            raise AttributeError(f"there is no field '{name}'") from None
+
+
+def with_fields(value: Any) -> Any:
+    """Return a value whose fields can be read as attributes, also if it is plain data."""
+    if isinstance(value, dict):
+        return _Fields(value)
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return [with_fields(one) for one in value]
+    return value

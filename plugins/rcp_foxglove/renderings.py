@@ -1,0 +1,75 @@
+"""How samples are written: in a robot's own bytes, as JSON, or as a well-known Foxglove type.
+
+Tails are shared by all subscribers of a channel, and renderings by those with equal numbers.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import msgspec
+
+from rcp_foxglove.frames import message_head
+from rcp_foxglove.plain_fields import with_fields
+from rcp_kernel.api import Rendering, Sample
+from rcp_kernel.errors import Overrun, RcpError
+from rcp_kernel.values import Encoding
+
+__all__ = ["Tail", "as_json", "as_serialised", "as_well_known", "of_parameter", "of_subscription"]
+
+Tail = Callable[[Sample], bytes]
+_JSON = Encoding.JSON
+_time = struct.Struct("<Q").pack
+
+
+def as_json(sample: Sample) -> bytes:
+    """Write a value as JSON."""
+    return _time(sample.received) + sample.encoded(_JSON)
+
+
+def as_serialised(sample: Sample) -> bytes:
+    """Write a value in the robot's own bytes.
+
+    :raises Overrun: it has none.
+    """
+    native = sample.native
+    if native is None:
+        raise Overrun(f"a sample of {sample.entry.path} has no serialised form")
+    return _time(sample.received) + native.data
+
+
+@lru_cache(maxsize=64)
+def as_well_known(convert: Callable[[Any, int], dict[str, Any]]) -> Tail:
+    """Return what writes values as a well-known type; `convert` gets a value and its time in ns."""
+
+    def tail(sample: Sample) -> bytes:
+        value = with_fields(sample.value)
+        try:
+            data = msgspec.json.encode(convert(value, sample.timestamp))
+        except (AttributeError, TypeError, ValueError, RcpError) as error:  # a part is missing
+            raise Overrun(f"no well-known form of {sample.entry.path}: {error}") from error
+        return _time(sample.received) + data
+
+    return tail
+
+
+@lru_cache(maxsize=4096)
+def of_subscription(number: int, tail: Tail) -> Rendering:
+    """Return the messages of a subscription."""
+    return Rendering(message_head(number), tail)
+
+
+@lru_cache(maxsize=4096)
+def of_parameter(name: str, mark: str | None) -> Rendering:
+    """Return the updates of a parameter, with the mark of its type."""
+    head = b'{"op":"parameterValues","parameters":[{"name":' + msgspec.json.encode(name)
+    if mark is not None:
+        head += b',"type":' + msgspec.json.encode(mark)
+    return Rendering(head + b',"value":', _parameter_tail)
+
+
+def _parameter_tail(sample: Sample) -> bytes:
+    return sample.encoded(_JSON) + b"}]}"
