@@ -74,7 +74,11 @@ def _make(config: RecorderConfig, host: FeatureHost) -> Feature:
             await recorder.close()
 
     shown = SystemResource(
-        resource=_RESOURCE, view=service.view, by_rights=True, execute=service.execute
+        resource=_RESOURCE,
+        view=service.view,
+        by_rights=True,
+        pages=service.pages,
+        execute=service.execute,
     )
     return Feature(
         resources=(shown,),

@@ -11,7 +11,7 @@ import structlog
 from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 
-from rcp_recorder.channels import KIND, PATH
+from rcp_recorder.channels import KIND, PATH, SAMPLE
 from rcp_recorder.mcap_file import ACTIVE, FACTS, RECOVERY
 from rcp_recorder.repair import repair
 
@@ -134,7 +134,7 @@ def _read(path: Path) -> Kept | None:
     paths: dict[bool, set[str]] = {True: set(), False: set()}
     for channel in summary.channels.values():
         with contextlib.suppress(KeyError):
-            paths[channel.metadata[KIND] == "sample"].add(channel.metadata[PATH])
+            paths[channel.metadata[KIND] == SAMPLE].add(channel.metadata[PATH])
     numbers = summary.statistics
     return Kept(
         file=path.name,

@@ -9,9 +9,18 @@ import msgspec
 
 from rcp_kernel.tree.samples import Source
 
-__all__ = ["KIND", "PATH", "Channel", "Message", "Stream", "note_channel", "sample_channel"]
+__all__ = [
+    "KIND",
+    "PATH",
+    "SAMPLE",
+    "Channel",
+    "Message",
+    "Stream",
+    "note_channel",
+    "sample_channel",
+]
 
-PATH, KIND = "path", "kind"
+PATH, KIND, SAMPLE = "path", "kind", "sample"
 """Metadata of a channel: the resource that it is about, and how."""
 _OBJECT = b'{"type":"object"}'
 
@@ -59,7 +68,7 @@ def sample_channel(source: Source) -> Channel:
     kind = source.value_type
     return Channel(
         topic=source.path,
-        kind="sample",
+        kind=SAMPLE,
         path=source.path,
         schema_name=kind.schema_id.rpartition(".")[0],
         schema=msgspec.json.encode(kind.schema),

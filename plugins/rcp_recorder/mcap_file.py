@@ -5,20 +5,32 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from mcap.writer import Writer
 
 from rcp_kernel.contract.version import gateway_version
-from rcp_recorder.channels import KIND, PATH, Channel, Message, Stream
+from rcp_recorder.channels import KIND, PATH, SAMPLE, Channel, Message, Stream
 
-__all__ = ["ACTIVE", "FACTS", "RECOVERY", "ROBOT", "OpenFile"]
+__all__ = ["ACTIVE", "FACTS", "RECOVERY", "ROBOT", "OpenFile", "Progress"]
 
 ACTIVE = ".active"
 """What the name of a file ends in until it is complete."""
 FACTS, ROBOT, RECOVERY = "rcp", "rcp.robot", "rcp.recovery"
 """Names of metadata records."""
 _CHUNK = 256 * 1024  # bytes: its index is written at once, and Python would make others wait
+
+
+class Progress(NamedTuple):
+    """What has been written so far."""
+
+    start: int
+    bytes: int
+    messages: int
+    samples: frozenset[str]
+    """Resources with samples."""
+    others: frozenset[str]
+    """Resources with commands and events."""
 
 
 class OpenFile:
@@ -32,7 +44,10 @@ class OpenFile:
         self.start = 0
         self.end = 0
         self.messages = 0
-        self.paths: dict[str, None] = {}
+        self.progress: Progress | None = None
+        """What is flushed, for other threads; replaced as a whole."""
+        self._samples: set[str] = set()
+        self._others: set[str] = set()
         self._ids: dict[Channel, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
         self._file: IO[bytes] = path.open("xb")
@@ -66,6 +81,8 @@ class OpenFile:
         """Hand everything to the operating system."""
         self._writer.flush()
         self.flushed = now
+        samples, others = frozenset(self._samples), frozenset(self._others)
+        self.progress = Progress(self.start, self.size, self.messages, samples, others)
 
     def finish(self) -> Path:
         """Write the index, and give the file its final name."""
@@ -90,7 +107,7 @@ class OpenFile:
         facts = {KIND: channel.kind}
         if channel.path is not None:
             facts[PATH] = channel.path
-            self.paths[channel.path] = None
+            (self._samples if channel.kind == SAMPLE else self._others).add(channel.path)
         number = self._ids[channel] = self._writer.register_channel(
             channel.topic, "json", schema, facts
         )

@@ -10,7 +10,7 @@ from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Pattern
 from rcp_kernel.tree.entry import Entry
 from rcp_recorder.channels import Stream
-from rcp_recorder.facts import about, robots_of
+from rcp_recorder.facts import about, robot_path, robots_of
 from rcp_recorder.taps import SampleCounts, Taps
 from rcp_recorder.writer import Writer
 
@@ -62,6 +62,9 @@ class Run:
             stream = self._streams[tenant] = Stream(self.name, tenant, self._facts)
             take = partial(self._writer.add, stream)
             taps = self.taps[tenant] = Taps(self._host, take, self._counts, self._longest)
+        path, stream = robot_path(entry.unit), self._streams[tenant]
+        if path not in stream.robots:
+            stream.robots = {**stream.robots, **robots_of([entry])}
         taps.add(entry)
 
     def describe(self) -> None:

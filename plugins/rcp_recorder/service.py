@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import msgspec
@@ -16,6 +16,7 @@ from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_recorder.catalogue import INCIDENT, Kept
+from rcp_recorder.mcap_file import OpenFile
 from rcp_recorder.messages import RecorderReply, RecorderRequest, RecordingState, StartRequest
 from rcp_recorder.recorder import PATH, Recorder
 from rcp_recorder.runs import ALWAYS
@@ -45,29 +46,19 @@ class RecorderService:
         self._seen.clear()
 
     def view(self, session: Session) -> Iterator[dict[str, Any] | None]:
-        """List recordings, the newest first."""
-        rights = session.rights
-        for stream, file in self._recorder.writer.open.items():
-            paths = frozenset(file.paths)
-            if self._sees(rights, (paths, frozenset())):
-                state = RecordingState(
-                    path=file.path.stem,
-                    name=stream.name,
-                    tenant=stream.tenant,
-                    state="recording",
-                    start=iso(file.start),
-                    bytes=file.size,
-                    messages=file.messages,
-                    paths=tuple(sorted(paths)),
-                    reason=stream.facts.get("reason"),
-                    robot=stream.facts.get("robot"),
-                )
-                yield msgspec.to_builtins(state)
-            yield None
-        kept = sorted(self._recorder.writer.catalogue.files.values(), key=lambda k: -k.start)
-        for file in kept:
-            if self._sees(rights, (file.samples, file.others)):
-                yield msgspec.to_builtins(_state(file))
+        """List recordings by the names of their files."""
+        return self.pages(session, q="", after="")
+
+    def pages(self, session: Session, /, *, q: str, after: str) -> Iterator[dict[str, Any] | None]:
+        """List those with the words `q`, after a file."""
+        rights, words = session.rights, q.lower().split()
+        writer = self._recorder.writer
+        found = {file.path.stem: _being_written(file) for file in writer.open.values()}
+        found |= {name: _kept(file) for name, file in writer.catalogue.files.items()}
+        for name in sorted(name for name in found if name > after):
+            shown = found[name]
+            if shown is not None and self._sees(rights, shown.paths) and shown.matches(words):
+                yield msgspec.to_builtins(shown.state())
             yield None
 
     def execute(self, session: Session, wanted: RecorderRequest, *, dry_run: bool) -> RecorderReply:
@@ -188,19 +179,60 @@ class RecorderService:
         return rights.mask(path) if exists else rights.compute_mask(path)
 
 
-def _state(file: Kept) -> RecordingState:
-    return RecordingState(
-        path=file.file,
-        name=file.name,
-        tenant=file.tenant,
-        state="kept",
-        start=iso(file.start),
-        end=iso(file.end),
-        bytes=file.bytes,
-        messages=file.messages,
-        paths=tuple(sorted(file.samples | file.others)),
-        pinned=file.pinned,
-        recovered=file.recovered,
-        reason=file.reason,
-        robot=file.robot,
-    )
+class _Shown(NamedTuple):
+    """A file that may be shown; what its item has is made only then."""
+
+    paths: _Paths
+    words: tuple[str | None, ...]
+    state: Callable[[], RecordingState]
+
+    def matches(self, words: list[str]) -> bool:
+        """Return whether all words occur."""
+        text = " ".join(filter(None, self.words)).lower() if words else ""
+        return all(word in text for word in words)
+
+
+def _being_written(file: OpenFile) -> _Shown | None:
+    """Describe a file that is being written; None before its first flush."""
+    written, stream = file.progress, file.stream
+    if written is None:
+        return None
+    reason, robot = stream.facts.get("reason"), stream.facts.get("robot")
+
+    def state() -> RecordingState:
+        return RecordingState(
+            path=file.path.stem,
+            name=stream.name,
+            tenant=stream.tenant,
+            state="recording",
+            start=iso(written.start),
+            bytes=written.bytes,
+            messages=written.messages,
+            paths=tuple(sorted(written.samples | written.others)),
+            reason=reason,
+            robot=robot,
+        )
+
+    words = (file.path.stem, reason, robot)
+    return _Shown((written.samples, written.others), words, state)
+
+
+def _kept(file: Kept) -> _Shown:
+    def state() -> RecordingState:
+        return RecordingState(
+            path=file.file,
+            name=file.name,
+            tenant=file.tenant,
+            state="kept",
+            start=iso(file.start),
+            end=iso(file.end),
+            bytes=file.bytes,
+            messages=file.messages,
+            paths=tuple(sorted(file.samples | file.others)),
+            pinned=file.pinned,
+            recovered=file.recovered,
+            reason=file.reason,
+            robot=file.robot,
+        )
+
+    return _Shown((file.samples, file.others), (file.file, file.reason, file.robot), state)

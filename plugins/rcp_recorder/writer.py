@@ -202,8 +202,11 @@ class Writer:
         flushed = False
         for stream, file in list(self.open.items()):
             if now - file.flushed >= _FLUSH:
+                begun = file.progress is None
                 file.flush(now)
                 flushed = True
+                if begun:
+                    self._changed()
             old = now - file.opened >= self._config.roll_seconds
             if old or file.size >= self._config.roll_mb * MB:
                 self._finish(stream)
