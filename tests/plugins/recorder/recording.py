@@ -20,7 +20,8 @@ def record(folder: str) -> None:
     for number in itertools.count(1):
         now = time.time_ns()
         writer.add(one, message(number, now, 100))
-        print(number, now, flush=True)
+        sys.stdout.write(f"{number} {now}\n")
+        sys.stdout.flush()
         time.sleep(0.0005)
 
 
