@@ -10,8 +10,7 @@ from prometheus_client.core import Metric
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.metrics import counter
-from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.features.status import StatusPart
+from rcp_kernel.features import Feature, FeatureHost, FeatureKind, StatusPart, SystemResource
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_recorder.config import BlackBoxConfig, RecorderConfig, check

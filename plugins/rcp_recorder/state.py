@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.features.status import StatusPart
+from rcp_kernel.features import StatusPart
 from rcp_recorder.recorder import Recorder
 
 __all__ = ["state"]
