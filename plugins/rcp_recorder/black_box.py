@@ -118,6 +118,11 @@ class BlackBox:
         """List what is recorded, with its tenant."""
         return [(robot.box.tenant, robot.taps) for robot in self._robots.values()]
 
+    def taps_of(self, entry: Entry) -> Taps | None:
+        """Return what is recorded of the robot of a resource."""
+        robot = self._robots.get(robot_path(entry.unit))
+        return None if robot is None else robot.taps
+
     def stopped(self, paths: frozenset[str], reason: str) -> None:
         """Write the robots that an e-stop has halted."""
         for robot in self._robots.values():

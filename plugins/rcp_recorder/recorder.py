@@ -176,9 +176,14 @@ class Recorder:
         return found if self.black_box is None else found + self.black_box.places()
 
     def _recording(self, path: str) -> list[tuple[str, Taps]]:
-        if not path.startswith("/tenant/"):
+        """List where a resource is recorded; called for each event and step of a command."""
+        entry = self._host.robots.entries.get(path)
+        if entry is None or entry.tenant is None:
             return []
-        return [(tenant, taps) for tenant, taps in self._everywhere() if path in taps]
+        places = [run.taps.get(entry.tenant) for run in self.runs.values()]
+        if self.black_box is not None:
+            places.append(self.black_box.taps_of(entry))
+        return [(entry.tenant, taps) for taps in places if taps is not None and path in taps]
 
     def _write(
         self, taps: Taps, kind: str, path: str | None, tenant: str, now: int, facts: dict[str, Any]

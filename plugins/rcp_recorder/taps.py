@@ -42,6 +42,10 @@ class Tap:
 
     def offer(self, sample: Sample) -> None:
         """Take a sample as a message."""
+        self.take(sample, sample.received)
+
+    def take(self, sample: Sample, log_time: int) -> None:
+        """Take a sample that is recorded at a time, which may be long after it was received."""
         native = sample.native
         if native is not None and len(native.data) > self._longest:
             self._counts.long += 1
@@ -57,7 +61,7 @@ class Tap:
         channel = self._channel
         if channel is None or sample.entry is not self._source:
             channel = self._describe(sample.entry)
-        self._take(Message(channel, sample.received, sample.timestamp, sample.seq, data))
+        self._take(Message(channel, log_time, sample.timestamp, sample.seq, data))
 
     def _describe(self, source: Source) -> Channel:
         """Return the channel of a resource, which may have been declared again."""
@@ -98,7 +102,7 @@ class Taps:
         tap = Tap(entry.path, self._take, self._counts, self._longest)
         self._ends[entry.path] = self._host.robots.watch(entry.path, tap.offer)
         if entry.latest is not None:  # what does not change is known, too
-            tap.offer(entry.latest)
+            tap.take(entry.latest, self._host.clock.now())
 
     def note(self, kind: str, path: str | None, tenant: str, moment: int, data: bytes) -> None:
         """Take a command or an event."""

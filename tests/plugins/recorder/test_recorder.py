@@ -215,6 +215,23 @@ async def test_a_recording_on_request_has_what_its_principal_may_read(
     assert topics(*of(folder, "*", "*")) == {"/tenant/alpha/sensor/speed"}
 
 
+async def test_what_does_not_change_is_recorded_at_the_start(gateway: Open, folder: Path) -> None:
+    async with gateway() as served:
+        made, admin = robot_of(served), served.client(ADMIN)
+        made.measure("sensor/speed", 0.25)
+        made.measure("param/limit", 0.5)
+        entry = served.server.kernel.registry.entries["/tenant/alpha/param/limit"]
+        assert entry.latest is not None
+        entry.latest.received -= 100 * 10**9  # it was received long before the other
+        await do(admin, start={"name": "test", "paths": ["/tenant/alpha/**"]})
+        await do(admin, stop="test")
+        await until(admin, lambda found: [i for i in found if i["state"] == "kept"])
+        status = (await admin.request("read", "/system/status"))["body"]["recorder"]
+        assert "clock_set_back" not in status
+    (file,) = of(folder, "test")
+    assert topics(file) == {"/tenant/alpha/sensor/speed", "/tenant/alpha/param/limit"}
+
+
 async def test_nothing_readable_is_no_recording(gateway: Open) -> None:
     async with gateway() as served:
         harry = served.client(HALF)
