@@ -26,6 +26,7 @@ ALL = (
     "can_axes",
     "dashboard",
     "beside_rosbridge",
+    "recorder",
 )
 
 wanted = sys.argv[1:] or ALL

@@ -26,6 +26,7 @@ EXTRAS = {
     "rcp_mavlink": ("mavlink",),
     "rcp_mavlink_sim": ("mavlink",),
     "rcp_mcp": ("mcp", "dashboard"),  # pictures of raw images, where the dashboard's library is
+    "rcp_recorder": ("recorder",),
     "rcp_mujoco": ("mujoco",),
     "rcp_ros2": ("ros2",),
     "rcp_zenoh": ("zenoh",),
