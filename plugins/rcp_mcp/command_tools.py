@@ -24,6 +24,7 @@ from rcp_mcp.config import McpConfig
 from rcp_mcp.content import marked, speaks
 from rcp_mcp.fixed import Cancel, Execute, Write, WriteAll
 from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.repeats import with_key
 from rcp_mcp.stops import is_hold
 from rcp_mcp.tasks import Tasks
 
@@ -112,6 +113,7 @@ class CommandTools:
         self, ctx: Context, session: Session, request: Request, wait: float | None
     ) -> Outcome:
         """Run a command until it ends or the caller's time limit expires."""
+        with_key(ctx, request, _whole(session, request.path))
         self._approving.returned(ctx, session, request)
         found = await self._tried(ctx, session, request, wait)
         if isinstance(found, Reply) and found.error is not None:
