@@ -22,7 +22,7 @@ from rcp_mcp.catalogue import Catalogue, Typed, matches
 from rcp_mcp.command_replies import Following
 from rcp_mcp.config import McpConfig
 from rcp_mcp.content import marked, speaks
-from rcp_mcp.fixed import Cancel, Execute, Write, WriteAll
+from rcp_mcp.fixed import PLANS, Cancel, Execute, Plan, Write, WriteAll
 from rcp_mcp.offers import Context, Outcome
 from rcp_mcp.repeats import with_key
 from rcp_mcp.stops import is_hold
@@ -84,6 +84,20 @@ class CommandTools:
             type="execute",
             path=arguments.path,
             body=NO_BODY if arguments.input is None else _raw(arguments.input),
+            deadline=arguments.deadline,
+            dry_run=arguments.dry_run,
+            idempotency_key=arguments.idempotency_key,
+            approval=arguments.approval,
+        )
+        return await self.run(ctx, session, request, arguments.wait)
+
+    async def plan(self, ctx: Context, session: Session, arguments: Plan) -> Outcome:
+        """Run a plan."""
+        plan = arguments.plan
+        request = Request(
+            type="execute",
+            path=PLANS,
+            body=_raw({"lines": plan} if isinstance(plan, str) else plan),
             deadline=arguments.deadline,
             dry_run=arguments.dry_run,
             idempotency_key=arguments.idempotency_key,

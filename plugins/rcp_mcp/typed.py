@@ -56,14 +56,13 @@ def typed_tool(
         facts.get("command_schema") or schemas.get("input"), facts["examples"], options
     )
     path: str = facts["path"]
-    answer = result(schemas.get("output"), schemas.get("feedback"), long=long)
+    answer = result(schemas.get("output"), schemas.get("feedback"))
     if path == ESTOP:
         taken = taken._replace(schema=stop_arguments(taken.schema))
-        answer = stop_result(answer)
+        answer = stop_result()
     return (
         types.Tool(
             name=tool_name(path, tenant),
-            title=path,
             description=_words(facts, config, stops=stops),
             input_schema=taken.schema,
             output_schema=answer,
@@ -80,12 +79,11 @@ def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
         sentences.append(stop_words())
     elif is_hold(facts["path"]):
         sentences.append(
-            "No latch: the next command moves the robot again. In an emergency use `system-estop`."
+            "No latch: the next command moves the robot. In an emergency use `system-estop`."
         )
     if facts["kind"] == "action":
         sentences.append(
-            f"Long-running: after {config.wait:g} s (or `wait`) it returns `in_progress` "
-            "with a command id for `status` and `cancel`."
+            f"Long: after {config.wait:g} s (or `wait`) it returns `in_progress` and a command id."
         )
         sentences.append(
             "Cancelling the call stops the robot."
