@@ -13,6 +13,7 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Pattern, tenant_of
 from rcp_mcp.config import McpConfig
 from rcp_mcp.fixed import PLANS
+from rcp_mcp.provenance import Marker
 from rcp_mcp.schemas import Arguments
 from rcp_mcp.stops import ESTOP
 from rcp_mcp.typed import typed_tool
@@ -49,6 +50,8 @@ class Catalogue:
     def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
         self._client_api = client_api
+        self.marker = Marker()
+        """Marks what robots say of themselves in lists."""
         self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
         self._reading = SharedWork[None](client_api.loop)
 
@@ -125,7 +128,9 @@ class Catalogue:
         if "execute" in one["operations"] and (listed or self._config.tools is None):
             stops = not matches(self._config.keeps_going, path)
             asks = path == PLANS or session.rights.asks(path)
-            tool, arguments = typed_tool(one, session.tenant, self._config, stops=stops, asks=asks)
+            tool, arguments = typed_tool(
+                one, session.tenant, self._config, self.marker, stops=stops, asks=asks
+            )
             tools[tool.name] = Typed(tool, one, arguments, listed)
 
     def _has_profile(self, one: Facts) -> bool:

@@ -22,6 +22,7 @@ from rcp_mcp.content import Block, show, speaks, text
 from rcp_mcp.fixed import Discover, Read, Status
 from rcp_mcp.naming import tool_name
 from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.provenance import is_own
 from rcp_mcp.schemas import worded
 from rcp_mcp.summary import PER_TOKEN, cut, size
 
@@ -64,7 +65,10 @@ class ReadTools:
             facts["note"] = "There are more results: search with `q`, or continue with `cursor`."
         elif not found:
             facts["note"] = "No matching resources; try fewer words in `q`."
-        return answered(facts)
+        if all(is_own(one["path"]) for one in facts["resources"]):
+            return answered(facts)
+        facts["untrusted"] = True
+        return answered(facts, text(facts, None, untrusted=True))
 
     async def _page(self, session: Session, path: str, query: Query) -> dict[str, Any]:
         work = self._client_api.discover(session, path, query)
