@@ -197,7 +197,7 @@ def _going_on(following: Following) -> types.CallToolResult:
         facts["untrusted"] = True if speaks(body) else None
     facts["message"] = (
         "The command is still running. Call `status` with command "
-        f"{following.command}, or `cancel`."
+        f"{following.command} and `wait`, or `cancel`."
     )
     return answered({key: item for key, item in facts.items() if item is not None})
 

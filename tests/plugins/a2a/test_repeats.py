@@ -148,3 +148,14 @@ async def test_ids_are_each_callers_own(gateway: Site, client: httpx.AsyncClient
         theirs = (await other.post("/a2a/beta/message:send", json=message)).json()["task"]
     assert theirs["id"] != own["id"]
     assert [len(robot.ran) for robot in gateway.robots] == [1, 1]
+
+
+async def test_a_client_of_the_version_before_gets_the_same_task(gateway: Site) -> None:
+    part = {"kind": "text", "text": ADD}
+    message = {"kind": "message", "messageId": "m", "role": "user", "parts": [part]}
+    call = {"jsonrpc": "2.0", "id": 1, "method": "message/send", "params": {"message": message}}
+    async with caller(gateway) as client:
+        del client.headers["A2A-Version"]
+        first, second = [(await client.post("/a2a", json=call)).json()["result"] for _ in range(2)]
+    assert first == second
+    assert len(gateway.robot.ran) == 1
