@@ -10,8 +10,9 @@ from a2a.server.events.event_queue import EventQueue
 from a2a.types.a2a_pb2 import SendMessageRequest, Task, TaskState, TaskStatus
 from a2a.utils.errors import TaskNotCancelableError
 
-from rcp_a2a.callers import caller_of
+from rcp_a2a.callers import caller_of, owner_of
 from rcp_a2a.messages import parse_message, stamp
+from rcp_a2a.receipts import key_of
 from rcp_a2a.run import Run
 from rcp_kernel.client_api import ClientApi
 
@@ -31,20 +32,22 @@ class Agent(AgentExecutor):
     async def execute(self, context: RequestContext, event_queue: EventQueue) -> None:
         """Start or continue the plan of a message, until its end or the next question."""
         caller = caller_of(context.call_context)
-        wanted = parse_message(_request(context))
+        request = _request(context)
+        wanted = parse_message(request)
+        key = key_of(owner_of(context.call_context), request.message.message_id)
         task = context.current_task
         if task is None:
             task = _begun(context)
             await event_queue.enqueue_event(task)
             run = self._runs[task.id] = Run(self._client_api, task, self._patience, self._forget)
             run.listen(event_queue)
-            run.start(caller, wanted)
+            run.start(caller, wanted, key)
         else:
             run = self._runs.get(task.id)
             if run is None:
                 return  # the task ended before this message arrived
             run.listen(event_queue)
-            if (text := run.answer(caller, wanted)) is not None:
+            if (text := run.answer(caller, wanted, key)) is not None:
                 await run.ask_again(text)
                 return
         try:

@@ -111,7 +111,7 @@ class App:
             session = await session_of(self._client_api, scope, _tenant(place, call.call))
             stops = self._is_stop(session, place, call, len(body))
             self._charge(session, stops=stops)
-            caller = Caller(session, self._cards.base(scope))
+            caller = Caller(session, self._cards.base(scope), stops=stops)
             # The SDK needs a few ms per request, more for a long one: they take turns.
             for _ in range(1 + call.values // _STEP):
                 await self._client_api.turns.place((session.principal.identity, stops))

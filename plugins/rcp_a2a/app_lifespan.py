@@ -16,6 +16,7 @@ from rcp_a2a.handler import Handler
 from rcp_a2a.logs import quieted
 from rcp_a2a.places import CARD, PREFIX
 from rcp_a2a.push import Notifier, Subscribers
+from rcp_a2a.receipts import Receipts
 from rcp_a2a.tasks import Tasks
 from rcp_kernel.client_api import ClientApi, Mount
 
@@ -33,11 +34,16 @@ async def serving(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[di
     tasks = Tasks(client_api.shelf("tasks"), config)
     subscribers = Subscribers(client_api.shelf("push"), config.push.per_task)
     tasks.forgotten.append(subscribers.forget)
+    receipts = Receipts(client_api.shelf("messages"))
+    tasks.forgotten.append(receipts.forget)
+    tasks.saved.append(receipts.saved)
     tasks.restore()
+    receipts.restore(tasks.has)
     subscribers.restore()
     notifier = Notifier(config.push, addresses, subscribers)
     handler = Handler(
         client_api,
+        receipts,
         Agent(client_api, config.input_timeout),
         tasks,
         cards.plain(),

@@ -18,10 +18,21 @@ from starlette.requests import Request
 
 from rcp_kernel.api import Principal, Session
 
-__all__ = ["CALLER", "Caller", "Callers", "Contexts", "caller_of", "owner_of", "owner_text"]
+__all__ = [
+    "CALLER",
+    "NEW_TASK",
+    "Caller",
+    "Callers",
+    "Contexts",
+    "caller_of",
+    "owner_of",
+    "owner_text",
+]
 
 CALLER = "rcp.caller"
 """Key of the caller in a request's scope and in the SDK's context."""
+NEW_TASK = "rcp.new-task"
+"""Key in the SDK's context of the id for the task that a message makes."""
 
 
 class Caller(msgspec.Struct, frozen=True, eq=False):
@@ -30,6 +41,8 @@ class Caller(msgspec.Struct, frozen=True, eq=False):
     session: Session
     base: str
     """The gateway's URL as this client sees it, without a trailing slash."""
+    stops: bool = False
+    """Whether the request stops something."""
     since: float = msgspec.field(default_factory=time.monotonic)
     """When the request arrived."""
 
@@ -113,4 +126,6 @@ class Contexts(SimpleRequestContextBuilder):
             # The SDK would create a new one, and the task would appear to have another owner.
             known = await self._tasks.get(task_id, context)
             context_id = None if known is None else known.context_id
+        if task_id is None and params is not None:
+            params.message.task_id = context.state[NEW_TASK]
         return await super().build(context, params, task_id, context_id, task)

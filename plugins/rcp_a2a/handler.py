@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable
-from contextlib import aclosing
+from collections.abc import AsyncGenerator, Generator, Iterable
+from contextlib import aclosing, contextmanager
 from inspect import unwrap
 from typing import Any
+from uuid import uuid4
 
 from a2a.server.context import ServerCallContext
 from a2a.server.request_handlers import DefaultRequestHandler
@@ -20,18 +21,29 @@ from a2a.types.a2a_pb2 import (
     SubscribeToTaskRequest,
     Task,
     TaskState,
+    TaskStatusUpdateEvent,
 )
-from a2a.utils.errors import PushNotificationNotSupportedError, UnsupportedOperationError
+from a2a.utils.errors import (
+    PushNotificationNotSupportedError,
+    TaskNotFoundError,
+    UnsupportedOperationError,
+)
 
-from rcp_a2a.callers import caller_of
+from rcp_a2a.callers import NEW_TASK, caller_of, owner_of
 from rcp_a2a.masking import Mask
 from rcp_a2a.messages import check, check_fields
+from rcp_a2a.receipts import Receipts
+from rcp_a2a.tasks import ENDED
 from rcp_kernel.client_api import ClientApi
 
 __all__ = ["Handler"]
 
 
 _HISTORY = 64  # latest messages of a task in a response: each is encoded in one turn
+_AT_REST = ENDED | {
+    TaskState.TASK_STATE_INPUT_REQUIRED,
+    TaskState.TASK_STATE_AUTH_REQUIRED,
+}
 _UNDER_WAY = (TaskState.TASK_STATE_SUBMITTED, TaskState.TASK_STATE_WORKING)
 
 
@@ -44,13 +56,63 @@ _send_stream = unwrap(DefaultRequestHandler.on_message_send_stream)
 class Handler(DefaultRequestHandler):
     """Checks messages before a task is created; hides from tasks what the caller may not see."""
 
-    def __init__(self, client_api: ClientApi, *args: Any, **options: Any) -> None:
+    def __init__(
+        self, client_api: ClientApi, receipts: Receipts, *args: Any, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
         self._client_api = client_api
+        self._receipts = receipts
 
-    async def _check(self, params: SendMessageRequest, context: ServerCallContext) -> None:
+    async def _repeated(self, params: SendMessageRequest, context: ServerCallContext) -> str | None:
+        """Check a message's form; return the task that it made, if it was received before."""
         check_fields(params)
         check(params.message)
+        if caller_of(context).stops:
+            return None
+        found = await self._receipts.find(owner_of(context), params)
+        return None if found is None else found.task
+
+    @contextmanager
+    def _receiving(self, params: SendMessageRequest, context: ServerCallContext) -> Generator[None]:
+        """Receive a message for the first time."""
+        new = context.state[NEW_TASK] = str(uuid4())
+        if caller_of(context).stops:
+            yield  # a stop is never taken for a repetition
+            return
+        with self._receipts.receiving(owner_of(context), params, params.message.task_id or new):
+            yield
+
+    async def _present(
+        self, task_id: str, params: SendMessageRequest, context: ServerCallContext
+    ) -> Message | Task:
+        """Return the task of a repeated message as its first one would have been answered."""
+        if not params.configuration.return_immediately:
+            async with aclosing(self._events(task_id, context)) as events:
+                async for event in events:
+                    if _rests(event):
+                        break
+        wanted = GetTaskRequest(id=task_id)
+        if params.configuration.HasField("history_length"):
+            wanted.history_length = params.configuration.history_length
+        found = await self.on_get_task(wanted, context)
+        if found is None:
+            raise TaskNotFoundError
+        return found
+
+    async def _events(self, task_id: str, context: ServerCallContext) -> AsyncGenerator[Any, None]:
+        """Yield a task as it is and its further events, none if it has ended."""
+        task: Any = await self.task_store.get(task_id, context)
+        if task is None:
+            raise TaskNotFoundError
+        if _rests(task):
+            yield task
+            return
+        stream = super().on_subscribe_to_task(SubscribeToTaskRequest(id=task_id), context)
+        async with aclosing(stream) as events:
+            async for event in events:
+                yield event
+
+    async def _check(self, params: SendMessageRequest, context: ServerCallContext) -> None:
         if params.message.task_id:
             task: Any = await self.task_store.get(params.message.task_id, context)
             if task is not None and task.status.state in _UNDER_WAY:
@@ -100,18 +162,29 @@ class Handler(DefaultRequestHandler):
         self, params: SendMessageRequest, context: ServerCallContext
     ) -> Message | Task:
         """Handle `SendMessage`."""
-        await self._check(params, context)
-        return self._mask(context, (params.message,)).event(await _send(self, params, context))
+        if (known := await self._repeated(params, context)) is not None:
+            return await self._present(known, params, context)
+        with self._receiving(params, context):
+            await self._check(params, context)
+            found = await _send(self, params, context)
+        return self._mask(context, (params.message,)).event(found)
 
     async def on_message_send_stream(
         self, params: SendMessageRequest, context: ServerCallContext
     ) -> AsyncGenerator[Any, None]:
         """Handle `SendStreamingMessage`."""
-        await self._check(params, context)
-        stream = _send_stream(self, params, context)
-        async with aclosing(_masked(stream, self._mask(context, (params.message,)))) as events:
-            async for event in events:
-                yield event
+        mask = self._mask(context, (params.message,))
+        if (known := await self._repeated(params, context)) is not None:
+            async with aclosing(_masked(self._events(known, context), mask)) as events:
+                async for event in events:
+                    yield event
+            return
+        with self._receiving(params, context):
+            await self._check(params, context)
+            stream = _send_stream(self, params, context)
+            async with aclosing(_masked(stream, mask)) as events:
+                async for event in events:
+                    yield event
 
     async def on_subscribe_to_task(
         self, params: SubscribeToTaskRequest, context: ServerCallContext
@@ -121,6 +194,11 @@ class Handler(DefaultRequestHandler):
         async with aclosing(_masked(stream, self._mask(context))) as events:
             async for event in events:
                 yield event
+
+
+def _rests(event: Any) -> bool:
+    """Return whether a task has ended or waits for its client."""
+    return isinstance(event, (Task, TaskStatusUpdateEvent)) and event.status.state in _AT_REST
 
 
 def _asked(task: Task) -> list[Message]:

@@ -27,7 +27,6 @@ from rcp_a2a.messages import (
 )
 from rcp_a2a.questions import (
     LINES,
-    Decision,
     Question,
     decision_of,
     is_plan,
@@ -88,8 +87,10 @@ class Run:
 
     # -- the gateway's side --------------------------------------------------------------------
 
-    def start(self, caller: Caller, plan: TaskRequest, approval: str | None = None) -> None:
-        """Submit the plan to the gateway, which checks and starts it."""
+    def start(
+        self, caller: Caller, plan: TaskRequest, key: str, approval: str | None = None
+    ) -> None:
+        """Submit the plan to the gateway, which checks and starts it, once for each key."""
         self._plan, self._session = plan, caller.session
         request = QueuedRequest(
             since=caller.since,
@@ -98,28 +99,29 @@ class Run:
             id=f"a2a-{self.task.id}",
             dry_run=plan.dry_run,
             deadline=plan.deadline,
+            # A stop waits for no store, and is always sent again.
+            idempotency_key=None if plan.dry_run or caller.stops else key,
             approval=approval,
             body=Raw(msgspec.json.encode(plan.body)),
         )
         self._client_api.submit(caller.session, request, self._take)
 
-    def answer(self, caller: Caller, answer: TaskRequest) -> str | None:
+    def answer(self, caller: Caller, answer: TaskRequest, key: str) -> str | None:
         """Continue with a client's answer; return an explanation if it is not usable."""
         question = self.question
         assert question is not None
         if question.approval is not None and not is_plan(answer):
-            return self._decide(caller, question.approval, decision_of(answer), answer)
+            return self._decide(caller, question.approval, answer, key)
         lines = self._client_api.service(LINES) or (lambda _text: [])
         plan = mended(self._plan, question, answer, lines)
         if plan is None:
             return "The answer is neither a plan nor the missing parameters. " + question.text
         self._resume()
-        self.start(caller, plan)
+        self.start(caller, plan, key)
         return None
 
-    def _decide(
-        self, caller: Caller, approval: str, decision: Decision | None, answer: TaskRequest
-    ) -> str | None:
+    def _decide(self, caller: Caller, approval: str, answer: TaskRequest, key: str) -> str | None:
+        decision = decision_of(answer)
         if decision is None:
             return "Answer with the decision `approve` or `reject`, or with another plan."
         try:
@@ -134,7 +136,7 @@ class Run:
         except RcpError as error:
             return error.message
         self._resume()
-        self.start(caller, self._plan, None if decision == "reject" else approval)
+        self.start(caller, self._plan, key, None if decision == "reject" else approval)
         return None
 
     def _resume(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from typing import Any
 
 import msgspec
@@ -28,11 +28,10 @@ PLAN = AgentSkill(
         "With `dry_run` in the message's metadata the plan is only checked."
     ),
     tags=["plan", "robot"],
-    examples=[
-        '{"steps": [{"do": "execute", "path": "/action/move_to", "deadline": 60}]}',
-        "(move_to rover1 1.0 2.0)",
-        'execute /action/move_to {"position": {"x": 1, "y": 2}}',
-    ],
+)
+_NO_PLANS = (
+    "Not with your rights: every message would be rejected. Use credentials with a role that may "
+    "execute /system/plans; the card then lists what they allow."
 )
 STOP = AgentSkill(
     id="stop",
@@ -48,7 +47,7 @@ STOP = AgentSkill(
     ),
     tags=["stop", "safety"],
     examples=[
-        'execute /system/estop {"scope": "rover-1", "reason": "person in the cell"}',
+        'execute /system/estop {"reason": "person in the cell"}',
         '{"steps": [{"do": "execute", "path": "/system/estop", "value": {}}]}',
     ],
 )
@@ -77,17 +76,40 @@ _OF_SYSTEM = (
 def skills_of(
     client_api: ClientApi, session: Session | None
 ) -> Generator[None, None, list[AgentSkill]]:
-    """List what a session may execute in its tenant, in steps; without one, only general skills."""
-    if session is None or session.tenant is None:
-        return [PLAN]
-    root = f"/tenant/{session.tenant}"
-    found: list[AgentSkill] = [PLAN]
+    """List what a session may execute in its tenant, in steps; without one, only general skills.
+
+    A task runs a plan: a session that may not run plans can do nothing here, and its card says so.
+    """
+    if session is None:
+        return [_plan_skill()]
     plans = yield from client_api.discover(session, "/system/plans", _MAY)
-    if plans["resources"]:  # a task runs a plan
-        for skill, path, query in _OF_SYSTEM:
-            page = yield from client_api.discover(session, path, query)
-            if page["resources"]:
-                found.append(skill)
+    if not plans["resources"]:
+        return [_plan_skill(_NO_PLANS)]
+    found: list[AgentSkill] = []
+    for skill, path, query in _OF_SYSTEM:
+        page = yield from client_api.discover(session, path, query)
+        if page["resources"]:
+            found.append(skill)
+    if session.tenant is not None:
+        found += yield from _of_tenant(client_api, session, f"/tenant/{session.tenant}")
+    examples = [one for skill in reversed(found) if skill is not STOP for one in skill.examples]
+    return [_plan_skill(examples=examples[:2]), *found]
+
+
+def _plan_skill(note: str = "", examples: Sequence[str] = ()) -> AgentSkill:
+    skill = AgentSkill()
+    skill.CopyFrom(PLAN)
+    skill.examples.extend(examples)
+    if note:
+        skill.description = f"{note} {PLAN.description}"
+    return skill
+
+
+def _of_tenant(
+    client_api: ClientApi, session: Session, root: str
+) -> Generator[None, None, list[AgentSkill]]:
+    """List a tenant's actions and services, in steps."""
+    found: list[AgentSkill] = []
     cursor: str | None = None
     while True:
         query = Query(op="execute", limit=_PAGE, cursor=cursor)
@@ -104,7 +126,7 @@ def skills_of(
 def _skill(resource: Node, root: str) -> AgentSkill:
     short = resource["path"].removeprefix(root)
     kind, *names = short.strip("/").split("/")
-    examples = resource["examples"][:2] or [None]
+    examples = resource["examples"][:2] or _inputs(resource["schemas"].get("input"))
     return AgentSkill(
         id=".".join((kind, *names)),
         name=" ".join(names).replace("_", " "),
@@ -115,6 +137,45 @@ def _skill(resource: Node, root: str) -> AgentSkill:
             *(_line(short, value) for value in examples[:1]),
         ],
     )
+
+
+def _inputs(schema: Node | None) -> list[Any]:
+    """Return an input that fits a schema, if there is one that is as good as any other."""
+    if schema is None:
+        return [None]
+    try:
+        return [_input(schema, schema.get("$defs", {}))]
+    except LookupError:
+        return []
+
+
+def _input(schema: Node, defs: Node) -> Any:
+    """Return the plainest value that fits a schema.
+
+    :raises LookupError: none can be known, such as a name.
+    """
+    if {"type": "null"} in schema.get("anyOf", ()):
+        return None
+    node = _followed(schema, defs)
+    for key in ("default", "const"):
+        if key in node:
+            return node[key]
+    if "enum" in node:
+        return node["enum"][0]
+    match node.get("type"):
+        case "number" | "integer":
+            low, high = node.get("minimum", 0), node.get("maximum", 0)
+            value = min(max(0, low), max(high, low))
+            if value == node.get("exclusiveMinimum") or value == node.get("exclusiveMaximum"):
+                raise LookupError
+            return value
+        case "boolean":
+            return False
+        case "object":
+            fields: Node = node.get("properties") or {}
+            return {name: _input(fields[name], defs) for name in node.get("required", ())}
+        case _:
+            raise LookupError
 
 
 def _plan(path: str, value: Any) -> str:

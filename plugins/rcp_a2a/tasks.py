@@ -54,6 +54,8 @@ class Tasks(InMemoryTaskStore):
         """Size of each task in bytes, by owner: computing all for every save takes too long."""
         self.forgotten: list[Callable[[str], None]] = []
         """Called with the id of each task that is dropped."""
+        self.saved: list[Callable[[Task], None]] = []
+        """Called with each task that was saved."""
 
     @property
     def _owners(self) -> dict[str, dict[str, Task]]:
@@ -74,12 +76,18 @@ class Tasks(InMemoryTaskStore):
         for owner in list(self._owners):
             self._make_room(owner)
 
+    def has(self, owner: str, task_id: str) -> bool:
+        """Return whether an owner has a task."""
+        return task_id in self._owners.get(owner, {})
+
     async def save(self, task: Task, context: ServerCallContext) -> None:
         """Save a task in its present state."""
         owner = owner_of(context)
-        fresh = task.id not in self._owners.get(owner, {})
+        fresh = not self.has(owner, task.id)
         await super().save(task, context)
         self._keep(owner, task)
+        for callback in self.saved:
+            callback(task)
         if fresh or task.status.state in ENDED:
             self._make_room(owner)
 

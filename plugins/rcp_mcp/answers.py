@@ -11,13 +11,15 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, encode_body, error_body
 from rcp_mcp.config import McpConfig
-from rcp_mcp.content import UNTRUSTED, Block, marked, show
+from rcp_mcp.content import UNTRUSTED, Block, marked, show, speaks
 from rcp_mcp.stops import ESTOP, Report
 
 __all__ = ["answered", "body_of", "failed", "plain_of", "refused", "replied"]
 
 _ROBOTS = frozenset(("device_rejected", "device_timeout"))
 """Errors whose message comes from the robot."""
+_OF_SCHEMA = ("unit", "bound", "pointer", "missing", "allowed")
+"""Details from a robot's schema, which the message repeats."""
 
 
 def body_of(reply: Reply) -> Any:
@@ -46,7 +48,8 @@ def refused(error: RcpError) -> types.CallToolResult:
 def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolResult:
     """Return the contract's `error` object as a result."""
     code, message, remedy = error["code"], error["message"], error.get("remedy")
-    untrusted = code in _ROBOTS
+    cause = error.get("details") or {}
+    untrusted = code in _ROBOTS or any(speaks(cause.get(key)) for key in _OF_SCHEMA)
     text = f"{status}: {code}: "
     text += marked(message, error.get("path")) if untrusted else message
     if remedy:

@@ -12,14 +12,16 @@ from rcp_kernel.api import Query, Rights, Session, SharedWork, at_once
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Pattern, tenant_of
 from rcp_mcp.config import McpConfig
+from rcp_mcp.fixed import PLANS
+from rcp_mcp.provenance import Marker
 from rcp_mcp.schemas import Arguments
+from rcp_mcp.stops import ESTOP
 from rcp_mcp.typed import typed_tool
 
 __all__ = ["Catalogue", "Facts", "Typed", "matches"]
 
 Facts = dict[str, Any]
 _PAGE = 10  # resources read per step
-_PLANS = "/system/plans"  # may require approval because of its steps
 
 
 class Typed(NamedTuple):
@@ -28,6 +30,8 @@ class Typed(NamedTuple):
     tool: types.Tool
     facts: Facts
     arguments: Arguments
+    listed: bool
+    """Whether the list of tools has it; others are run by `execute`."""
 
 
 class _Seen:
@@ -46,6 +50,8 @@ class Catalogue:
     def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
         self._client_api = client_api
+        self.marker = Marker()
+        """Marks what robots say of themselves in lists."""
         self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
         self._reading = SharedWork[None](client_api.loop)
 
@@ -116,11 +122,20 @@ class Catalogue:
 
     def _add(self, session: Session, one: Facts, tools: dict[str, Typed]) -> None:
         path = one["path"]
-        if "execute" in one["operations"] and matches(self._config.tools, path):
+        chosen = self._config.tools or ()
+        listed = path == ESTOP or matches(chosen, path) or self._has_profile(one)
+        # By name, a client can also call what is not listed, unless the configuration chooses.
+        if "execute" in one["operations"] and (listed or self._config.tools is None):
             stops = not matches(self._config.keeps_going, path)
-            asks = path == _PLANS or session.rights.asks(path)
-            tool, arguments = typed_tool(one, session.tenant, self._config, stops=stops, asks=asks)
-            tools[tool.name] = Typed(tool, one, arguments)
+            asks = path == PLANS or session.rights.asks(path)
+            tool, arguments = typed_tool(
+                one, session.tenant, self._config, self.marker, stops=stops, asks=asks
+            )
+            tools[tool.name] = Typed(tool, one, arguments, listed)
+
+    def _has_profile(self, one: Facts) -> bool:
+        named = (str(profile).partition("/")[0] for profile in one.get("profiles", ()))
+        return any(name in self._config.profiles for name in named)
 
 
 def matches(patterns: tuple[str, ...], path: str) -> bool:

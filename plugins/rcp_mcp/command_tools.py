@@ -22,8 +22,9 @@ from rcp_mcp.catalogue import Catalogue, Typed, matches
 from rcp_mcp.command_replies import Following
 from rcp_mcp.config import McpConfig
 from rcp_mcp.content import marked, speaks
-from rcp_mcp.fixed import Cancel, Execute, Write, WriteAll
+from rcp_mcp.fixed import PLANS, Cancel, Execute, Plan, Write, WriteAll
 from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.repeats import with_key
 from rcp_mcp.stops import is_hold
 from rcp_mcp.tasks import Tasks
 
@@ -90,6 +91,20 @@ class CommandTools:
         )
         return await self.run(ctx, session, request, arguments.wait)
 
+    async def plan(self, ctx: Context, session: Session, arguments: Plan) -> Outcome:
+        """Run a plan."""
+        plan = arguments.plan
+        request = Request(
+            type="execute",
+            path=PLANS,
+            body=_raw({"lines": plan} if isinstance(plan, str) else plan),
+            deadline=arguments.deadline,
+            dry_run=arguments.dry_run,
+            idempotency_key=arguments.idempotency_key,
+            approval=arguments.approval,
+        )
+        return await self.run(ctx, session, request, arguments.wait)
+
     async def call(
         self, ctx: Context, session: Session, typed: Typed, arguments: dict[str, Any]
     ) -> Outcome:
@@ -112,6 +127,7 @@ class CommandTools:
         self, ctx: Context, session: Session, request: Request, wait: float | None
     ) -> Outcome:
         """Run a command until it ends or the caller's time limit expires."""
+        with_key(ctx, request, _whole(session, request.path))
         self._approving.returned(ctx, session, request)
         found = await self._tried(ctx, session, request, wait)
         if isinstance(found, Reply) and found.error is not None:
@@ -181,7 +197,7 @@ def _going_on(following: Following) -> types.CallToolResult:
         facts["untrusted"] = True if speaks(body) else None
     facts["message"] = (
         "The command is still running. Call `status` with command "
-        f"{following.command}, or `cancel`."
+        f"{following.command} and `wait`, or `cancel`."
     )
     return answered({key: item for key, item in facts.items() if item is not None})
 

@@ -9,6 +9,7 @@ from mcp import types
 from rcp_kernel.api import Session
 from rcp_kernel.model import tenant_of
 from rcp_mcp.catalogue import Catalogue
+from rcp_mcp.robots import RobotTools
 
 __all__ = ["Completion"]
 
@@ -18,22 +19,23 @@ _MOST = 100  # maximum number of values in a response
 class Completion:
     """Completes arguments of templates and prompts."""
 
-    def __init__(self, catalogue: Catalogue) -> None:
+    def __init__(self, catalogue: Catalogue, robots: RobotTools) -> None:
         self._catalogue = catalogue
+        self._robots = robots
 
-    def complete(
+    async def complete(
         self, session: Session, params: types.CompleteRequestParams
     ) -> types.Completion | None:
         """Return the completions; None if the reference does not belong to this server."""
         begun = params.argument.value
         chosen = (params.context.arguments if params.context is not None else None) or {}
-        paths = [one["path"] for one in self._catalogue.all(session)]
         if isinstance(params.ref, types.PromptReference):
             if params.argument.name != "robot":
                 return _of((), begun)
-            return _of(_robots(paths), begun)
+            return _of(await self._robots.names(session), begun)
         if not params.ref.uri.startswith("rcp://"):
             return None
+        paths = [one["path"] for one in self._catalogue.all(session)]
         if params.argument.name == "tenant":
             return _of(filter(None, map(tenant_of, paths)), begun)
         parts = params.ref.uri.removeprefix("rcp://").split("/")
@@ -41,14 +43,6 @@ class Completion:
         tenant = chosen.get("tenant", session.tenant)
         prefix = "/system/" if branch == "system" else f"/tenant/{tenant}/{branch}/"
         return _of((p[len(prefix) :] for p in paths if p.startswith(prefix)), begun)
-
-
-def _robots(paths: Iterable[str]) -> Iterable[str]:
-    """Return the robots whose resources are one level deeper than those of a single robot."""
-    for path in paths:
-        parts = path.split("/")
-        if parts[1] == "tenant" and len(parts) > 5:
-            yield parts[4]
 
 
 def _of(values: Iterable[str], begun: str) -> types.Completion:

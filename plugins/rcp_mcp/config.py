@@ -23,8 +23,12 @@ class McpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """The gateway's URL as clients know it; default: the one of the request."""
     message: Annotated[int, Meta(ge=20_480)] = 1_048_576
     """Maximum request size, in bytes; `[limits]` may be lower."""
-    tools: Patterns = ("/**",)
-    """Actions and services that get their own tool."""
+    tools: Patterns | None = None
+    """Actions and services that get their own tool; default: none but those of `profiles`."""
+    profiles: tuple[str, ...] = ()
+    """Profiles whose actions and services get their own tool, such as `mobile`."""
+    page: Annotated[int, Meta(ge=1000)] = 6000
+    """Maximum tokens of one page of tools, unless a single tool is longer."""
     keeps_going: Patterns = ()
     """Actions that continue when their call is cancelled; others stop the robot."""
     budget: Annotated[int, Meta(ge=200)] = 4000
@@ -47,5 +51,5 @@ def check(config: McpConfig) -> None:
     :raises ConfigError: names the key.
     """
     for key in ("tools", "keeps_going"):
-        for pattern in getattr(config, key):
+        for pattern in getattr(config, key) or ():
             check_pattern(pattern, f"[plugins.mcp] {key}")

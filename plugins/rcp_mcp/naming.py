@@ -12,7 +12,7 @@ import re
 from rcp_kernel.errors import InvalidPath
 from rcp_kernel.model import parse_path
 
-__all__ = ["SCHEME", "path_of", "tool_name", "uri_of"]
+__all__ = ["SCHEME", "as_path", "path_of", "tool_name", "uri_of"]
 
 SCHEME = "rcp://"
 _PLAIN = re.compile(r"[A-Za-z0-9_]+\Z")
@@ -42,13 +42,19 @@ def uri_of(path: str) -> str:
     return SCHEME + path.removeprefix("/tenant/")
 
 
+def as_path(text: str) -> str:
+    """Return a path or pattern that may be written as a URI of this server as a path."""
+    if not text.startswith(SCHEME):
+        return text
+    rest = text[len(SCHEME) :]
+    return rest if rest.startswith("/") else f"/tenant/{rest}"
+
+
 def path_of(uri: str) -> str | None:
     """Return the full path of a URI, or None if it does not belong to this server."""
     if not uri.startswith(SCHEME):
         return None
-    rest = uri[len(SCHEME) :]
-    text = rest if rest.startswith("/") else f"/tenant/{rest}"
     try:
-        return parse_path(text, None)
+        return parse_path(as_path(uri), None)
     except InvalidPath:
         return None

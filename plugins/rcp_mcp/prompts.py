@@ -26,7 +26,7 @@ def _inspect(given: dict[str, str]) -> str:
     about = given.get("robot")
     of = f"the robot '{about}'" if about else "the robot"
     return (
-        f"Inspect {of}. Call `discover` to list its resources, then `read` pose, battery and "
+        f"Inspect {of}. Call `robots` to find it and `discover` to list its resources, then `read` pose, battery and "
         "other state, and a camera if there is one. Report in a few sentences: where it "
         "is, what it sees, its battery, running commands, and anything stale or wrong. Move nothing. "
         + _SAFE
@@ -38,9 +38,10 @@ def _go_to(given: dict[str, str]) -> str:
     about = f" with the robot '{given['robot']}'" if given.get("robot") else ""
     return (
         f"Go to {where}{about}. First `read` the pose, and the map if the place has a name. Find "
-        "the action that moves (`discover` with kind `action`), call its tool with `dry_run` "
-        "first, then without. While the result is `in_progress`, call `status` with the command's "
-        "id. If it fails, say why and what would help, and retry only once. " + _SAFE
+        "the action that moves (`discover` with kind `action` and `schemas`), `execute` it with "
+        "`dry_run` first, then without. While the result is `in_progress`, call `status` with the "
+        "command's id and `wait`. If it fails, say why and what would help, and retry only once. "
+        + _SAFE
     )
 
 

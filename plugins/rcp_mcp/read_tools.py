@@ -10,11 +10,11 @@ import msgspec
 from mcp import types
 from msgspec import Raw
 
-from rcp_kernel.api import Query, Session
+from rcp_kernel.api import Command, Query, Session
 from rcp_kernel.api.pages import cursor_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Kind
-from rcp_kernel.wire import Request
+from rcp_kernel.wire import Reply, Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.catalogue import Catalogue, Facts
 from rcp_mcp.config import McpConfig
@@ -22,6 +22,7 @@ from rcp_mcp.content import Block, show, speaks, text
 from rcp_mcp.fixed import Discover, Read, Status
 from rcp_mcp.naming import tool_name
 from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.provenance import is_own
 from rcp_mcp.schemas import worded
 from rcp_mcp.summary import PER_TOKEN, cut, size
 
@@ -52,7 +53,7 @@ class ReadTools:
             schemas=arguments.schemas,
         )
         page = await self._page(session, arguments.path, query)
-        typed = self._catalogue.tools(session)
+        typed = {name for name, one in self._catalogue.tools(session).items() if one.listed}
         found = [_line(one, session.tenant, typed) for one in page["resources"]]
         kept = self._fitting(found)
         if kept < len(found):  # the cursor after the items that are included
@@ -64,7 +65,10 @@ class ReadTools:
             facts["note"] = "There are more results: search with `q`, or continue with `cursor`."
         elif not found:
             facts["note"] = "No matching resources; try fewer words in `q`."
-        return answered(facts)
+        if all(is_own(one["path"]) for one in facts["resources"]):
+            return answered(facts)
+        facts["untrusted"] = True
+        return answered(facts, text(facts, None, untrusted=True))
 
     async def _page(self, session: Session, path: str, query: Query) -> dict[str, Any]:
         work = self._client_api.discover(session, path, query)
@@ -108,10 +112,31 @@ class ReadTools:
             sampled, "values", samples, self._config, pages=many, more=reply.truncated
         )
 
+    async def _ended(self, command: Command, patience: float) -> None:
+        """Wait until a command has ended, or for so long."""
+        ended = asyncio.Event()
+
+        def note(reply: Reply) -> None:
+            if reply.final:
+                ended.set()
+
+        forget = self._client_api.follow(command, note)
+        try:
+            if not command.final:
+                async with asyncio.timeout(patience):
+                    await ended.wait()
+        except TimeoutError:
+            pass
+        finally:
+            forget()
+
     async def status(self, ctx: Context, session: Session, arguments: Status) -> Outcome:
         """Return the status of the gateway, or of one command."""
         if arguments.command is not None:
-            command = self._client_api.command(session, arguments.command).plain()
+            found = self._client_api.command(session, arguments.command)
+            if arguments.wait:
+                await self._ended(found, arguments.wait)
+            command = found.plain()
             command["history"] = command["history"][-_STEPS:]
             plain = msgspec.json.decode(msgspec.json.encode(command))
             return _bounded({"command": plain}, self._config.budget)
@@ -197,7 +222,7 @@ def _renamed(item: dict[str, Any]) -> dict[str, Any]:
     return {"value": item.get("body")} | {key: item[key] for key in kept if key in item}
 
 
-def _line(one: Facts, tenant: str | None, typed: dict[str, Any]) -> dict[str, Any]:
+def _line(one: Facts, tenant: str | None, typed: set[str]) -> dict[str, Any]:
     """Describe one resource briefly, or with its schemas if requested."""
     line: dict[str, Any] = {
         "path": one["path"],

@@ -18,6 +18,7 @@ from rcp_mcp.config import McpConfig
 from rcp_mcp.content import UNTRUSTED, speaks
 from rcp_mcp.naming import path_of, uri_of
 from rcp_mcp.pictures import taken_out
+from rcp_mcp.provenance import Marker, is_own
 
 __all__ = ["BRANCHES", "Resources"]
 
@@ -45,7 +46,8 @@ class Resources:
 
     def all(self, session: Session) -> list[types.Resource]:
         """List them ordered by path."""
-        return [_listed(one) for one in self._catalogue.all(session) if "read" in one["operations"]]
+        marker, known = self._catalogue.marker, self._catalogue.all(session)
+        return [_listed(one, marker) for one in known if "read" in one["operations"]]
 
     def templates(self) -> list[types.ResourceTemplate]:
         """List the resource templates."""
@@ -108,14 +110,15 @@ class Resources:
         return types.ReadResourceResult(contents=contents)
 
 
-def _listed(one: Facts) -> types.Resource:
+def _listed(one: Facts, marker: Marker) -> types.Resource:
     unit = one.get("unit")
     words = " ".join(str(one["description"]).split())
+    words = f"{words} Unit: {unit}." if unit else words
     return types.Resource(
         uri=uri_of(one["path"]),
         name=one["path"],
         title=one["path"].rpartition("/")[2],
-        description=f"{words} Unit: {unit}." if unit else words,
+        description=words if is_own(one["path"]) else marker.text(words),
         mime_type=JSON,
         _meta={"rcp/kind": one["kind"]},
     )

@@ -31,6 +31,16 @@ class RobotTools:
         self._config = config
         self._client_api = client_api
 
+    async def names(self, session: Session) -> list[str]:
+        """List the robots that a caller may see, as prompts and people name them.
+
+        That is the segment of its paths, or the whole path for the only robot of a tenant.
+        """
+        reply = await self._client_api.request(session, Request(type="read", path=INVENTORY))
+        paths = () if reply.error is not None else (one["path"] for one in body_of(reply))
+        own = f"/tenant/{session.tenant}/"
+        return [path.removeprefix(own) for path in paths]
+
     async def robots(self, ctx: Context, session: Session, arguments: Robots) -> Outcome:
         """List the robots that match, as many as fit, with a cursor for the rest."""
         options = {"q": arguments.q, "limit": arguments.limit, "cursor": arguments.cursor}

@@ -9,12 +9,6 @@ from rcp_protocol.plain import is_list, is_map
 __all__ = ["Arguments", "arguments", "result", "worded"]
 
 _DEFS = "$defs"
-_ANY_VALUE = {"description": "Any JSON value."}
-ERROR: dict[str, Any] = {
-    "type": "object",
-    "description": "`code`, `message`, and `remedy`: what to do next.",
-    "required": ["code", "message"],
-}
 
 
 class Arguments(NamedTuple):
@@ -47,32 +41,42 @@ def arguments(
     shown = [one for one in shown if is_map(one)]
     if shown:
         found["examples"] = shown
-    return Arguments(worded(found), wrapped, optional, frozenset(added))
+    return Arguments(worded(_brief(found)), wrapped, optional, frozenset(added))
+
+
+def _brief(schema: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what a model need not read: names of types, and that a field may be null."""
+    properties: dict[str, Any] = {}
+    for name, one in schema["properties"].items():
+        kept = {key: item for key, item in one.items() if (key, item) != ("default", None)}
+        choices = kept.get("anyOf", [])
+        rest = [item for item in choices if item != {"type": "null"}]
+        if len(rest) == 1 and len(choices) > 1:
+            del kept["anyOf"]
+            kept = {**rest[0], **kept}
+        properties[name] = kept
+    return {key: item for key, item in schema.items() if key != "title"} | {
+        "properties": properties
+    }
 
 
 def result(
-    schema: dict[str, Any] | None, feedback: dict[str, Any] | None = None, *, long: bool
-) -> dict[str, Any]:
-    """Build the output schema of a command's tool; a `long` one may return before it has ended."""
-    body, defs = _part(schema)
-    properties: dict[str, Any] = {
-        "status": {"enum": ["completed", "failed", "rejected", "cancelled", "in_progress"]},
-        "path": {"type": "string"},
-        "command": {"type": "string", "description": "Id for `status` and `cancel`."},
-        "message": {"type": "string"},
-        "result": body,
-        "dry_run": {"type": "boolean"},
-        "untrusted": {"type": "boolean"},
-        "error": ERROR,
-    }
-    if long:
-        shape, more = _part(feedback) if feedback is not None else (_ANY_VALUE, {})
+    schema: dict[str, Any] | None, feedback: dict[str, Any] | None = None
+) -> dict[str, Any] | None:
+    """Build the output schema of a command's tool: what only this command has, if anything."""
+    defs: dict[str, Any] = {}
+    properties: dict[str, Any] = {}
+    for name, one in (("result", schema), ("feedback", feedback)):
+        if one is None:
+            continue
+        body, more = _part(one)
         if any(more[name] != defs.get(name, more[name]) for name in more):
-            shape, more = _ANY_VALUE, {}
-        defs = {**more, **defs}
-        properties["feedback"] = shape
-        properties["progress"] = {"type": "number", "minimum": 0, "maximum": 1}
-    out: dict[str, Any] = {"type": "object", "properties": properties, "required": ["status"]}
+            continue  # two types of one name
+        defs |= more
+        properties[name] = body
+    if not properties:
+        return None
+    out: dict[str, Any] = {"type": "object", "properties": properties}
     if defs:
         out[_DEFS] = defs
     return worded(out)
@@ -97,10 +101,8 @@ def worded(node: Any) -> Any:
     return out
 
 
-def _part(schema: dict[str, Any] | None) -> tuple[dict[str, Any], dict[str, Any]]:
+def _part(schema: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Split a schema into its own part and its definitions, which go to the root."""
-    if schema is None:
-        return {"type": "null"}, {}
     bare = {key: item for key, item in schema.items() if key not in ("$id", _DEFS)}
     # A field without a value is omitted or null: backends may do either.
     return {"anyOf": [bare, {"type": "null"}]}, dict(schema.get(_DEFS, {}))

@@ -29,7 +29,7 @@ async def open_mcp(
     catalogue = Catalogue(config, client_api)
     listening = ListenerRegistry(client_api, catalogue)
     tree = Tree(config, client_api, CommandTools(config, client_api, catalogue))
-    server = McpServer("RCP gateway", [tree, *more], listening)
+    server = McpServer("RCP gateway", [tree, *more], listening, config.page)
     manager = Manager(
         client_api.outbound,
         server,

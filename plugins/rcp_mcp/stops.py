@@ -36,7 +36,7 @@ def stop_words() -> str:
         "`device_timeout` means that some are not: `not_confirmed` lists them, the gateway "
         "keeps sending the stop, and a person must use the robot's own emergency stop: say so at "
         "once. Never say that a robot has stopped before it is listed in `at_rest`. To pause one "
-        "robot without a latch use its `hold` tool."
+        "robot without a latch, execute its `service/hold`."
     )
 
 
@@ -51,8 +51,8 @@ def stop_arguments(schema: dict[str, Any]) -> dict[str, Any]:
     return schema | {"properties": properties}
 
 
-def stop_result(schema: dict[str, Any]) -> dict[str, Any]:
-    """Add the parts of a report to the tool's output schema."""
+def stop_result() -> dict[str, Any]:
+    """Return the tool's output schema: the parts of a report."""
     unconfirmed = {
         "type": "object",
         "properties": {
@@ -70,7 +70,7 @@ def stop_result(schema: dict[str, Any]) -> dict[str, Any]:
             "description": "Stopped robots that are not known to be at rest.",
         },
     }
-    return schema | {"properties": schema["properties"] | added}
+    return {"type": "object", "properties": added}
 
 
 class Report(NamedTuple):

@@ -1,4 +1,4 @@
-"""The robots' tree as an offer: fixed tools, a tool per action and service, resources."""
+"""The robots' tree as an offer: fixed tools, tools of chosen actions and services, resources."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from rcp_mcp.command_tools import CommandTools
 from rcp_mcp.completion import Completion
 from rcp_mcp.config import McpConfig
 from rcp_mcp.fixed import FIXED, Fixed
+from rcp_mcp.guidance import with_nearest
+from rcp_mcp.naming import as_path
 from rcp_mcp.offers import Context, Method, Offer, Outcome
 from rcp_mcp.prompts import PROMPTS, written
 from rcp_mcp.read_tools import ReadTools
@@ -27,10 +29,14 @@ from rcp_mcp.resources import Resources
 from rcp_mcp.robots import RobotTools
 from rcp_mcp.urgent import Urgent
 from rcp_mcp.watch_tools import WatchTools
+from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Tree"]
 
 log = structlog.get_logger("rcp.mcp")
+_ESTOP_TOOL = "system-estop"
+_PATHS = frozenset(("path", "paths", "values", "scope"))
+"""Arguments that are paths, or maps with paths as keys."""
 Handler = Callable[[Context, Session, Any], Awaitable[Outcome]]
 
 
@@ -46,6 +52,26 @@ def _taken(one: Fixed, arguments: dict[str, Any]) -> Any:
         raise
 
 
+def _with_paths(tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """Accept `rcp://` addresses wherever a tool takes paths."""
+    if tool not in FIXED and tool != _ESTOP_TOOL:
+        return arguments
+    return {
+        name: _as_paths(item, keys=name == "values") if name in _PATHS else item
+        for name, item in arguments.items()
+    }
+
+
+def _as_paths(item: Any, *, keys: bool) -> Any:
+    if isinstance(item, str):
+        return as_path(item)
+    if is_list(item):
+        return [as_path(one) if isinstance(one, str) else one for one in item]
+    if keys and is_map(item):
+        return {as_path(name): value for name, value in item.items()}
+    return item
+
+
 class Tree(Offer):
     """The part of the tree that a caller may see."""
 
@@ -55,16 +81,18 @@ class Tree(Offer):
         self._commanding = commanding
         self._resources = Resources(config, client_api, self._catalogue)
         self._urgent = Urgent(self._catalogue)
-        self._completing = Completion(self._catalogue)
+        robots = RobotTools(config, client_api)
+        self._completing = Completion(self._catalogue, robots)
         looking = ReadTools(config, client_api, self._catalogue)
         self._handlers: dict[str, Handler] = {
-            "robots": RobotTools(config, client_api).robots,
+            "robots": robots.robots,
             "discover": looking.discover,
             "read": looking.read,
             "status": looking.status,
             "write": commanding.write,
             "write_all": commanding.write_all,
             "execute": commanding.execute,
+            "plan": commanding.plan,
             "cancel": commanding.cancel,
             "watch": WatchTools(config, client_api).watch,
         }
@@ -92,17 +120,28 @@ class Tree(Offer):
             if (one.needs is None or one.needs in held)
             and (one.of is None or self._catalogue.find(session, one.of) is not None)
         ]
-        return [*found, *(one.tool for one in self._catalogue.tools(session).values())]
+        typed = self._catalogue.tools(session).values()
+        return [*found, *(one.tool for one in typed if one.listed)]
 
     async def call(self, ctx: Context, params: types.CallToolRequestParams) -> Outcome | None:
         """Call a tool; errors are results that the model can act on."""
         session = session_of(ctx)
-        arguments = params.arguments or {}
+        arguments = _with_paths(params.name, params.arguments or {})
+        found = await self._called(ctx, session, params.name, arguments)
+        if isinstance(found, types.CallToolResult) and found.is_error:
+            asked = [arguments.get("path"), *(arguments.get("paths") or ())]
+            known = self._catalogue.all(session)
+            return await with_nearest(found, [one for one in asked if isinstance(one, str)], known)
+        return found
+
+    async def _called(
+        self, ctx: Context, session: Session, name: str, arguments: dict[str, Any]
+    ) -> Outcome | None:
         try:
-            if (one := FIXED.get(params.name)) is not None:
+            if (one := FIXED.get(name)) is not None:
                 taken = _taken(one, arguments)
-                return await self._handlers[params.name](ctx, session, taken)
-            typed = self._urgent.tool(session, params.name)
+                return await self._handlers[name](ctx, session, taken)
+            typed = self._urgent.tool(session, name)
             if typed is None:
                 return None
             return await self._commanding.call(ctx, session, typed, arguments)
@@ -111,7 +150,7 @@ class Tree(Offer):
         except RcpError as error:
             return refused(error)
         except Exception as error:
-            return refused(to_internal_error(error, tool=params.name))
+            return refused(to_internal_error(error, tool=name))
 
     async def resources(self, ctx: Context) -> Sequence[types.Resource]:
         """List what the caller may read."""
@@ -141,7 +180,7 @@ class Tree(Offer):
         self, ctx: Context, params: types.CompleteRequestParams
     ) -> types.Completion | None:
         """Complete tenants and paths that the caller may see."""
-        return self._completing.complete(self._paying(ctx), params)
+        return await self._completing.complete(self._paying(ctx), params)
 
     def _paying(self, ctx: Context) -> Session:
         """Return the session of a request, charging it to the quota.

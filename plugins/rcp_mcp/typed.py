@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 from mcp import types
 
 from rcp_mcp.config import McpConfig
+from rcp_mcp.content import speaks
 from rcp_mcp.naming import tool_name
+from rcp_mcp.provenance import Marker, is_own
 from rcp_mcp.schemas import Arguments, arguments, result
 from rcp_mcp.stops import ESTOP, is_hold, stop_arguments, stop_result, stop_words
 
@@ -42,29 +45,37 @@ _DESCRIPTION = 900  # maximum characters of a robot's own description
 
 
 def typed_tool(
-    facts: dict[str, Any], tenant: str | None, config: McpConfig, *, stops: bool, asks: bool
+    facts: dict[str, Any],
+    tenant: str | None,
+    config: McpConfig,
+    marker: Marker,
+    *,
+    stops: bool,
+    asks: bool,
 ) -> tuple[types.Tool, Arguments]:
     """Build the tool of an executable resource, from its entry in the catalogue.
 
     `stops`: what cancelling its call does; `asks`: whether a person may have to approve it.
     """
-    schemas = facts.get("schemas", {})
+    given = facts.get("command_schema") or facts.get("schemas", {}).get("input")
+    outcome = {name: facts.get("schemas", {}).get(name) for name in ("output", "feedback")}
+    examples: list[Any] = facts["examples"]
+    if not is_own(facts["path"]):
+        given, outcome = marker.schema(given), marker.schema(outcome)
+        examples = [one for one in examples if not speaks(_plain(one))]
     long = facts["kind"] == "action"
     left_out = {"wait": not long, "approval": not asks}
     options = {name: one for name, one in OPTIONS.items() if not left_out.get(name)}
-    taken = arguments(
-        facts.get("command_schema") or schemas.get("input"), facts["examples"], options
-    )
+    taken = arguments(given, examples, options)
     path: str = facts["path"]
-    answer = result(schemas.get("output"), schemas.get("feedback"), long=long)
+    answer = result(outcome.get("output"), outcome.get("feedback"))
     if path == ESTOP:
         taken = taken._replace(schema=stop_arguments(taken.schema))
-        answer = stop_result(answer)
+        answer = stop_result()
     return (
         types.Tool(
             name=tool_name(path, tenant),
-            title=path,
-            description=_words(facts, config, stops=stops),
+            description=_words(facts, config, marker, stops=stops),
             input_schema=taken.schema,
             output_schema=answer,
             annotations=_hints(facts),
@@ -74,18 +85,22 @@ def typed_tool(
     )
 
 
-def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
-    sentences = [" ".join(str(facts["description"]).split())[:_DESCRIPTION]]
+def _plain(value: Any) -> Any:
+    return msgspec.to_builtins(value)
+
+
+def _words(facts: dict[str, Any], config: McpConfig, marker: Marker, *, stops: bool) -> str:
+    words = " ".join(str(facts["description"]).split())[:_DESCRIPTION]
+    sentences = [words if is_own(facts["path"]) else marker.text(words)]
     if facts["path"] == ESTOP:
         sentences.append(stop_words())
     elif is_hold(facts["path"]):
         sentences.append(
-            "No latch: the next command moves the robot again. In an emergency use `system-estop`."
+            "No latch: the next command moves the robot. In an emergency use `system-estop`."
         )
     if facts["kind"] == "action":
         sentences.append(
-            f"Long-running: after {config.wait:g} s (or `wait`) it returns `in_progress` "
-            "with a command id for `status` and `cancel`."
+            f"Long: after {config.wait:g} s (or `wait`) it returns `in_progress` and a command id."
         )
         sentences.append(
             "Cancelling the call stops the robot."

@@ -10,6 +10,7 @@ from rcp_kernel.api import Session
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import parse_path
 from rcp_mcp.catalogue import Catalogue, Typed
+from rcp_mcp.naming import as_path
 from rcp_mcp.stops import ESTOP, is_hold
 
 __all__ = ["Urgent"]
@@ -97,6 +98,6 @@ def _is_stop(path: str) -> bool:
 
 def _whole(session: Session, path: str) -> str:
     try:
-        return parse_path(path, session.tenant)
+        return parse_path(as_path(path), session.tenant)
     except RcpError:
         return ""

@@ -402,6 +402,25 @@ def lease_hold(ctx: click.Context, **arguments: Any) -> int:
     return _run(ctx, "lease hold", **arguments)
 
 
+@rcpctl.group(context_settings=_CONTEXT)
+@_common
+def mcp() -> None:
+    """Look at what the gateway offers to models (MCP)."""
+
+
+@mcp.command(name="tools", context_settings=_CONTEXT)
+@_common
+@click.option("--cost", is_flag=True, help="Show about how many tokens each tool costs a model.")
+@click.option("--path", default="/mcp", show_default=True, help="Path of the MCP server.")
+@click.pass_context
+def mcp_tools(ctx: click.Context, **arguments: Any) -> int:
+    """List the tools that a model sees with your rights.
+
+    --cost is an estimate, the same for every model: the bytes of a tool's JSON divided by 4.
+    """
+    return _run(ctx, "mcp tools", **arguments)
+
+
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
 @click.option("--lang", required=True, type=click.Choice(["python", "typescript"]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
+from uuid import uuid4
 
 import httpx
 
@@ -42,7 +43,7 @@ def data(body: Any, **fields: Any) -> dict[str, Any]:
 def wrapped(part: dict[str, Any], **fields: Any) -> dict[str, Any]:
     """Write the parameters of a message with one part."""
     configuration = fields.pop("configuration", None)
-    message = {"messageId": "m-1", "role": "ROLE_USER", "parts": [part], **fields}
+    message = {"messageId": str(uuid4()), "role": "ROLE_USER", "parts": [part], **fields}
     return {"message": message} | ({"configuration": configuration} if configuration else {})
 
 

@@ -149,7 +149,7 @@ async def test_another_version_is_not_taken_for_this_one(
 
 
 async def test_history_is_cut_as_asked(client: httpx.AsyncClient) -> None:
-    task = await sent(client, text(NOWHERE, configuration={"historyLength": 0}))
+    task = await sent(client, text(NOWHERE, messageId="m-1", configuration={"historyLength": 0}))
     assert "history" not in task
     whole = (await client.get(f"/a2a/tasks/{task['id']}?historyLength=5")).json()
     assert [m["messageId"] for m in whole["history"]] == ["m-1"]

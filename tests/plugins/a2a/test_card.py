@@ -20,7 +20,9 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from google.protobuf.json_format import ParseDict
 
-from plugins.a2a.agent import agent, caller, data, rpc, sent, text
+from configuration import key, role, rule
+from plugins.a2a.agent import VERSION, agent, caller, data, rpc, sent, text
+from plugins.a2a.rover import OPERATOR, rovers
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
 from rcp_kernel.api import Query
@@ -30,6 +32,7 @@ from transports.robot import Site
 pytestmark = pytest.mark.anyio
 CARD = "/.well-known/agent-card.json"
 MANY = 2_000  # services
+MUTE = "key-of-who-may-not-plan"
 MOVERS = '[anonymous]\nrole = "operator"'
 
 
@@ -133,6 +136,39 @@ async def test_the_extended_card_has_what_the_caller_may_execute(client: httpx.A
     assert skills(card) == ["plan", "stop", "robots", "action.go", "service.add", "service.hold"]
     answer = await rpc(client, "GetExtendedAgentCard", tenant="beta")
     assert answer["result"]["name"].endswith("(beta)")
+
+
+async def test_every_example_runs_as_it_stands(gateway: Site, client: httpx.AsyncClient) -> None:
+    """Checked only: a stop would keep the others from running."""
+    card = (await rpc(client, "GetExtendedAgentCard"))["result"]
+    examples = [(one["id"], text) for one in card["skills"] for text in one["examples"]]
+    assert {id_ for id_, _ in examples} == {*skills(card)}
+    for id_, example in examples:
+        task = await sent(client, text(example, metadata={"dry_run": True}))
+        assert task["status"]["state"] == "TASK_STATE_COMPLETED", (id_, example, task)
+    await sent(client, text(next(one for id_, one in examples if id_ == "service.add")))
+    assert [name for name, _ in gateway.robot.ran] == ["service/add"]
+
+
+async def test_every_example_of_a_simulated_rover_passes_the_checks() -> None:
+    headers = VERSION | {"authorization": f"Bearer {OPERATOR}"}
+    async with rovers() as url, httpx.AsyncClient(base_url=url, headers=headers) as client:
+        card = (await rpc(client, "GetExtendedAgentCard"))["result"]
+        for skill in card["skills"]:
+            for example in skill["examples"]:
+                task = await sent(client, text(example, metadata={"dry_run": True}))
+                assert task["status"]["state"] == "TASK_STATE_COMPLETED", (example, task)
+
+
+async def test_who_may_not_run_plans_is_offered_nothing() -> None:
+    mute = role("mute", rule("*", "/tenant/**")) + key("mute", MUTE, role="mute")
+    async with agent(more=mute) as site, caller(site, MUTE) as client:
+        card = (await rpc(client, "GetExtendedAgentCard"))["result"]
+        assert skills(card) == ["plan"]
+        assert card["skills"][0]["description"].startswith("Not with your rights")
+        assert "examples" not in card["skills"][0]
+        task = await sent(client, text("execute /service/add 1"))
+        assert task["status"]["state"] == "TASK_STATE_REJECTED"
 
 
 async def test_a_viewer_gets_no_skills_of_motion_in_the_extended_card(gateway: Site) -> None:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
+from uuid import uuid4
 
 import httpx
 import pytest
@@ -69,7 +70,7 @@ def plan(*steps: Any, **fields: Any) -> SendMessageRequest:
 
 def said(part: Part, **fields: Any) -> SendMessageRequest:
     return SendMessageRequest(
-        message=Message(message_id="m", role=Role.ROLE_USER, parts=[part], **fields)
+        message=Message(message_id=str(uuid4()), role=Role.ROLE_USER, parts=[part], **fields)
     )
 
 

@@ -6,13 +6,13 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from plugins.mcp.rig import Caller, Site, caller, site
+from plugins.mcp.rig import EVERY_TOOL, Caller, Site, caller, site
 
 
 @pytest.fixture
 async def gateway() -> AsyncGenerator[Site]:
     """Serve with every default but a short patience."""
-    async with site(mcp="feedback = 50.0") as made:
+    async with site(mcp=EVERY_TOOL + "feedback = 50.0") as made:
         yield made
 
 

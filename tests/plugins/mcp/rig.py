@@ -31,6 +31,7 @@ from rcp_mcp.server_lifespan import open_mcp
 BOUND = 20.0  # s that any wait of a test may take
 OPERATOR = "operator-of-these-tests"
 VERSION = "2026-07-28"
+EVERY_TOOL = 'tools = ["/**"]\npage = 100000\n'
 ROBOTS = backend("robot") + backend("other", "beta")
 ROVER = backend(use="sim", seed=1)
 
@@ -156,7 +157,7 @@ async def site(
     port: int = 0,
     top: str = "",
     robots: str = ROBOTS,
-    mcp: str = "",
+    mcp: str = EVERY_TOOL,
     more: str = "",
     make: Callable[[Host], Robot] = Robot,
     offers: Callable[[ClientApi], Sequence[Offer]] = lambda _client_api: (),

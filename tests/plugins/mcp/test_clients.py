@@ -13,7 +13,7 @@ import pytest
 
 from configuration import key, role, rule
 from node import bin_of, node, npm_packages
-from plugins.mcp.rig import OPERATOR, ROVER, site
+from plugins.mcp.rig import EVERY_TOOL, OPERATOR, ROVER, site
 
 SCRIPT = Path(__file__).parent / "drive.mjs"
 AGENT = "agent-of-these-tests"
@@ -46,7 +46,7 @@ async def run(*command: str, cwd: Path, **environment: str) -> str:
 async def test_the_official_client_drives_the_simulated_rover(era: str, tmp_path: Path) -> None:
     (tmp_path / "node_modules").symlink_to(npm_packages("mcp") / "node_modules")
     script = shutil.copy(SCRIPT, tmp_path)
-    async with site(robots=ROVER, more=RULES, mcp="feedback = 20.0") as made:
+    async with site(robots=ROVER, more=RULES, mcp=EVERY_TOOL + "feedback = 20.0") as made:
         output = await run(node(), str(script), era, made.url, AGENT, cwd=tmp_path)
     met: dict[str, Any] = json.loads(output)
     assert {"discover", "action-move_to", "service-reset_system"} <= set(met["tools"])

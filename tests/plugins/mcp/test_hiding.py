@@ -45,7 +45,12 @@ async def guest(made: Site) -> AsyncGenerator[Caller]:
 
 
 def clean(answer: dict[str, Any], path: str) -> str:
-    """Write an answer without the path that was asked for, and what is random."""
+    """Write an answer without the path that was asked for, its like, and what is random."""
+    error = answer.get("structuredContent", {}).get("error", {})
+    if error.pop("nearest", None):
+        shown = answer["content"].pop()["text"]
+        assert "secret" not in shown
+        assert "beta" not in shown
     text = json.dumps(answer, sort_keys=True)
     segments = path.strip("/").split("/")
     for part in (path, path.removeprefix("/tenant/"), "/".join(segments[-2:]), segments[-1]):

@@ -7,7 +7,7 @@ from typing import Any
 
 import anyio
 
-from plugins.mcp.rig import BOUND, Caller, Site, caller, site
+from plugins.mcp.rig import BOUND, EVERY_TOOL, Caller, Site, caller, site
 
 PROGRESS = {"progressToken": "p"}
 
@@ -82,7 +82,7 @@ async def test_who_cancels_the_call_stops_the_robot(gateway: Site, operator: Cal
 
 async def test_an_action_keeps_going_by_rule_and_its_tool_says_so() -> None:
     async with (
-        site(mcp='keeps_going = ["/action/go"]\nfeedback = 50.0') as made,
+        site(mcp=EVERY_TOOL + 'keeps_going = ["/action/go"]\nfeedback = 50.0') as made,
         caller(made) as client,
     ):
         tool = (await client.tools())["action-go"]

@@ -71,7 +71,7 @@ class Named(Offer):
     """The tools of these actions once more, under other names."""
 
     def __init__(self, client_api: ClientApi) -> None:
-        config = McpConfig()
+        config = McpConfig(tools=("/**",))
         self._tree = Tree(
             config, client_api, CommandTools(config, client_api, Catalogue(config, client_api))
         )

@@ -10,7 +10,7 @@ import click
 
 from rcp_client.client import Client
 from rcp_client.connection import connect
-from rcp_client.console import show, whole
+from rcp_client.console import mcp, show, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.fleet import fleet
 from rcp_client.console.output import Output, exit_code
@@ -319,5 +319,6 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "lease acquire": _lease_acquire,
     "lease release": _lease_release,
     "lease hold": _lease_hold,
+    "mcp tools": mcp.tools,
     "codegen": _codegen,
 }

@@ -17,7 +17,7 @@ from rcp_client.messages import Reply
 from rcp_client.requests import repeatable
 from rcp_client.settings import MARGIN
 
-__all__ = ["request"]
+__all__ = ["Unanswered", "post", "request"]
 
 
 async def request(client: Client, envelope: dict[str, Any]) -> Reply:
@@ -33,27 +33,43 @@ async def request(client: Client, envelope: dict[str, Any]) -> Reply:
 
 
 def _post(client: Client, envelope: dict[str, Any]) -> Reply:
-    settings = client.settings
-    headers = {"Content-Type": "application/json", "Accept": "application/json"}
-    if (token := settings.proof()) is not None:
-        headers["Authorization"] = f"Bearer {token}"
     # The gateway's own reply is more specific than a time-out here.
-    deadline = envelope.setdefault("deadline", settings.deadline)
-    address = client.channel.address
-    url = address.url + "/rcp/v1/messages"
-    http_request = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
+    deadline = envelope.setdefault("deadline", client.settings.deadline)
+    try:
+        data = post(client, "/rcp/v1/messages", envelope, deadline, {"Accept": "application/json"})
+    except Unanswered as lost:
+        raise lost if repeatable(envelope, keys=True) else unknown_outcome(lost) from lost.__cause__
+    return msgspec.json.decode(data, type=Reply)
+
+
+class Unanswered(ConnectionLost):
+    """A request may have arrived, and has no answer."""
+
+
+def post(
+    client: Client, path: str, body: dict[str, Any], deadline: float, headers: dict[str, str]
+) -> bytes:
+    """Post JSON to the client's gateway as its principal; return the body of the answer. Blocks.
+
+    :raises ConnectionLost: the gateway cannot be reached.
+    :raises Unanswered: it did not answer.
+    """
+    settings, address = client.settings, client.channel.address
+    sent = {"Content-Type": "application/json", **headers}
+    if (token := settings.proof()) is not None:
+        sent["Authorization"] = f"Bearer {token}"
+    url = address.url + path
+    http_request = urllib.request.Request(url, json.dumps(body).encode(), sent)  # noqa: S310
     try:
         with urllib.request.urlopen(  # noqa: S310 - the address of the client's own connection
             http_request,
             timeout=deadline + MARGIN,
             context=settings.ssl if address.secure else None,
         ) as answer:
-            data = answer.read()
+            return answer.read()
     except urllib.error.HTTPError as refusal:
-        data = refusal.read()
+        return refusal.read()
     except urllib.error.URLError as error:  # it could not be sent
         raise ConnectionLost(f"cannot reach {address.url}: {error}") from error
     except (OSError, http.client.HTTPException) as error:
-        lost = ConnectionLost(f"{address.url} did not answer: {error!r}")
-        raise lost if repeatable(envelope, keys=True) else unknown_outcome(lost) from error
-    return msgspec.json.decode(data, type=Reply)
+        raise Unanswered(f"{address.url} did not answer: {error!r}") from error
