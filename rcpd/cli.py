@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-import sys
-from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
@@ -12,8 +9,9 @@ import click
 
 from rcp_kernel.config.file import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
-from rcp_store.damage import find_damage
 from rcpd.audit import audit
+from rcpd.check import check
+from rcpd.diagnosis import explained
 from rcpd.exits import FAILED, fail
 from rcpd.profiles import profiles
 from rcpd.scaffold import KINDS, write_plugin
@@ -48,6 +46,7 @@ def main() -> None:
 
 
 main.add_command(audit)
+main.add_command(check)
 main.add_command(profiles)
 main.add_command(store)
 main.add_command(token)
@@ -91,47 +90,6 @@ def serve(config: Path) -> None:
         if not isinstance(end, SystemExit):
             click.echo(f"rcpd: {end!r}", err=True)
     run_again()
-
-
-@main.command()
-@click.argument("config", type=click.Path(path_type=Path))
-def check(config: Path) -> None:
-    """Report every error of a configuration without opening a robot or a socket."""
-    from rcp_kernel.access.identities import store_file
-    from rcp_kernel.access.key_strength import weak_keys
-    from rcp_kernel.app.server import prepare
-
-    try:
-        prepared = prepare(load(config), str(config))
-    except StartupError as error:
-        fail(str(error))
-    for missing in prepared.plugins.missing:
-        click.echo(
-            f"warning: {missing.group} '{missing.name}' cannot be imported: {missing.reason}; "
-            f"try: {missing.remedy}",
-            err=True,
-        )
-    _warn_of_damage(store_file(prepared.config))
-    found = prepared.config
-    for name in weak_keys(found.keys):
-        click.echo(
-            f"warning: key '{name}' is easy to guess: use the output of `openssl rand -hex 32` "
-            f"instead, or a token: `rcpd token create {name} --config {config} --role ROLE`",
-            err=True,
-        )
-    robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
-    click.echo(f"{config}: good")
-    click.echo(f"  backends      {robots}")
-    click.echo(f"  transports    {', '.join(found.transports) or 'none'}")
-    click.echo(f"  plugins       {', '.join(found.plugins) or 'none'}")
-    click.echo(f"  keys          {', '.join(key.name for key in found.keys) or 'none'}")
-    named = dict.fromkeys(one.name for one in found.certificates)
-    click.echo(f"  certificates  {', '.join(named) or 'none'}")
-    click.echo(f"  issuers       {', '.join(one['issuer'] for one in found.jwt) or 'none'}")
-    strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
-    click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
-    if prepared.plugins.missing:
-        sys.exit(FAILED)
 
 
 @main.command()
@@ -198,22 +156,8 @@ def version() -> None:
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")
 
 
-def _warn_of_damage(path: Path | None) -> None:
-    """Warn of a damaged store: the gateway starts with one, but latches its robots."""
-    if path is None:
-        return
-    with suppress(sqlite3.Error, OSError):  # `serve` reports what is wrong
-        damage = find_damage(path)
-        if damage is not None:
-            text = (
-                f"the store is damaged: {damage}; every robot will be latched at the start. "
-                "Run `rcpd store repair`"
-            )
-            click.echo(f"warning: {text}", err=True)
-
-
 def _loaded(path: Path) -> GatewayConfig:
     try:
         return load(path)
     except ConfigError as error:
-        fail(str(error))
+        fail(explained(error, path))

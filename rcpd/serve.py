@@ -23,6 +23,7 @@ from rcp_kernel.errors import StartupError
 from rcp_kernel.features.configuration import SERVED_CONFIGURATION
 from rcpd.configuration_file import ConfigurationFile, run_again
 from rcpd.demo import Demo
+from rcpd.diagnosis import explained
 from rcpd.exits import RECORD_LOST, fail
 from rcpd.garbage import collected_at_rest
 from rcpd.memory import keep_freed_memory
@@ -46,7 +47,7 @@ def run(
     try:
         prepared = prepare(config, source)
     except StartupError as error:
-        fail(str(error))
+        fail(str(error) if file is None else explained(error, file.path))
     log_weak_keys(config.keys, source)
     with asyncio.Runner(loop_factory=loop_factory()) as runner:
         try:
