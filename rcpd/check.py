@@ -33,7 +33,10 @@ def check(config: Path, *, as_json: bool) -> None:
     except (OSError, UnicodeDecodeError) as error:
         fail(f"{config}: cannot be read: {error}")
     found = Diagnosis(text, str(config))
-    warnings = [] if found.prepared is None else _warnings(found.prepared.config, config)
+    warnings = [one.text(str(config)) for one in found.warnings]
+    prepared = found.prepared()
+    if prepared is not None:
+        warnings += _warnings(prepared.config, config)
     if as_json:
         faults = [msgspec.to_builtins(one) for one in found.findings]
         answer = {"file": str(config), "ok": not faults, "faults": faults, "warnings": warnings}
@@ -41,8 +44,8 @@ def check(config: Path, *, as_json: bool) -> None:
         sys.exit(FAILED if faults else 0)
     for warning in warnings:
         click.echo(f"warning: {warning}", err=True)
-    if found.prepared is not None:
-        _summarise(found.prepared.config, config)
+    if prepared is not None:
+        _summarise(prepared.config, config)
         return
     count = f"{len(found.findings)}{' or more' if found.full else ''}"
     noun = "fault" if count == "1" else "faults"

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.access.identities import check_proofs
-from rcp_kernel.app.plugins import Plugins, installed
+from rcp_kernel.app.plugins import GROUPS, Plugins, installed
 from rcp_kernel.app.server import Prepared, prepare
 from rcp_kernel.config.faults import FAULTY
 from rcp_kernel.config.features import BUILTIN
@@ -28,17 +28,22 @@ class Diagnosis:
     """What is wrong with a text, and what would be served of it."""
 
     def __init__(self, text: str, source: str) -> None:
+        self._text = text
+        self._source = source
         self._survey = Survey(text)
-        self.prepared: Prepared | None = None
-        """None if there are faults."""
+        self._points = {group: installed(group) for group in GROUPS}
         if self._survey.readable:
             self._examine()
+
+    def prepared(self) -> Prepared | None:
+        """Prepare the file as the start does; None if there are faults."""
         if self._survey.findings:
-            return
+            return None
         try:
-            self.prepared = prepare(parse(text, source), source)
+            return prepare(parse(self._text, self._source), self._source)
         except StartupError as error:
-            self._survey.collector.add((), str(error).removeprefix(f"{source}: "))
+            self._survey.collector.add((), str(error).removeprefix(f"{self._source}: "))
+            return None
 
     @property
     def findings(self) -> list[Finding]:
@@ -50,9 +55,14 @@ class Diagnosis:
         """Whether there are more faults than are listed."""
         return self._survey.collector.full
 
-    def line(self, place: Place) -> int:
-        """Return the line of a place of the file."""
-        return self._survey.line(place)
+    @property
+    def warnings(self) -> list[Finding]:
+        """What may be meant: a hub without a listener still serves programs of its own."""
+        if set(self._survey.config.transports) - (set(TRANSPORTS) - {"asgi"}):
+            return []
+        text = "nothing listens, so no client can reach this gateway: remove `asgi = false`"
+        line = self._survey.line(("transports", "asgi"))
+        return [Finding(line, "transports", "asgi", text)]
 
     def _examine(self) -> None:
         survey = self._survey
@@ -83,11 +93,6 @@ class Diagnosis:
         for index, one in enumerate(config.certificates):
             with survey.checking(survey.collector.original(("certificates", index))):
                 check_proofs(msgspec.structs.replace(config, certificates=(one,)), "")
-        if not set(config.transports) - (set(TRANSPORTS) - {"asgi"}):
-            survey.collector.add(
-                ("transports", "asgi"),
-                "nothing listens, so no client can reach this gateway: remove `asgi = false`",
-            )
 
     def _use(self, index: int) -> Place:
         return (*self._survey.collector.original(("backends", index)), "use")
@@ -101,7 +106,7 @@ class Diagnosis:
 
     def _is_offered(self, group: str, name: str, place: Place) -> bool:
         """Return whether a plugin is installed, or at least known; note a fault otherwise."""
-        points = installed(group)
+        points = self._points[group]
         if name in points or (group == "features" and name in BUILTIN):
             return True
         near = nearest(name, points)

@@ -75,6 +75,7 @@ class Collector:
         bare = _branch(node, type_)
         if bare is Any:
             return node
+        before = len(self.faults)
         origin = get_origin(bare) or bare
         if is_map(node) and isinstance(bare, type) and issubclass(bare, msgspec.Struct):
             left = self._struct(node, bare, place, known)
@@ -84,10 +85,17 @@ class Collector:
             left = self._list(node, item, place)
         else:
             left = node
-        return FAULTY if left is FAULTY else self._whole(left, type_, place)
+        if left is FAULTY:
+            return FAULTY
+        # What is said of the whole may be wrong only because something was taken out of it.
+        return self._whole(left, type_, place, quiet=len(self.faults) > before)
 
     def _struct(
-        self, node: dict[str, Any], type_: type[msgspec.Struct], place: Place, known: Collection[str]
+        self,
+        node: dict[str, Any],
+        type_: type[msgspec.Struct],
+        place: Place,
+        known: Collection[str],
     ) -> Any:
         fields = {field.encode_name: field for field in msgspec.structs.fields(type_)}
         lacking = [name for name, field in fields.items() if field.required and name not in node]
@@ -124,7 +132,7 @@ class Collector:
         return near
 
     def _map(self, node: dict[str, Any], types: tuple[Any, ...], place: Place) -> Any:
-        key_type, value_type = types if len(types) == 2 else (Any, Any)  # noqa: PLR2004
+        key_type, value_type = types if len(types) == 2 else (Any, Any)
         left: dict[str, Any] = {}
         for key, value in node.items():
             try:
@@ -152,11 +160,13 @@ class Collector:
         """Note which items are left of a list."""
         self._kept[place] = kept
 
-    def _whole(self, node: Any, type_: Any, place: Place) -> Any:
+    def _whole(self, node: Any, type_: Any, place: Place, *, quiet: bool) -> Any:
         """Check what a type says of the whole node."""
         try:
             msgspec.convert(node, type_, strict=True)
         except msgspec.ValidationError as error:
+            if quiet:
+                return FAULTY
             fault = fault_of(error)
             at = _inside(node, fault.place, place)
             if is_map(node) and fault.what.startswith(("Expected", "Object", "Invalid")):
@@ -207,7 +217,7 @@ def _item(type_: Any) -> Any:
     """Return the type of a list's items; None if it is no list of one type."""
     origin, types = get_origin(type_), get_args(type_)
     if origin is tuple:
-        return types[0] if len(types) == 2 and types[1] is Ellipsis else None  # noqa: PLR2004
+        return types[0] if len(types) == 2 and types[1] is Ellipsis else None
     if origin in (list, set, frozenset) or getattr(origin, "__name__", "") == "Sequence":
         return types[0]
     return None
@@ -232,9 +242,25 @@ _QUOTED = re.compile(r"`([\w.-]+)`|([\w-]+(?:\.[\w-]+|\[\d+\])*)(?=[ :=])")
 
 
 def place_in(message: str, node: Any, place: Place) -> Place:
-    """Return the place that a message names: a key of the node in backticks, or in front."""
-    for found in _QUOTED.finditer(message):
+    """Return the place that a message names: by a key in backticks or in front, or by its value."""
+    for found in _QUOTED.finditer(message.partition(" needs ")[0]):
         at = _inside(node, found[1] or found[2], place)
         if at != place and (found[1] or found.start() == 0):
             return at
-    return place
+    quoted = _VALUE.search(message)
+    return (quoted and _place_of(quoted[1], node, place)) or place
+
+
+_VALUE = re.compile(r"'([^']+)'")
+
+
+def _place_of(value: str, node: Any, place: Place) -> Place | None:
+    """Return the place of a string within a node."""
+    if is_map(node):
+        steps: list[tuple[str | int, Any]] = list(node.items())
+    elif is_list(node):
+        steps = list(enumerate(node))
+    else:
+        return place if node == value else None
+    found = (_place_of(value, item, (*place, step)) for step, item in steps)
+    return next((one for one in found if one is not None), None)

@@ -36,11 +36,11 @@ from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
 
 __all__ = [
+    "KERNEL_KEYS",
+    "TRANSPORTS",
     "Anonymous",
     "BackendConfig",
     "CertificateConfig",
-    "KERNEL_KEYS",
-    "TRANSPORTS",
     "GatewayConfig",
     "Granting",
     "KeyConfig",

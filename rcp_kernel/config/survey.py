@@ -27,7 +27,9 @@ from rcp_protocol.plain import is_list, is_map
 __all__ = ["Finding", "Survey"]
 
 _TOP = GatewayConfig.__struct_fields__
-_HEADER = re.compile(r"\A(: )?(\[[\w.-]+(\[\d+\])?\]:? )?")
+_HEADER = re.compile(
+    r"\A(: )?(\[[\w.-]+(\[\d+\])?\]:? )?((key|\[\[certificates\]\]) '[^']*':? |(allow|deny)\[0\] )?"
+)
 """What messages of the start begin with, and findings have by themselves."""
 _SHOWN = 60  # characters of a value in a message
 _DEAR_LENGTH = 5  # characters of a secret that is not in a message by chance
@@ -118,8 +120,10 @@ class Survey:
                 words.append(step if step.replace("-", "").isidentifier() else f'"{step}"')
             else:
                 name = inner.get("name") if is_map(inner) else None
-                plain = isinstance(name, str) and not isinstance(name, Secret)
-                words.append(str(name) if plain else str(step))
+                if isinstance(name, str) and not isinstance(name, Secret):
+                    words.append(name)
+                else:
+                    words[-1] += f"[{step}]"
             node = inner
             table = len(words) if is_map(node) else table
         return ".".join(words[:table]), ".".join(words[table:]) or None
@@ -184,6 +188,8 @@ class Survey:
             own = {key: item for key, item in table.items() if key in KERNEL_KEYS}
             own.setdefault("name", own.get("use", "-"))
             left = self.collector.read(own, BackendConfig, place)
+            if left is FAULTY and isinstance(own.get("use"), str):  # the plugin's keys are read on
+                left = {"use": own["use"], "name": f"-{index}", "tenant": "-"}
             if left is not FAULTY:
                 options = {key: item for key, item in table.items() if key not in KERNEL_KEYS}
                 found.append({**left, "options": options})
@@ -194,7 +200,7 @@ class Survey:
     def _respelt(self, table: dict[str, Any], place: Place) -> dict[str, Any]:
         """Note misspelt keys that a backend cannot do without, and read them as they were meant."""
         for key in ("use", "tenant"):
-            near = None if key in table else nearest(key, table, 0.75)
+            near = None if key in table else nearest(key, table, 0.6)
             if near is not None and near not in KERNEL_KEYS:
                 self.collector.add((*place, near), f"unknown key; did you mean `{key}`?")
                 table = {key if name == near else name: item for name, item in table.items()}
@@ -245,7 +251,7 @@ class Survey:
         for kind in ("allow", "deny"):
             for index, rule in enumerate(getattr(role, kind)):
                 place = self.collector.original(("roles", name, kind, index))
-                with self._plain(place):
+                with self.checking(place, _follow(self.raw, place)):
                     check_roles({name: Role(**{kind: (rule,)})}, "")
         for index, path in enumerate(role.approve):
             place = self.collector.original(("roles", name, "approve", index))

@@ -46,9 +46,7 @@ def substituted(text: str) -> str:
         if default is not None:
             return value or default
         if value is None:
-            raise ConfigError(
-                f"uses the environment variable {match[1]}, which is not set"
-            )
+            raise ConfigError(f"uses the environment variable {match[1]}, which is not set")
         return value
 
     if "${" in _VARIABLE.sub("", text):
