@@ -78,10 +78,11 @@ def _damage(path: Path | None) -> list[str]:
         damage = find_damage(path)
     if damage is None:
         return []
-    return [
+    text = (
         f"the store is damaged: {damage}; every robot will be latched at the start. "
         "Run `rcpd store repair`"
-    ]
+    )
+    return [text]
 
 
 def _summarise(found: GatewayConfig, config: Path) -> None:

@@ -6,15 +6,20 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 import click
+import msgspec
 
 from rcp_kernel.config.file import GatewayConfig, load, parse
+from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.errors import ConfigError, StartupError
+from rcp_kernel.wire import VERSION
 from rcpd.audit import audit
 from rcpd.check import check
 from rcpd.diagnosis import explained
+from rcpd.effective import config_command
 from rcpd.exits import FAILED, fail
 from rcpd.profiles import profiles
 from rcpd.scaffold import KINDS, write_plugin
+from rcpd.schema import schema
 from rcpd.store import store
 from rcpd.tokens import token
 
@@ -41,13 +46,20 @@ def _brought() -> dict[str, EntryPoint]:
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(
+    f"{gateway_version()} (protocol RCP/{VERSION})",
+    prog_name="rcp-gateway",
+    message="%(prog)s %(version)s",
+)
 def main() -> None:
     """Run and manage an RCP gateway: one server between robots and their clients."""
 
 
 main.add_command(audit)
 main.add_command(check)
+main.add_command(config_command)
 main.add_command(profiles)
+main.add_command(schema)
 main.add_command(store)
 main.add_command(token)
 
@@ -67,7 +79,11 @@ def demo(*, port: int, verbose: bool) -> None:
 
 @main.command()
 @click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
-def serve(config: Path) -> None:
+@click.option("--host", help="Address to listen on, instead of that of [transports.asgi].")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), help="Port to listen on, instead of that of the file."
+)
+def serve(config: Path, *, host: str | None, port: int | None) -> None:
     """Serve the robots of a configuration file (default: ./rcp.toml).
 
     SIGHUP reloads the file: roles, keys, certificates, limits and backends change at once;
@@ -80,7 +96,7 @@ def serve(config: Path) -> None:
     file = ConfigurationFile(config)
     file.start()
     try:
-        run(_loaded(config), str(config), file, None)
+        run(_listening(_loaded(config), host, port), str(config), file, None)
     except (SystemExit, Exception) as end:
         failed = not isinstance(end, SystemExit) or end.code == FAILED
         if failed and file.fails():
@@ -150,10 +166,18 @@ for _kind in KINDS:
 @main.command()
 def version() -> None:
     """Print the gateway's and the protocol's version."""
-    from rcp_kernel.contract.version import gateway_version
-    from rcp_kernel.wire import VERSION
-
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")
+
+
+def _listening(config: GatewayConfig, host: str | None, port: int | None) -> GatewayConfig:
+    """Return a configuration that listens where the command line says."""
+    given = {key: at for key, at in (("host", host), ("port", port)) if at is not None}
+    if not given:
+        return config
+    if "asgi" not in config.transports:
+        fail("--host and --port are of [transports.asgi], which this configuration takes out")
+    asgi = {**config.transports["asgi"], **given}
+    return msgspec.structs.replace(config, transports={**config.transports, "asgi": asgi})
 
 
 def _loaded(path: Path) -> GatewayConfig:

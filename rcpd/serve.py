@@ -57,7 +57,22 @@ def run(
             fail(str(error))
         except OSError as error:
             fail(f"cannot start: {error.strerror or error}")
+        except BaseExceptionGroup as group:  # of a plugin that runs while the gateway starts
+            found = _reason(group)
+            if found is None:
+                raise
+            fail(str(found))
     sys.exit(code)
+
+
+def _reason(group: BaseExceptionGroup[BaseException]) -> StartupError | None:
+    """Return why the gateway could not start, if that is all that went wrong."""
+    found, rest = group.split(StartupError)
+    error: BaseException | None = found if rest is None else None
+    while isinstance(error, BaseExceptionGroup):
+        inner: tuple[BaseException, ...] = error.exceptions
+        error = inner[0]
+    return error if isinstance(error, StartupError) else None
 
 
 def leave(code: int, file: ConfigurationFile | None) -> NoReturn:

@@ -70,15 +70,17 @@ class _Scanner:
         line = self._line
         brackets = 2 if self._text.startswith("[[", self._at) else 1
         self._at += brackets
-        place: Place = ()
+        steps: list[str | int] = []
         keys = self._keys()
         for depth, key in enumerate(keys, 1):
-            place = (*place, key)
-            self._lines.setdefault(place, line)
+            steps.append(key)
+            here = tuple(steps)
+            self._lines.setdefault(here, line)
             if depth == len(keys) and brackets > 1:
-                self._last[place] = self._last.get(place, -1) + 1
-            if place in self._last:
-                place = (*place, self._last[place])
+                self._last[here] = self._last.get(here, -1) + 1
+            if here in self._last:
+                steps.append(self._last[here])
+        place = tuple(steps)
         self._lines[place] = line
         self._skip(" \t")
         self._at += brackets

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,7 @@ class Survey:
         return self._broken or self.faulty((*fault.place, fault.missing))
 
     @contextmanager
-    def checking(self, place: Place, node: Any = None) -> Iterator[None]:
+    def checking(self, place: Place, node: Any = None) -> Generator[None]:
         """Note a `ConfigError` of a block as a fault of this place, or of a key that it names."""
         try:
             yield
@@ -184,14 +184,14 @@ class Survey:
             if not is_map(table):
                 self.collector.add(place, "write [[backends]] and its keys below it")
                 continue
-            table = self._respelt(table, place)
-            own = {key: item for key, item in table.items() if key in KERNEL_KEYS}
+            spelt = self._respelt(table, place)
+            own = {key: item for key, item in spelt.items() if key in KERNEL_KEYS}
             own.setdefault("name", own.get("use", "-"))
             left = self.collector.read(own, BackendConfig, place)
             if left is FAULTY and isinstance(own.get("use"), str):  # the plugin's keys are read on
                 left = {"use": own["use"], "name": f"-{index}", "tenant": "-"}
             if left is not FAULTY:
-                options = {key: item for key, item in table.items() if key not in KERNEL_KEYS}
+                options = {key: item for key, item in spelt.items() if key not in KERNEL_KEYS}
                 found.append({**left, "options": options})
                 kept.append(index)
         self.collector.keep(("backends",), kept)
@@ -240,7 +240,7 @@ class Survey:
                 )
 
     @contextmanager
-    def _plain(self, place: Place) -> Iterator[None]:
+    def _plain(self, place: Place) -> Generator[None]:
         """Note a `ConfigError` of a block as a fault of exactly this place."""
         try:
             yield
@@ -248,11 +248,12 @@ class Survey:
             self.collector.add(place, _HEADER.sub("", str(error)))
 
     def _check_role(self, name: str, role: Role) -> None:
-        for kind in ("allow", "deny"):
-            for index, rule in enumerate(getattr(role, kind)):
-                place = self.collector.original(("roles", name, kind, index))
-                with self.checking(place, _follow(self.raw, place)):
-                    check_roles({name: Role(**{kind: (rule,)})}, "")
+        alone = [("allow", i, Role(allow=(rule,))) for i, rule in enumerate(role.allow)]
+        alone += [("deny", i, Role(deny=(rule,))) for i, rule in enumerate(role.deny)]
+        for kind, index, one in alone:
+            place = self.collector.original(("roles", name, kind, index))
+            with self.checking(place, _follow(self.raw, place)):
+                check_roles({name: one}, "")
         for index, path in enumerate(role.approve):
             place = self.collector.original(("roles", name, "approve", index))
             with self._plain(place):
@@ -313,7 +314,7 @@ class Survey:
         return any(one.place[: len(place)] == place for one in self.collector.faults)
 
     @contextmanager
-    def _grant(self, place: Place) -> Iterator[None]:
+    def _grant(self, place: Place) -> Generator[None]:
         """Note an unknown role or tenant at the key that names it."""
         try:
             yield
