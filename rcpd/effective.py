@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import click
 import msgspec
@@ -80,8 +80,8 @@ def _hidden(node: Any, key: str, secrets: list[str]) -> Any:
     """Return the data without what must not be shown, and without what is not set."""
     if is_map(node):
         return {k: _hidden(item, k, secrets) for k, item in node.items() if item is not None}
-    if is_list(node) or isinstance(node, tuple):
-        return [_hidden(item, key, secrets) for item in node]
+    if isinstance(node, (list, tuple)):
+        return [_hidden(item, key, secrets) for item in cast("Sequence[Any]", node)]
     if not isinstance(node, str):
         return node
     shown = any(secret in node for secret in secrets if node == secret or len(secret) > 4)

@@ -25,7 +25,17 @@ async def with_nearest(client: Client, error: RcpError) -> RcpError:
             found = await client.discover("/**", schemas=False)
         tenant = client.greeting.get("tenant")
         path = error.path if error.path.startswith("/tenant/") else f"/tenant/{tenant}{error.path}"
-        near = difflib.get_close_matches(path, [one.path for one in found], n=_MOST, cutoff=0.75)
+        near = _near(path, [one.path for one in found])
         if near:
             error.remedy = f"Did you mean {' or '.join(near)}?"
     return error
+
+
+def _near(path: str, paths: list[str]) -> list[str]:
+    """Return paths beside this one with a similar name, else paths that hardly differ."""
+    parent, _, name = path.rpartition("/")
+    beside = {one.rpartition("/")[2]: one for one in paths if one.rpartition("/")[0] == parent}
+    names = difflib.get_close_matches(name, beside, n=_MOST)
+    return [beside[one] for one in names] or difflib.get_close_matches(
+        path, paths, n=_MOST, cutoff=0.9
+    )
