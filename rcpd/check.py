@@ -57,7 +57,7 @@ def check(config: Path, *, as_json: bool) -> None:
 
 def _warnings(found: GatewayConfig, config: Path) -> list[str]:
     from rcp_kernel.access.identities import store_file
-    from rcp_kernel.access.key_strength import weak_keys
+    from rcpd.key_strength import weak_keys
 
     return [
         *_damage(store_file(found)),
