@@ -72,7 +72,7 @@ def expected(type_: Any) -> str:
         return "one of " + ", ".join(f'"{one}"' if get_origin(type_) else one for one in found)
     if isinstance(type_, type) and issubclass(type_, msgspec.Struct):
         return "a table"
-    origin: Any = cast("Any", get_origin(type_)) or type_
+    origin = cast("Any", get_origin(type_) or type_)
     base = _SCALARS.get(origin) or (
         "a table" if isinstance(origin, type) and issubclass(origin, Mapping) else "another value"
     )
