@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import sqlite3
-import sys
-from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 import click
+import msgspec
 
 from rcp_kernel.config.file import GatewayConfig, load, parse
+from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.errors import ConfigError, StartupError
-from rcp_store.damage import find_damage
+from rcp_kernel.wire import VERSION
 from rcpd.audit import audit
+from rcpd.check import check
+from rcpd.diagnosis import explained
+from rcpd.effective import config_command
 from rcpd.exits import FAILED, fail
 from rcpd.profiles import profiles
 from rcpd.scaffold import KINDS, write_plugin
+from rcpd.schema import schema
 from rcpd.store import store
 from rcpd.tokens import token
 
@@ -43,12 +46,20 @@ def _brought() -> dict[str, EntryPoint]:
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(
+    f"{gateway_version()} (protocol RCP/{VERSION})",
+    prog_name="rcp-gateway",
+    message="%(prog)s %(version)s",
+)
 def main() -> None:
     """Run and manage an RCP gateway: one server between robots and their clients."""
 
 
 main.add_command(audit)
+main.add_command(check)
+main.add_command(config_command)
 main.add_command(profiles)
+main.add_command(schema)
 main.add_command(store)
 main.add_command(token)
 
@@ -68,7 +79,11 @@ def demo(*, port: int, verbose: bool) -> None:
 
 @main.command()
 @click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
-def serve(config: Path) -> None:
+@click.option("--host", help="Address to listen on, instead of that of [transports.asgi].")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), help="Port to listen on, instead of that of the file."
+)
+def serve(config: Path, *, host: str | None, port: int | None) -> None:
     """Serve the robots of a configuration file (default: ./rcp.toml).
 
     SIGHUP reloads the file: roles, keys, certificates, limits and backends change at once;
@@ -81,7 +96,7 @@ def serve(config: Path) -> None:
     file = ConfigurationFile(config)
     file.start()
     try:
-        run(_loaded(config), str(config), file, None)
+        run(_listening(_loaded(config), host, port), str(config), file, None)
     except (SystemExit, Exception) as end:
         failed = not isinstance(end, SystemExit) or end.code == FAILED
         if failed and file.fails():
@@ -91,47 +106,6 @@ def serve(config: Path) -> None:
         if not isinstance(end, SystemExit):
             click.echo(f"rcpd: {end!r}", err=True)
     run_again()
-
-
-@main.command()
-@click.argument("config", type=click.Path(path_type=Path))
-def check(config: Path) -> None:
-    """Report every error of a configuration without opening a robot or a socket."""
-    from rcp_kernel.access.identities import store_file
-    from rcp_kernel.app.server import prepare
-    from rcpd.key_strength import weak_keys
-
-    try:
-        prepared = prepare(load(config), str(config))
-    except StartupError as error:
-        fail(str(error))
-    for missing in prepared.plugins.missing:
-        click.echo(
-            f"warning: {missing.group} '{missing.name}' cannot be imported: {missing.reason}; "
-            f"try: {missing.remedy}",
-            err=True,
-        )
-    _warn_of_damage(store_file(prepared.config))
-    found = prepared.config
-    for name in weak_keys(found.keys):
-        click.echo(
-            f"warning: key '{name}' is easy to guess: use the output of `openssl rand -hex 32` "
-            f"instead, or a token: `rcpd token create {name} --config {config} --role ROLE`",
-            err=True,
-        )
-    robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
-    click.echo(f"{config}: good")
-    click.echo(f"  backends      {robots}")
-    click.echo(f"  transports    {', '.join(found.transports) or 'none'}")
-    click.echo(f"  plugins       {', '.join(found.plugins) or 'none'}")
-    click.echo(f"  keys          {', '.join(key.name for key in found.keys) or 'none'}")
-    named = dict.fromkeys(one.name for one in found.certificates)
-    click.echo(f"  certificates  {', '.join(named) or 'none'}")
-    click.echo(f"  issuers       {', '.join(one['issuer'] for one in found.jwt) or 'none'}")
-    strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
-    click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
-    if prepared.plugins.missing:
-        sys.exit(FAILED)
 
 
 @main.command()
@@ -192,28 +166,22 @@ for _kind in KINDS:
 @main.command()
 def version() -> None:
     """Print the gateway's and the protocol's version."""
-    from rcp_kernel.contract.version import gateway_version
-    from rcp_kernel.wire import VERSION
-
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")
 
 
-def _warn_of_damage(path: Path | None) -> None:
-    """Warn of a damaged store: the gateway starts with one, but latches its robots."""
-    if path is None:
-        return
-    with suppress(sqlite3.Error, OSError):  # `serve` reports what is wrong
-        damage = find_damage(path)
-        if damage is not None:
-            text = (
-                f"the store is damaged: {damage}; every robot will be latched at the start. "
-                "Run `rcpd store repair`"
-            )
-            click.echo(f"warning: {text}", err=True)
+def _listening(config: GatewayConfig, host: str | None, port: int | None) -> GatewayConfig:
+    """Return a configuration that listens where the command line says."""
+    given = {key: at for key, at in (("host", host), ("port", port)) if at is not None}
+    if not given:
+        return config
+    if "asgi" not in config.transports:
+        fail("--host and --port are of [transports.asgi], which this configuration takes out")
+    asgi = {**config.transports["asgi"], **given}
+    return msgspec.structs.replace(config, transports={**config.transports, "asgi": asgi})
 
 
 def _loaded(path: Path) -> GatewayConfig:
     try:
         return load(path)
     except ConfigError as error:
-        fail(str(error))
+        fail(explained(error, path))

@@ -230,7 +230,8 @@ RCP gateway demo: {where}
   {mcp}
 
   operator key  {self._operator}   (reads, writes, commands)
-  admin key     {self._admin}   (as operator; also resets an e-stop)
+  admin key     {self._admin}   (as operator; also resets an e-stop:
+                {rcpctl} --url {url} --token {self._admin} estop --reset)
   Without a key you can read but not move anything. Enter one under "Log in" on the dashboard;
   rcpctl finds the operator key by itself.
 

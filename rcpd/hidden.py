@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from rcp_kernel.config.file import secrets_of
+from rcp_kernel.config.variables import secrets_of
 
 __all__ = ["Hidden"]
 

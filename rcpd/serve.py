@@ -21,6 +21,7 @@ from rcp_kernel.errors import StartupError
 from rcp_kernel.features.configuration import SERVED_CONFIGURATION
 from rcpd.configuration_file import ConfigurationFile, run_again
 from rcpd.demo import Demo
+from rcpd.diagnosis import explained
 from rcpd.exits import RECORD_LOST, fail
 from rcpd.garbage import collected_at_rest
 from rcpd.key_strength import log_weak_keys
@@ -46,7 +47,7 @@ def run(
     try:
         prepared = prepare(config, source)
     except StartupError as error:
-        fail(str(error))
+        fail(str(error) if file is None else explained(error, file.path))
     log_weak_keys(config.keys, source)
     with asyncio.Runner(loop_factory=loop_factory()) as runner:
         try:
@@ -56,7 +57,22 @@ def run(
             fail(str(error))
         except OSError as error:
             fail(f"cannot start: {error.strerror or error}")
+        except BaseExceptionGroup as group:  # of a plugin that runs while the gateway starts
+            found = _reason(group)
+            if found is None:
+                raise
+            fail(str(found))
     sys.exit(code)
+
+
+def _reason(group: BaseExceptionGroup[BaseException]) -> StartupError | None:
+    """Return why the gateway could not start, if that is all that went wrong."""
+    found, rest = group.split(StartupError)
+    error: BaseException | None = found if rest is None else None
+    while isinstance(error, BaseExceptionGroup):
+        inner: tuple[BaseException, ...] = error.exceptions
+        error = inner[0]
+    return error if isinstance(error, StartupError) else None
 
 
 def leave(code: int, file: ConfigurationFile | None) -> NoReturn:

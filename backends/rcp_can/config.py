@@ -91,3 +91,8 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                     raise ValueError(
                         f"{table}.{name}.bus: there is no bus {on.bus!r}, only {known}"
                     )
+        taken: dict[tuple[str, str, int], str] = {}
+        for name, motor in self.motors.items():
+            other = taken.setdefault((motor.bus, motor.profile, motor.node), name)
+            if other != name:
+                raise ValueError(f"motors.{name}.node: {motor.node} is already used by {other}")

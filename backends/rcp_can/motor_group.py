@@ -34,7 +34,6 @@ def make_axes(
     :raises ConfigError: a motor's node or options do not fit its profile, or its id is taken.
     """
     axes: dict[str, Axis] = {}
-    taken: dict[tuple[str, str, int], str] = {}
     for name, motor in config.motors.items():
         try:
             kind = profile(motor.profile)
@@ -49,9 +48,6 @@ def make_axes(
             raise ConfigError(
                 f"motors.{name}: {motor.profile} needs CAN FD; set buses.{motor.bus}.fd = true"
             )
-        key = motor.bus, motor.profile, motor.node
-        if (other := taken.setdefault(key, name)) != name:
-            raise ConfigError(f"motors.{name}.node: {motor.node} is already used by {other}")
         try:
             options = msgspec.convert(motor.options, kind.options)
             drive = kind.drive(motor.node, options, buses[motor.bus])

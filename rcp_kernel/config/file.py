@@ -1,17 +1,15 @@
 """The TOML configuration file, decoded strictly: errors name file, table and remedy.
 
 Each plugin's table is decoded as the type that the plugin declares, so that no plugin parses.
-`${NAME}` in a string is replaced from the environment, for secrets.
+`${NAME}` in a string is replaced from the environment, for secrets (`variables`).
 """
 
 from __future__ import annotations
 
 import difflib
-import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -31,12 +29,15 @@ from rcp_kernel.config.limits import Limits
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
+from rcp_kernel.config.variables import Secret, Withheld, is_dear, substituted
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
 
 __all__ = [
+    "KERNEL_KEYS",
+    "TRANSPORTS",
     "Anonymous",
     "BackendConfig",
     "CertificateConfig",
@@ -50,11 +51,9 @@ __all__ = [
     "decode_table",
     "load",
     "parse",
-    "secrets_of",
 ]
 
 _Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]+$", max_length=64)]
-_SECRET = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -209,7 +208,7 @@ def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: not TOML: {error}") from None
-    raw = _with_secrets(raw, source, "", _plain if show_values else _Withheld)
+    raw = _with_secrets(raw, source, "", _plain if show_values else Withheld)
     backends = raw.get("backends", [])
     if not is_list(backends):
         raise ConfigError(
@@ -228,40 +227,30 @@ def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
     return config
 
 
-_TRANSPORTS = ("http", "ws", "sse", "asgi")
+TRANSPORTS = ("http", "ws", "sse", "asgi")
+"""Served unless `[transports] <name> = false` takes one out."""
 
 
 def _default_transports(raw: dict[str, Any]) -> None:
     """Serve every transport of the house unless `[transports] <name> = false` takes it out."""
     tables = raw.setdefault("transports", {})
     if is_map(tables):
-        for name in _TRANSPORTS:
+        for name in TRANSPORTS:
             tables.setdefault(name, {})
         raw["transports"] = {name: t for name, t in tables.items() if t is not False}
 
 
-_KERNEL_KEYS = ("use", "name", "tenant", "robot")
+KERNEL_KEYS = ("use", "name", "tenant", "robot")
+"""Of `[[backends]]`; the other keys are the plugin's."""
 
 
 def _split(table: Any, place: int, source: str) -> dict[str, Any]:
     if not is_map(table):
         raise ConfigError(f"{source}: [[backends]] number {place + 1} is not a table")
-    kept = {key: item for key, item in table.items() if key in _KERNEL_KEYS}
+    kept = {key: item for key, item in table.items() if key in KERNEL_KEYS}
     kept.setdefault("name", kept.get("use"))
-    kept["options"] = {key: item for key, item in table.items() if key not in _KERNEL_KEYS}
+    kept["options"] = {key: item for key, item in table.items() if key not in KERNEL_KEYS}
     return kept
-
-
-class _Secret(str):
-    """A string from the environment: not shown in errors."""
-
-    __slots__ = ()
-
-
-class _Withheld(_Secret):
-    """A string that is not shown in errors, as it may be secret."""
-
-    __slots__ = ()
 
 
 def _plain(text: str) -> str:
@@ -282,41 +271,11 @@ def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], s
     if not isinstance(node, str):
         return node
 
-    def found(match: re.Match[str]) -> str:
-        value = os.environ.get(match[1])
-        if value is None:
-            raise ConfigError(
-                f"{source}: {where} uses the environment variable {match[1]}, which is not set"
-            )
-        return value
-
-    text = _SECRET.sub(found, node)
-    return literal(node) if text == node else _Secret(text)
-
-
-_DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
-"""Keys of tables, of the kernel or plugins, whose values are secrets by name."""
-
-
-def secrets_of(text: str) -> list[str]:
-    """List what must not be shown of a file: values from the environment, and what keys call secret."""
-    found: list[str] = []
-
-    def note(node: Any, key: str) -> None:
-        if is_map(node):
-            for name, item in node.items():
-                note(item, name)
-        elif is_list(node):
-            for item in node:
-                note(item, key)
-        elif isinstance(node, str):
-            found.extend(os.environ.get(name, "") for name in _SECRET.findall(node))
-            if _DEAR.search(key):
-                found.append(node)
-
-    with suppress(tomllib.TOMLDecodeError):
-        note(tomllib.loads(text), "")
-    return [value for value in found if value]
+    try:
+        text = substituted(node)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {where} {error}") from None
+    return literal(node) if text is node else text
 
 
 def decode_table(raw: Any, type_: type[Any], where: str) -> Any:
@@ -338,7 +297,7 @@ def _explain(error: msgspec.ValidationError, raw: Any, type_: type[Any]) -> str:
             return str(error)
         if "..." in at:  # below a key that msgspec does not name
             return f"{at}: {fault.what}"
-        value = _Withheld() if _DEAR.search(at) else _follow(raw, at)
+        value = Withheld() if is_dear(at) else _follow(raw, at)
         return f"{at} = {_shown(value)}: {fault.what}"
     allowed = _keys_at(type_, at)
     near = difflib.get_close_matches(fault.unknown, allowed, n=1, cutoff=0.5)
@@ -357,9 +316,9 @@ def _follow(raw: Any, at: str) -> Any:
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, _Withheld):
+    if isinstance(value, Withheld):
         return "…"
-    if isinstance(value, _Secret):
+    if isinstance(value, Secret):
         return "a value from the environment"
     if is_map(value) or is_list(value):
         return type(value).__name__

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -108,16 +109,16 @@ def test_good_configurations_pass(tmp_path: Path, whose: str) -> None:
             lambda text, folder: _without("tls = ")(text.replace("tls/", "tcp/"), folder),
             "`robots`, `hubs` and `routers` are the rules of a router with `listen` and `tls`",
         ),
-        (_swap('hub = "h1"', 'hub = "h/1"'), "hub = 'h/1'"),
-        (_swap('["r7"]', '["r 7"]'), "robots[0] = 'r 7'"),
+        (_swap('hub = "h1"', 'hub = "h/1"'), "hub: 'h/1'"),
+        (_swap('["r7"]', '["r 7"]'), "robots[0]: 'r 7'"),
     ],
 )
 def test_a_fault_of_a_hub(tmp_path: Path, change: Change, message: str) -> None:
     code, output = _check(tmp_path, change(_Files(tmp_path).hub(), tmp_path))
     assert code == 1, output
-    assert f"{tmp_path}/rcp.toml: backend 'fleet' (fleet): " in output
+    assert re.search(rf"{tmp_path}/rcp.toml:\d+: \[backends.fleet(.tls)?\] ", output)
     assert message.format(tmp_path) in output
-    assert output.count("\n") == 1
+    assert "rcp.toml: 1 fault\n" in output
 
 
 def test_files_of_tls_that_do_not_fit_together(tmp_path: Path) -> None:
@@ -147,5 +148,5 @@ def test_files_of_tls_that_do_not_fit_together(tmp_path: Path) -> None:
 def test_a_fault_of_a_robot(tmp_path: Path, change: Change, message: str) -> None:
     code, output = _check(tmp_path, change(_Files(tmp_path).robot(), tmp_path))
     assert code == 1, output
-    assert f"{tmp_path}/rcp.toml: [transports.zenoh]: " in output
+    assert re.search(rf"{tmp_path}/rcp.toml:\d+: \[transports.zenoh(.tls)?\] ", output)
     assert message in output

@@ -179,10 +179,23 @@ def test_status_is_shown_whole_or_short(run: Run) -> None:
     assert any(line.split()[:4] == ["rover", "sim", "alpha", "ready"] for line in lines)
 
 
+def test_an_unknown_path_is_told_with_the_nearest(run: Run) -> None:
+    for words in (("read", "/sensor/pos"), ("write", "/param/sped_limit", "1")):
+        done = run(*words)
+        assert done.returncode == 3
+        meant = "sensor/pose" if words[0] == "read" else "param/speed_limit"
+        assert f"Did you mean /tenant/alpha/{meant}" in done.stderr
+    assert "Did you mean" not in run("read", "/sensor/nothing_of_the_kind").stderr
+
+
 def test_the_estop_takes_anybody_to_make_and_some_to_release(run: Run) -> None:
     stopped = document(run("estop", "--reason", "a test"))
     assert stopped["active"]
     assert run("execute", "/action/dock").returncode == 3
+    first, second, *_ = run("status", "--text").stdout.splitlines()
+    assert first.startswith("E-stop latched: rover, by operator since 2")
+    assert first.endswith(" (a test). To reset it: rcpctl estop --reset")
+    assert second.startswith("ok  version ")
     denied = run("estop", "--reset")
     assert denied.returncode == 3
     assert "may not reset an e-stop" in denied.stderr

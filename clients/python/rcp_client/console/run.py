@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -13,6 +14,7 @@ from rcp_client.connection import connect
 from rcp_client.console import mcp, show, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.fleet import fleet
+from rcp_client.console.nearest import with_nearest
 from rcp_client.console.output import Output, exit_code
 from rcp_client.console.plan import plan
 from rcp_client.console.stops import estop, estop_without_session, hold
@@ -73,7 +75,11 @@ async def _run(
     arguments: Arguments,
 ) -> int:
     async with client:
-        return await command(client, out, arguments)
+        try:
+            return await command(client, out, arguments)
+        except RcpError as error:
+            await with_nearest(client, error)
+            raise
 
 
 async def _discover(client: Client, out: Output, args: Arguments) -> int:
@@ -104,7 +110,7 @@ async def _read(client: Client, out: Output, args: Arguments) -> int:
                 continue
             reply = await client.sample(path, **options)
         except RcpError as error:
-            out.error(error)
+            out.error(await with_nearest(client, error))
             code = max(code, exit_code(error))
             continue
         if out.json:
@@ -179,15 +185,25 @@ def _noticed(out: Output, notice: Notice) -> None:
 
 async def _status(client: Client, out: Output, args: Arguments) -> int:
     if not args["watch"]:
-        show.status(out, await client.status())
+        report = await client.status()
+        await _latched(client, out)
+        show.status(out, report)
         return 0
     on_notice: Callable[[Notice], None] = lambda notice: _noticed(out, notice)  # noqa: E731
     async for update in client.subscribe("/system/status", rate=1, on_notice=on_notice):
         if isinstance(update, Update):
             if out.terminal and not out.json:
                 out.line("\x1b[H\x1b[2J\x1b[3J")
+            await _latched(client, out)
             show.status(out, update.body)
     return 0
+
+
+async def _latched(client: Client, out: Output) -> None:
+    """Begin the status with an e-stop that is latched; a role may not be allowed to see it."""
+    if not out.json:
+        with suppress(RcpError):
+            show.latched(out, await client.read("/system/estop"))
 
 
 async def _commands(client: Client, out: Output, args: Arguments) -> int:

@@ -123,6 +123,9 @@ def update(out: Output, found: Update) -> None:
     out.line(f"{out.dim(moment)} {found.path} {out.dim(f'#{found.seq}')} {value}{out.dim(skipped)}")
 
 
+_SEVERAL = 3  # robots that one line names
+
+
 def status(out: Output, report: dict[str, Any]) -> None:
     """Show the health report."""
     if out.json:
@@ -250,6 +253,21 @@ def estop(out: Output, state: dict[str, Any]) -> None:
     if rows:
         head = ("ROBOT", "STATE", "REQUESTED", "COMMANDED", "CONFIRMED", "DETAIL")
         out.table(head, rows)
+
+
+def latched(out: Output, state: dict[str, Any]) -> None:
+    """Show on one line what is stopped, by whom, since when and why; nothing if nothing is."""
+    stops: dict[str, dict[str, Any]] = state.get("robots") or state.get("scopes") or {}
+    if not stops:
+        return
+    names = sorted(stops)
+    first = stops[names[0]]
+    shown = ", ".join(names[:_SEVERAL])
+    more = f" and {len(names) - _SEVERAL} more" if len(names) > _SEVERAL else ""
+    why = f" ({first['reason']})" if first.get("reason") else ""
+    whose = clean(f"by {first.get('by')} since {str(first.get('since'))[:19]}{why}")
+    line = f"E-stop {out.paint('latched')}: {clean(shown)}{more}, {whose}."
+    out.line(f"{line} To reset it: rcpctl estop --reset")
 
 
 def confirmed(robot: dict[str, Any]) -> bool:

@@ -1,0 +1,75 @@
+"""Faults of TOML itself: each line at fault is left out, and the rest read on."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any, NamedTuple
+
+__all__ = ["Document", "read_toml"]
+
+_MOST = 50
+"""Lines at fault that are left out before the reading ends."""
+_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)\Z")
+_PAIR = re.compile(r"\s*(?!\[)[^=#]+=?")
+_MENDS = {
+    "Invalid value": 'write a "text" in quotes, a number, true, false, a [list] or a {table}',
+    "Expected '=' after": "write key = value",
+    "Cannot overwrite": "the key is there already: remove one of the two",
+    "Cannot declare": "the table is there already: put its keys together, or write [[name]] for "
+    "one more element of a list",
+    "Cannot mutate": "the table is complete in its { }: put the key there",
+    "Expected newline": 'write one key = value on a line, and close a "text" with its quote',
+    "Illegal character": "close the text with its quote on the same line",
+    "Unescaped": "write \\\\ for a backslash, or 'text' in single quotes",
+    "Unterminated": "close the text with its quote",
+    "Expected ']'": "close the header with ]",
+    "Expected ']]'": "close the header with ]]",
+    "Invalid initial character": 'write a key of letters, digits, `_` and `-`, or a "key" in quotes',
+    "Invalid statement": "write key = value, [table] or # comment",
+    "Unclosed array": "close the list with ]",
+    "Unclosed inline": "close the table with }",
+    "Duplicate inline": "the key is there already: remove one of the two",
+}
+
+
+class Document(NamedTuple):
+    """What could be read of a file."""
+
+    raw: dict[str, Any] | None
+    """None if too little could be read to judge the rest."""
+    text: str
+    """Of `raw`: lines at fault are empty."""
+    faults: list[tuple[int, str]]
+    """Lines and what is wrong there."""
+
+
+def read_toml(text: str) -> Document:
+    """Read a file with all faults of its form."""
+    lines = text.split("\n")
+    faults: list[tuple[int, str]] = []
+    while True:
+        text = "\n".join(lines)
+        try:
+            return Document(tomllib.loads(text), text, faults)
+        except tomllib.TOMLDecodeError as error:
+            number, message = _explain(str(error), lines)
+        except RecursionError:
+            number, message = 1, "lists or tables are nested too deep"
+        faults.append((number, message))
+        line = lines[number - 1]
+        if len(faults) == _MOST or _PAIR.match(line) is None:
+            return Document(None, text, faults)
+        lines[number - 1] = ""
+
+
+def _explain(message: str, lines: list[str]) -> tuple[int, str]:
+    """Return the line of a fault, and its message with what to write instead."""
+    found = _AT.search(message)
+    what = _AT.sub("", message)
+    mend = next((mend for start, mend in _MENDS.items() if what.startswith(start)), None)
+    if found is not None and found[1] is not None:
+        number = int(found[1])
+    else:  # the last line with anything on it
+        number = max((i for i, line in enumerate(lines, 1) if line.strip()), default=1)
+    return number, f"not TOML: {what}" + (f": {mend}" if mend else "")

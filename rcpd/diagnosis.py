@@ -1,0 +1,188 @@
+"""Every fault of a configuration file, those that only the plugins' types and checks know too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.access.identities import check_proofs
+from rcp_kernel.app.plugins import GROUPS, Plugins, installed
+from rcp_kernel.app.server import Prepared, prepare
+from rcp_kernel.config.faults import FAULTY
+from rcp_kernel.config.features import BUILTIN
+from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
+from rcp_kernel.config.positions import Place
+from rcp_kernel.config.survey import Finding, Survey
+from rcp_kernel.config.words import nearest
+from rcp_kernel.errors import ConfigError, StartupError
+from rcp_kernel.features import FeatureKind
+from rcp_protocol.plain import is_map
+
+__all__ = ["Diagnosis", "explained"]
+
+
+class Diagnosis:
+    """What is wrong with a text, and what would be served of it."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self._text = text
+        self._source = source
+        self._survey = Survey(text)
+        self._points = {group: installed(group) for group in GROUPS}
+        if self._survey.readable:
+            self._examine()
+
+    def prepared(self) -> Prepared | None:
+        """Prepare the file as the start does; None if there are faults."""
+        if self._survey.findings:
+            return None
+        try:
+            return prepare(parse(self._text, self._source), self._source)
+        except StartupError as error:
+            self._survey.collector.add((), str(error).removeprefix(f"{self._source}: "))
+            return None
+
+    @property
+    def findings(self) -> list[Finding]:
+        """The faults by line."""
+        return self._survey.findings
+
+    @property
+    def full(self) -> bool:
+        """Whether there are more faults than are listed."""
+        return self._survey.collector.full
+
+    @property
+    def warnings(self) -> list[Finding]:
+        """What may be meant: a hub without a listener still serves programs of its own."""
+        if set(self._survey.config.transports) - (set(TRANSPORTS) - {"asgi"}):
+            return []
+        text = "nothing listens, so no client can reach this gateway: remove `asgi = false`"
+        line = self._survey.line(("transports", "asgi"))
+        return [Finding(line, "transports", "asgi", text)]
+
+    def _examine(self) -> None:
+        survey = self._survey
+        used = [backend.use for backend in survey.config.backends]
+        config = msgspec.structs.replace(
+            survey.config,
+            transports=self._offered("transports", survey.config.transports),
+            plugins=self._offered("plugins", survey.config.plugins),
+            features=self._offered("features", survey.config.features),
+            backends=tuple(
+                one
+                for index, one in enumerate(survey.config.backends)
+                if self._is_offered("backends", used[index], self._use(index))
+            ),
+        )
+        try:
+            plugins = Plugins(config)
+        except StartupError as error:
+            survey.collector.add((), str(error))
+            return
+        self._report_missing(plugins)
+        self._examine_backends(plugins)
+        self._examine_clients("transports", config.transports, plugins.transports, config)
+        self._examine_clients("plugins", config.plugins, plugins.adapters, config)
+        for name, raw in config.active_features.items():
+            if name in plugins.features:
+                self._examine_feature(plugins.features[name], raw, config)
+        for index, one in enumerate(config.certificates):
+            with survey.checking(survey.collector.original(("certificates", index))):
+                check_proofs(msgspec.structs.replace(config, certificates=(one,)), "")
+
+    def _use(self, index: int) -> Place:
+        return (*self._survey.collector.original(("backends", index)), "use")
+
+    def _offered(self, group: str, tables: dict[str, Any]) -> dict[str, Any]:
+        return {
+            name: table
+            for name, table in tables.items()
+            if self._is_offered(group, name, (group, name))
+        }
+
+    def _is_offered(self, group: str, name: str, place: Place) -> bool:
+        """Return whether a plugin is installed, or at least known; note a fault otherwise."""
+        points = self._points[group]
+        if name in points or (group == "features" and name in BUILTIN):
+            return True
+        near = nearest(name, points)
+        advice = f"did you mean '{near}'?" if near else f"installed: {', '.join(sorted(points))}"
+        self._survey.collector.add(place, f"no installed plugin offers {group} '{name}'; {advice}")
+        return False
+
+    def _report_missing(self, plugins: Plugins) -> None:
+        for one in plugins.missing:
+            if one.group != "backends":
+                places: Iterable[Place] = [(one.group, one.name)]
+            else:
+                config = self._survey.config
+                places = [self._use(i) for i, b in enumerate(config.backends) if b.use == one.name]
+            text = f"cannot be imported: {one.reason}; try: {one.remedy}"
+            for place in places:
+                self._survey.collector.add(place, f"{one.group} '{one.name}' {text}")
+
+    def _examine_backends(self, plugins: Plugins) -> None:
+        collector = self._survey.collector
+        for index, backend in enumerate(self._survey.config.backends):
+            kind = plugins.backends.get(backend.use)
+            if kind is None:
+                continue
+            place = collector.original(("backends", index))
+            left = collector.read(backend.options, kind.config, place, KERNEL_KEYS)
+            if left is not FAULTY and kind.check is not None and not self._survey.faulty(place):
+                with self._survey.checking(place, backend.options):
+                    kind.check(msgspec.convert(left, kind.config, strict=True))
+
+    def _examine_clients(
+        self,
+        group: str,
+        tables: dict[str, dict[str, Any]],
+        kinds: Mapping[str, Any],
+        config: GatewayConfig,
+    ) -> None:
+        for name, raw in tables.items():
+            if name not in kinds:
+                continue
+            kind, place = kinds[name], (group, name)
+            left = self._survey.collector.read(raw, kind.config, place)
+            check = getattr(kind, "check", None)
+            if left is not FAULTY and check is not None and not self._survey.faulty(place):
+                with self._survey.checking(place, raw):
+                    check(msgspec.convert(left, kind.config, strict=True), config)
+
+    def _examine_feature(self, kind: FeatureKind, raw: Any, config: GatewayConfig) -> None:
+        collector = self._survey.collector
+        place: Place = ()
+        if kind.table is None:
+            place = ("features", kind.name)
+            table = collector.read(raw or {}, kind.config, place)
+        elif raw is not None:
+            collector.add(
+                ("features", kind.name), f"takes no keys; write `{kind.name} = true` or `false`"
+            )
+            return
+        else:
+            table = kind.table(config)
+            if is_map(table):
+                table = collector.read(table, kind.config, ())
+        if table is FAULTY or kind.check is None or self._survey.findings:
+            return  # it may look at any table of the file
+        with self._survey.checking(place, self._survey.raw):
+            kind.check(msgspec.convert(table, kind.config, strict=True), config)
+
+
+def explained(error: StartupError, path: Path) -> str:
+    """Return why a file cannot be served: its first fault with its line, and how many there are."""
+    try:
+        findings = Diagnosis(path.read_text(encoding="utf-8"), str(path)).findings
+    except (OSError, UnicodeDecodeError, ConfigError):
+        findings = []
+    if not findings:
+        return str(error)
+    first = findings[0].text(str(path))
+    more = len(findings) - 1
+    return f"{first} ({more} more: `rcpd check {path}`)" if more else first
