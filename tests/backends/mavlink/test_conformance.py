@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import msgspec
+import pytest
 
 import rcp_mavlink
 from backends.mavlink.flying import (
@@ -21,6 +22,7 @@ from backends.mavlink.flying import (
     twin,
 )
 from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, Relay, commander, relay
+from hurry import HURRIED
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
@@ -47,6 +49,11 @@ class MavlinkRig(StopRig):
     cancel_within = 5.0
     device: Twin
     relay: Relay
+
+    @pytest.fixture
+    def anyio_backend(self) -> tuple[str, dict[str, Any]]:
+        """Sit out no flight: the vehicle is on the test's loop."""
+        return HURRIED
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:

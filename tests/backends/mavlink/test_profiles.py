@@ -14,6 +14,7 @@ import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, on_the_ground, skip, speed, twin
 from backends.mavlink.relay import commander
 from backends.mavlink.test_gateway import Pilot, flying
+from hurry import HURRIED
 from rcp_kernel.testing import Body, ProfileSuite, Robot, eventually
 from rcp_mavlink import enu
 from rcp_mavlink.fences import is_enabled
@@ -33,6 +34,11 @@ class VehicleProfiles(ProfileSuite):
     speed = 1.5
     vehicle_kind: ClassVar[str]
     device: Twin
+
+    @pytest.fixture
+    def anyio_backend(self) -> tuple[str, dict[str, Any]]:
+        """Sit out no journey: the vehicle is on the test's loop."""
+        return HURRIED
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
