@@ -13,10 +13,12 @@ import selectors
 import time
 from typing import Any
 
+import pytest
+
 from ahead import AHEAD, machine_time
 from rcp_kernel.testing import UnguardedLoop
 
-__all__ = ["HURRIED", "HurriedLoop"]
+__all__ = ["HURRIED", "Hurried", "HurriedLoop"]
 
 _TIMES = 20.0  # as fast, while the loop waits
 _FINE = 0.001  # s: a selector waits no less
@@ -71,5 +73,14 @@ class HurriedLoop(UnguardedLoop):
         AHEAD.seconds = 0.0
 
 
-HURRIED = "asyncio", {"loop_factory": HurriedLoop}
+HURRIED: tuple[str, dict[str, Any]] = "asyncio", {"loop_factory": HurriedLoop}
 """How anyio's plugin runs a test on such a loop."""
+
+
+class Hurried:
+    """Runs the tests of a suite on such a loop."""
+
+    @pytest.fixture
+    def anyio_backend(self) -> tuple[str, dict[str, Any]]:
+        """Sit out nothing: the device is on the test's loop."""
+        return HURRIED

@@ -9,7 +9,6 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import msgspec
-import pytest
 
 import rcp_mavlink
 from backends.mavlink.flying import (
@@ -22,7 +21,7 @@ from backends.mavlink.flying import (
     twin,
 )
 from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, Relay, commander, relay
-from hurry import HURRIED
+from hurry import Hurried
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
@@ -43,17 +42,12 @@ SCRIPT, MOVED, MADE = "/APM/scripts/a.lua", "/APM/scripts/b.lua", "/APM/made"
 LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
 
 
-class MavlinkRig(StopRig):
+class MavlinkRig(Hurried, StopRig):
     kind = next(iter(rcp_mavlink.rcp_backends()))
     complete_within = 20.0
     cancel_within = 5.0
     device: Twin
     relay: Relay
-
-    @pytest.fixture
-    def anyio_backend(self) -> tuple[str, dict[str, Any]]:
-        """Sit out no flight: the vehicle is on the test's loop."""
-        return HURRIED
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
