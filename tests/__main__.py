@@ -1,8 +1,8 @@
 """Run the tests as `make test` does: `python tests [arguments of pytest]`.
 
 What can runs side by side in several processes, a file's functions or a class in one of them; then
-what is marked `paired`, two at a time, a process for each core that is used; then, alone, what is
-marked `serial`. A single test, or what is asked for with `-n0`, runs as ever.
+what is marked `paired`, two at a time; then, alone, what is marked `serial`. A single test, or what is
+asked for with `-n0`, runs as ever.
 No test runs in the process that counts: one that hangs where nothing can interrupt it ends its own process
 alone, and is told as failed.
 
