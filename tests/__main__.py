@@ -1,7 +1,8 @@
 """Run the tests as `make test` does: `python tests [arguments of pytest]`.
 
-What can runs side by side in several processes, a file's functions or a class in one of them; then,
-alone, what is marked `serial`. A single test, or what is asked for with `-n0`, runs as ever.
+What can runs side by side in several processes, a file's functions or a class in one of them; then
+what is marked `paired`, two at a time; then, alone, what is marked `serial`. A single test, or what is
+asked for with `-n0`, runs as ever.
 No test runs in the process that counts: one that hangs where nothing can interrupt it ends its own process
 alone, and is told as failed.
 
@@ -24,8 +25,11 @@ _NONE = 5  # pytest's exit code when there is no such test
 _STOPPED = 2
 _FAILED = 1
 _WORKERS = ("--dist", "loadscope", "--no-loadscope-reorder", "--max-worker-restart", "5")
-_SPREAD = ("-n", "auto", *_WORKERS)
-_SERIAL = ("-n", "1", *_WORKERS)
+_PHASES = (  # processes, and what they run
+    ("auto", "not paired and not serial"),
+    ("2", "paired and not serial"),
+    ("1", "serial"),
+)
 _ALONE = (
     600  # s for one test, with all that comes before and after it: pytest may hang when it ends
 )
@@ -62,11 +66,13 @@ def main(arguments: list[str]) -> int:
 
 
 def _run_all(arguments: list[str], listed: Path) -> int:
-    spread = run(*_SPREAD, "-m", "not serial", *arguments, listed=listed)
-    if spread not in (0, _FAILED, _NONE):
-        return spread
-    serial = run(*_SERIAL, "-m", "serial", *arguments, listed=listed)
-    return spread if serial == _NONE else serial if spread == _NONE else max(spread, serial)
+    results: list[int] = []
+    for processes, marked in _PHASES:
+        result = run("-n", processes, *_WORKERS, "-m", marked, *arguments, listed=listed)
+        if result not in (0, _FAILED, _NONE):
+            return result
+        results.append(result)
+    return max((each for each in results if each != _NONE), default=_NONE)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import structlog
 from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import settings
 
+import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
 from failures import LISTED, Failure, failure, note
 from pairs import left_out
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock

@@ -11,7 +11,7 @@ __all__ = ["PROCESSES", "Scheduling"]
 PROCESSES = 2
 """For each core, of which about half wait for simulated time."""
 _LEAST = 2  # tests that a process has to know of
-_WAITING = ("tests/backends/mavlink/", "tests/backends/can/", "tests/backends/ros2/")
+_WAITING = ("tests/backends/can/", "tests/backends/ros2/", "tests/backends/mujoco/")
 
 
 class Scheduling(LoadScopeScheduling):

@@ -20,7 +20,9 @@ INI = f"""
 [pytest]
 addopts = --import-mode=importlib -p no:cacheprovider -p xdist
 pythonpath = {TESTS}
-markers = serial
+markers =
+    serial
+    paired
 faulthandler_timeout = 4
 faulthandler_exit_on_timeout = true
 """

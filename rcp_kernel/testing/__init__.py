@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import rcp_kernel.testing._asserts  # noqa: F401 # pyright: ignore[reportUnusedImport] - comes first
 from rcp_kernel.testing._client import BOUND, Client, MemoryClient, Message, decode, encode
-from rcp_kernel.testing._clock import SteppedClock, SteppedLoop
+from rcp_kernel.testing._clock import SteppedClock, SteppedLoop, UnguardedLoop
 from rcp_kernel.testing._scripted import Behaviour, ScriptedRobot, Take, scripted
 from rcp_kernel.testing._serve import (
     ADMIN,
@@ -59,6 +59,7 @@ __all__ = [
     "Suite",
     "Take",
     "TransportSuite",
+    "UnguardedLoop",
     "decode",
     "encode",
     "eventually",

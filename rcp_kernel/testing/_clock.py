@@ -7,7 +7,7 @@ import time
 
 from rcp_kernel.clock import Clock
 
-__all__ = ["SteppedClock", "SteppedLoop"]
+__all__ = ["SteppedClock", "SteppedLoop", "UnguardedLoop"]
 
 
 class SteppedClock:
@@ -52,3 +52,7 @@ class SteppedLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Return the clock's time."""
         return self._monotonic()
+
+
+class UnguardedLoop(asyncio.SelectorEventLoop):
+    """An event loop that goes by a time of its own: `serve` starts no guard, a process by the machine's."""

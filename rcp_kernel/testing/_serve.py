@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -22,6 +23,7 @@ from rcp_kernel.config.safety import Safety
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_kernel.testing._client import MemoryClient
+from rcp_kernel.testing._clock import UnguardedLoop
 from rcp_kernel.testing._recorder import Recorder
 from rcp_kernel.values import Encoding
 
@@ -93,8 +95,9 @@ async def serve(
     `[[backends]]` by name, without an entry point, and `features` are active besides those of the
     configuration; `transports` and `adapters` serve its tables by name. Transports in a `GatewayConfig`
     are opened; a text that names none opens none. With the default `guard_after`, the guard waits as
-    long as possible: the test and its simulations share the gateway's event loop. A test that steps
-    time passes the `clock` of its `SteppedClock`, and runs on a `SteppedLoop`.
+    long as possible: the test and its simulations share the gateway's event loop, and on an
+    `UnguardedLoop` there is none. A test that steps time passes the `clock` of its `SteppedClock`,
+    and runs on a `SteppedLoop`.
 
     :raises StartupError: as `rcpd serve` would.
     """
@@ -142,10 +145,11 @@ async def serve(
 
 
 def _patient(config: GatewayConfig) -> GatewayConfig:
-    """Let the guard tolerate a busy machine."""
-    if config.safety.guard_after != Safety().guard_after:
+    """Let the guard tolerate a busy machine, and keep out of a time that is not the machine's."""
+    if config.safety.guard_after not in (Safety().guard_after, _GUARD_AFTER):
         return config
-    safety = msgspec.structs.replace(config.safety, guard_after=_GUARD_AFTER)
+    guard = config.safety.guard and not isinstance(asyncio.get_running_loop(), UnguardedLoop)
+    safety = msgspec.structs.replace(config.safety, guard=guard, guard_after=_GUARD_AFTER)
     return msgspec.structs.replace(config, safety=safety)
 
 

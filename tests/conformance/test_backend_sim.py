@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any, ClassVar
 
 import rcp_sim
+from hurry import Hurried
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import (
     BackendSuite,
@@ -116,11 +117,11 @@ class TestSim(SimRig, BackendSuite):
     """What any backend owes."""
 
 
-class TestSimStops(SimRig, StopSuite):
+class TestSimStops(Hurried, SimRig, StopSuite):
     """What any stop owes."""
 
 
-class TestSimProfiles(ProfileSuite):
+class TestSimProfiles(Hurried, ProfileSuite):
     """What the profiles mean, as the simulation has it."""
 
     kind = SimRig.kind

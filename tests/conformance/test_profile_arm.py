@@ -13,6 +13,7 @@ import msgspec
 import pytest
 
 from conformance.test_profile_flaws import prove
+from hurry import HURRIED, Hurried
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress
 from rcp_kernel.testing import ProfileSuite
 from rcp_kernel.types import Point, PoseStamped
@@ -24,6 +25,12 @@ REACH = (-2.0, 2.0)  # rad
 JOINTS = ("shoulder", "elbow")
 LIMITS = dict.fromkeys((f"positions.{name}" for name in JOINTS), REACH)
 WAYPOINTS = {f"points.{place}": bound for place, bound in LIMITS.items()}
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    """Sit out nothing: the device is on the test's loop."""
+    return HURRIED
 
 
 class Arm(BaseBackend):
@@ -166,7 +173,7 @@ def kind_of(arm: type[Arm], place: str | None = None) -> BackendKind:
     return BackendKind("arm", msgspec.Struct, opened)
 
 
-class TestArm(ProfileSuite):
+class TestArm(Hurried, ProfileSuite):
     """An arm without a flaw."""
 
     kind = kind_of(Arm)

@@ -11,10 +11,17 @@ import pytest
 from msgspec.structs import replace
 
 from conformance.test_backend_sim import TestSimProfiles as SimProfiles
+from hurry import HURRIED
 from rcp_kernel.spi import BackendKind, Host, Progress
 from rcp_kernel.testing import Body, ProfileSuite, Robot
 from rcp_kernel.types import Twist
 from rcp_sim import SimBackend, SimConfig, open_sim
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    """Sit out nothing: the device is on the test's loop."""
+    return HURRIED
 
 
 class Flawed(SimBackend):

@@ -50,7 +50,7 @@ async def gateway(profile: str) -> AsyncGenerator[tuple[Any, Twin]]:
 
 
 @pytest.mark.parametrize("how", [signal.SIGSTOP, signal.SIGKILL], ids=["frozen", "killed"])
-@pytest.mark.serial
+@pytest.mark.paired
 @pytest.mark.parametrize("profile", WATCHED)
 async def test_a_drive_with_a_watchdog_comes_to_rest_without_its_gateway(
     profile: str, how: signal.Signals, record_property: Any
@@ -87,7 +87,7 @@ async def planned(profile: str) -> tuple[str, Any]:
     return name, plan
 
 
-@pytest.mark.serial
+@pytest.mark.paired
 @pytest.mark.parametrize("profile", [name for name in MOTORS if name != "moteus"])
 async def test_the_frames_of_the_plan_stop_a_drive_that_turns(profile: str) -> None:
     name, plan = await planned(profile)

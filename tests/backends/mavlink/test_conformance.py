@@ -21,6 +21,7 @@ from backends.mavlink.flying import (
     twin,
 )
 from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, Relay, commander, relay
+from hurry import Hurried
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
@@ -41,7 +42,7 @@ SCRIPT, MOVED, MADE = "/APM/scripts/a.lua", "/APM/scripts/b.lua", "/APM/made"
 LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
 
 
-class MavlinkRig(StopRig):
+class MavlinkRig(Hurried, StopRig):
     kind = next(iter(rcp_mavlink.rcp_backends()))
     complete_within = 20.0
     cancel_within = 5.0

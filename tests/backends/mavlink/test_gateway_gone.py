@@ -26,7 +26,7 @@ GUARDED = 5.0  # s in which a guarded vehicle is at rest, of which it brakes for
 FAILSAFE = 6.0  # s in which one is at rest over ground that its failsafe lands after two seconds
 BRAKE = 17
 UNGUARDED = "guard = false"
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.paired, pytest.mark.real_time]
 
 
 @asynccontextmanager

@@ -14,6 +14,7 @@ import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, on_the_ground, skip, speed, twin
 from backends.mavlink.relay import commander
 from backends.mavlink.test_gateway import Pilot, flying
+from hurry import Hurried
 from rcp_kernel.testing import Body, ProfileSuite, Robot, eventually
 from rcp_mavlink import enu
 from rcp_mavlink.fences import is_enabled
@@ -25,7 +26,7 @@ LOITER = 5
 _STILL = 0.35  # m/s below which the backend counts a vehicle that holds its place as at rest
 
 
-class VehicleProfiles(ProfileSuite):
+class VehicleProfiles(Hurried, ProfileSuite):
     """Looks at the body behind the messages: its own north, east and down."""
 
     kind = next(iter(rcp_mavlink.rcp_backends()))

@@ -20,6 +20,8 @@ from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.hub import open_hub
 
+pytestmark = pytest.mark.real_time
+
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 QUICK = {"warmup": 0.0, "speed": 10.0}
 _GATEWAY = """

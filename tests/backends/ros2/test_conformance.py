@@ -27,7 +27,7 @@ def _end() -> Iterator[None]:
     PEER.stop()
 
 
-@pytest.mark.serial  # beside other tests the peer was once not discovered within 20 s
+@pytest.mark.paired  # beside several other tests the peer was once not discovered within 20 s
 class TestRos2(BackendSuite):
     kind = next(iter(rcp_ros2.rcp_backends()))
     config: ClassVar[Mapping[str, Any]] = {

@@ -14,7 +14,7 @@ import pytest
 from plugins.guard.bench import AFTER, SOON, WITHIN, Bench, bench, by_udp, child, gone, lives
 from timing import in_one_of_three_attempts, in_time
 
-pytestmark = [pytest.mark.anyio, pytest.mark.serial]
+pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 FREEZES = ("SIGSTOP", "SIGKILL", "loop", "gil", "regex")
 
 

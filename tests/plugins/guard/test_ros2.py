@@ -12,7 +12,7 @@ import pytest
 from plugins.guard.bench import WITHIN, Bench, bench, until
 from timing import in_one_of_three_attempts, in_time
 
-pytestmark = [pytest.mark.anyio, pytest.mark.serial]
+pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 if importlib.util.find_spec("rclpy") is None:
     pytest.skip("rclpy is not installed", allow_module_level=True)
 HEADER = "00010000"  # CDR, little-endian

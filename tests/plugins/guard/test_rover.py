@@ -9,7 +9,7 @@ import pytest
 
 from plugins.guard.bench import child
 
-pytestmark = [pytest.mark.anyio, pytest.mark.serial]
+pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 WINDOW = 0.5  # s that the velocity stands for
 BRAKING = 1.0 / (2 * 2.5)  # m from 1 m/s at the rover's 2.5 m/s2
 TICK = 0.02  # m that the rover covers in one period
