@@ -74,6 +74,11 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     kind: Literal["http", "websocket"] = "http"
     app: Asgi
     """A plain ASGI application; `scope["path"]` is the whole path."""
+    port: int | None = None
+    """A port of its own, which serves nothing else; None: that of the listener. It must be mounted
+    before the listener opens."""
+    url_secrets: frozenset[str] = frozenset()
+    """Parameters of the URL that may contain a secret, which is refused otherwise."""
     openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
     """Returns `paths` and `components` of the OpenAPI document for what a session sees of this
     mount;
@@ -212,11 +217,13 @@ class ClientApi:
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
 
-        :raises PluginError: another plugin serves the same prefix.
+        :raises PluginError: another plugin serves the same prefix, or has the same port.
         """
         for other in self.mounts:
             if _place(other) == _place(mount):
                 raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
+            if mount.port and mount.port == other.port and mount.name != other.name:
+                raise PluginError(f"'{mount.name}' and '{other.name}' both use port {mount.port}")
         self.mounts.append(mount)
 
     def unmount(self, mount: Mount) -> None:
@@ -466,5 +473,5 @@ class ClientApi:
         return self._parts.status.exposition(session.rights)
 
 
-def _place(mount: Mount) -> tuple[str, str, str]:
-    return mount.kind, mount.prefix, mount.suffix
+def _place(mount: Mount) -> tuple[str, str, str, int | None]:
+    return mount.kind, mount.prefix, mount.suffix, mount.port

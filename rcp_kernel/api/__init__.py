@@ -32,7 +32,7 @@ from rcp_kernel.sessions.unsent import left_out
 from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.streams.outbound import Backlog, Outbound
 from rcp_kernel.streams.outbox import Outbox, Wrap
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_protocol.structure import LONG as LONG_MESSAGE
 from rcp_protocol.structure import check_structure
 from rcp_store.modes import others_may
@@ -57,6 +57,7 @@ __all__ = [
     "PromptReply",
     "Query",
     "QueuedRequest",
+    "Rendering",
     "Rights",
     "Sample",
     "Serial",

@@ -266,7 +266,7 @@ class ViewSubscription(PathSubscription):
         try:
             value = yield from steps
             cut = isinstance(value, Body) and value.cut
-            if self.fields is not None:
+            if isinstance(self.fields, tuple):
                 value = project(value.value if isinstance(value, Body) else value, self.fields)
             return _Made(sees, encode_body(value, encoding), cut)
         except Exception as error:  # a fault in the view drops this update and is logged

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import structlog
 
 from rcp_kernel.streams.outbound import SHARE, Backlog
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
 
 __all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Wrap"]
@@ -153,6 +153,7 @@ class Outbox:
         "paused",
         "pending",
         "prioritised",
+        "renderings",
         "takes_long",
         "text",
         "updates",
@@ -202,6 +203,8 @@ class Outbox:
         """Number of subscriptions being checked for paths that the client may no longer see: no
         update is collected meanwhile. Changed by `hold` and `release`."""
         self.prioritised = False
+        self.renderings: dict[str, Rendering] = {}
+        """How updates are written, by the id of their subscription, see `render`."""
         self.updates = 0
         self.high_water = 0
 
@@ -237,6 +240,16 @@ class Outbox:
         """
         self.framing = self.direct = None
         self.takes_long = long
+
+    def render(self, subscription: str, rendering: Rendering | None) -> None:
+        """Write the updates of a subscription that is to be made in an adapter's own form.
+
+        Its option `encoding` says whether they are text (`json`) or binary (`cbor`). None forgets it.
+        """
+        if rendering is None:
+            self.renderings.pop(subscription, None)
+        else:
+            self.renderings[subscription] = rendering
 
     def hand(self, buffered: int) -> None:
         """Set the number of bytes that the transport has written and the client has not read."""

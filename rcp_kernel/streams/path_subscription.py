@@ -15,7 +15,7 @@ from rcp_kernel.streams.filters import Options, Where
 from rcp_kernel.streams.outbox import Framing, Outbox, Wrap
 from rcp_kernel.streams.special_updates import first_native, shortened, spliced
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.samples import NATIVE, Sample
+from rcp_kernel.tree.samples import NATIVE, Fields, Rendering, Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_frame
 
@@ -142,7 +142,9 @@ class PathSubscription:
         """The access rules do not allow it at the moment."""
         self.kept = False
         """The history of its path is kept for a disconnected client."""
-        self.fields = NATIVE if self.native else options.fields
+        self.fields: Fields = NATIVE if self.native else options.fields
+        if outbox is not None and outbox.renderings:
+            self.fields = outbox.renderings.get(subscription.id, self.fields)
         self.longest = subscription.longest(entry)
         """Longest value sent whole, in bytes, to a client without segmented transfer;
         None: no limit."""
@@ -358,7 +360,7 @@ class PathSubscription:
             )
             self.named = True
             return data
-        if not self.dropped:
+        if not self.dropped or type(self.fields) is Rendering:
             return head + tail
         return (
             head_dropped
@@ -377,6 +379,11 @@ class PathSubscription:
     def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
         assert self.outbox is not None
         encoding = self.subscription.options.splice or self.outbox.encoding
+        if type(self.fields) is Rendering:
+            head = self.fields.head
+            self.share = _shares.setdefault((head, self.fields, self.outbox.framing), _Share())
+            self._heads = encoding, head, head
+            return self._heads
         facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
         if self.native:
             facts["encoding"] = "native"

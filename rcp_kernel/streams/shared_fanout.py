@@ -15,7 +15,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.outbox import BUDGET, FlushScheduler, Framing, Outbox, Wrap
 from rcp_kernel.streams.path_subscription import SHARED, PathSubscription, Subscriber
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Fields, Sample
 from rcp_kernel.values import Encoding
 
 __all__ = [
@@ -29,7 +29,6 @@ __all__ = [
 
 _JSON = Encoding.JSON
 _KEPT = 16  # batches of frames kept for equal receivers
-Fields = tuple[str, ...] | None
 Batch = tuple[list[bytes], int, int]
 """Bytes for the socket, their number of updates, and their length."""
 

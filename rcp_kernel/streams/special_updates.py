@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_kernel.errors import Overrun
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Fields, Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_frame
 
@@ -30,7 +30,7 @@ def shortened(
     subscription: str,
     sample: Sample,
     dropped: int,
-    fields: tuple[str, ...] | None,
+    fields: Fields,
     encoding: Encoding,
 ) -> bytes:
     """Return an update with the length of the value instead of the value."""

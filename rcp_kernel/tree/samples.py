@@ -16,7 +16,7 @@ from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value
 from rcp_kernel.wire import Body, encode_frame
 from rcp_protocol.plain import is_map
 
-__all__ = ["NATIVE", "Sample", "encoded_of", "masked", "project"]
+__all__ = ["NATIVE", "Fields", "Rendering", "Sample", "encoded_of", "masked", "project"]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
@@ -41,6 +41,25 @@ def encoded_of(value: Any) -> Encoded | None:
     """Return a value that has its number and encoding from elsewhere; None for any other."""
     kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
     return value if (_forms.get(kind) or _form(value)) == "encoded" else None
+
+
+class Rendering:
+    """How an adapter writes the updates of a subscription, in place of the protocol's envelope.
+
+    An update is `head` and what `tail` returns for its sample. The bytes of `tail` are shared by all
+    subscriptions with the same function, whole frames by those with the same rendering: create few
+    of both. `tail` raises `RcpError` for a sample that is not sent.
+    """
+
+    __slots__ = ("head", "tail")
+
+    def __init__(self, head: bytes, tail: Callable[[Sample], bytes]) -> None:
+        self.head = head
+        self.tail = tail
+
+
+Fields = tuple[str, ...] | Rendering | None
+"""A projection, or what is sent in place of the envelope; None: the whole value."""
 
 
 class Publisher(Protocol):
@@ -187,8 +206,10 @@ class Sample(Body):
             self.encodings[key] = body
         return body
 
-    def tail(self, encoding: Encoding, fields: tuple[str, ...] | None = None) -> bytes:
+    def tail(self, encoding: Encoding, fields: Fields = None) -> bytes:
         """Return the part of an update that all its receivers share, to be spliced to its head."""
+        if type(fields) is Rendering:
+            return self._rendered(encoding, fields)
         if fields is None and encoding is _JSON:
             tail = self.json_tail
             if tail is None:
@@ -196,6 +217,7 @@ class Sample(Body):
                     self._check()
                 tail = self.json_tail = self._splice(_JSON, self._json or self.encoded(_JSON))
             return tail
+        assert not isinstance(fields, Rendering)
         key = encoding if fields is None else (encoding, fields)
         tail = self.encodings.get(key)
         if tail is None:
@@ -214,13 +236,22 @@ class Sample(Body):
         if self.encodings:
             self.encodings.clear()
 
+    def _rendered(self, encoding: Encoding, rendering: Rendering) -> bytes:
+        key = (encoding, rendering.tail)
+        tail = self.encodings.get(key)
+        if tail is None:
+            tail = self.encodings[key] = rendering.tail(self)
+        return tail
+
     def _serialised(self, encoding: Encoding) -> bytes:
         if self.native is None:
             raise Overrun("the sample has no native form")
         return _BYTES.encode(bytes(self.native.data), encoding)
 
-    def length(self, encoding: Encoding, fields: tuple[str, ...] | None) -> int:
+    def length(self, encoding: Encoding, fields: Fields) -> int:
         """Return how many bytes the value has in an update."""
+        if isinstance(fields, Rendering):
+            return len(self._rendered(encoding, fields))
         if fields is None:
             return len(self.encoded(encoding))
         if fields is NATIVE:

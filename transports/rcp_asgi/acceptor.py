@@ -47,20 +47,21 @@ class _Guest:
 
 
 class Acceptor:
-    """The listening socket."""
+    """One listening socket; `seats` are those of all sockets of the listener."""
 
     def __init__(
         self,
         listening: socket.socket,
         settings: Settings,
         tls: Tls | None,
+        seats: ConnectionLimiter,
         make: Callable[[Seat], asyncio.Protocol],
     ) -> None:
         self._listening = listening
         self._settings = settings
         self._tls = tls
+        self._seats = seats
         self._make = make
-        self._seats = ConnectionLimiter(settings.config, settings.proxies)
         self._loop = settings.client_api.loop
         self._opening: set[asyncio.Task[None]] = set()
         self._resume: asyncio.TimerHandle | None = None
@@ -79,10 +80,6 @@ class Acceptor:
         self._listening.close()
         for task in self._opening:
             task.cancel()
-
-    def sweep(self) -> None:
-        """Remove closed connections."""
-        self._seats.sweep(self._loop.time())
 
     def _accept(self) -> None:
         for _ in range(_AT_ONCE):

@@ -15,7 +15,7 @@ from uvicorn import Config, Server
 from rcp_asgi.acceptor import Acceptor
 from rcp_asgi.builtin_app import OWN, builtin_app
 from rcp_asgi.config import AsgiConfig
-from rcp_asgi.connection_limiter import Seat
+from rcp_asgi.connection_limiter import ConnectionLimiter, Seat
 from rcp_asgi.http import HttpProtocol
 from rcp_asgi.mount_router import MountRouter
 from rcp_asgi.origins import Origins
@@ -25,13 +25,15 @@ from rcp_asgi.settings import Settings
 from rcp_asgi.tls import Tls
 from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.errors import ConfigError
+from rcp_kernel.errors import ConfigError, UnknownPath
+from rcp_web.asgi import Receive, Scope, Send, refuse
 
 __all__ = ["open_asgi"]
 
 log = structlog.get_logger("rcp.asgi")
 _TICK = 1.0  # s between new Date headers, and between checks of the certificate files
 _BACKLOG = 1024
+_NO_PATHS: frozenset[str] = frozenset()
 _HEADERS = [  # against pages of other origins that embed what they may not read
     ("x-content-type-options", "nosniff"),
     ("cross-origin-resource-policy", "same-origin"),
@@ -47,34 +49,78 @@ async def open_asgi(config: AsgiConfig, client_api: ClientApi) -> AsyncGenerator
     """
     check_door(config, client_api)
     tls = None if config.tls is None else Tls(config.tls)
-    listening = _bind(config)
-    host, port = listening.getsockname()[:2]
     settings = Settings(config, client_api, Proxies(config.proxies))
+    seats = ConnectionLimiter(config, settings.proxies)
     origins = Origins(config.host, config.origins, config.hosts)
     front = MountRouter(client_api, origins, builtin_app(client_api), OWN, config.root_path)
-    server = _server(settings, front)
-    acceptor = Acceptor(listening, settings, tls, partial(_protocol, server, settings))
-    await server.on_tick(0)
+    main = _Port(_bind(config, config.port), front, settings, seats, tls)
+    extra: dict[str, _Port] = {}
+    try:
+        for mount in client_api.mounts:
+            if mount.port is not None and mount.name not in extra:
+                router = MountRouter(client_api, origins, _nothing, _NO_PATHS, "", mount.port)
+                bound = _bind(config, mount.port, f" (for [plugins.{mount.name}])")
+                extra[mount.name] = _Port(bound, router, settings, seats, tls)
+    except ConfigError:
+        for port in (main, *extra.values()):
+            port.acceptor.close()
+        raise
+    ports = [main, *extra.values()]
+    for port in ports:
+        await port.server.on_tick(0)
     if tls is not None:
         tls.warn()
         client_api.revoke(tls.revoked)
-    ticking = asyncio.create_task(_tick(server, acceptor, tls, client_api), name="asgi clock")
-    acceptor.open()
-    shown = f"[{host}]" if ":" in host else host
-    url = f"{'http' if tls is None else 'https'}://{shown}:{port}"
-    log.info("listening", url=url)
+    ticking = asyncio.create_task(_tick(ports, seats, tls, client_api), name="asgi clock")
+    for port in ports:
+        port.acceptor.open()
+        log.info("listening", url=port.url)
+    facts: dict[str, Any] = {
+        "url": main.url + config.root_path,
+        "host": main.host,
+        "port": main.number,
+    }
+    if extra:
+        facts["ports"] = {name: port.number for name, port in extra.items()}
     try:
-        yield {"url": url + config.root_path, "host": host, "port": port}
+        yield facts
     finally:
         ticking.cancel()
-        acceptor.close()
-        await _close(server, settings)
+        for port in ports:
+            port.acceptor.close()
+        for finish in list(settings.closing):
+            finish()
+        await asyncio.gather(*(_close(port.server, settings) for port in ports))
 
 
-def _bind(config: AsgiConfig) -> socket.socket:
+class _Port:
+    """One address that the listener listens on."""
+
+    def __init__(
+        self,
+        listening: socket.socket,
+        front: MountRouter,
+        settings: Settings,
+        seats: ConnectionLimiter,
+        tls: Tls | None,
+    ) -> None:
+        self.host, self.number = listening.getsockname()[:2]
+        self.server = _server(settings, front)
+        make = partial(_protocol, self.server, settings)
+        self.acceptor = Acceptor(listening, settings, tls, seats, make)
+        shown = f"[{self.host}]" if ":" in self.host else self.host
+        self.url = f"{'http' if tls is None else 'https'}://{shown}:{self.number}"
+
+
+async def _nothing(scope: Scope, _receive: Receive, send: Send) -> None:
+    """Answer what a port of a mount's own does not serve."""
+    await refuse(send, UnknownPath(f"nothing found at {scope['path']}"))
+
+
+def _bind(config: AsgiConfig, port: int, what: str = "") -> socket.socket:
     try:
         found = socket.getaddrinfo(
-            config.host, config.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            config.host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )
         family, kind, protocol, _, address = found[0]
         made = socket.socket(family, kind, protocol)
@@ -88,7 +134,7 @@ def _bind(config: AsgiConfig) -> socket.socket:
     except OSError as error:
         why = error.strerror or str(error)
         raise ConfigError(
-            f"[transports.asgi] cannot listen on {config.host}:{config.port}: {why}"
+            f"[transports.asgi] cannot listen on {config.host}:{port}{what}: {why}"
         ) from None
     made.setblocking(False)
     return made
@@ -123,18 +169,19 @@ def _protocol(server: Server, settings: Settings, seat: Seat) -> HttpProtocol:
     )
 
 
-async def _tick(server: Server, acceptor: Acceptor, tls: Tls | None, client_api: ClientApi) -> None:
+async def _tick(
+    ports: list[_Port], seats: ConnectionLimiter, tls: Tls | None, client_api: ClientApi
+) -> None:
     while True:
         await asyncio.sleep(_TICK)
-        await server.on_tick(0)
-        acceptor.sweep()
+        for port in ports:
+            await port.server.on_tick(0)
+        seats.sweep(client_api.loop.time())
         if tls is not None and tls.refresh():
             client_api.revoke(tls.revoked)
 
 
 async def _close(server: Server, settings: Settings) -> None:
-    for finish in list(settings.closing):
-        finish()
     state = server.server_state
     for connection in list(state.connections):
         connection.shutdown()

@@ -21,6 +21,9 @@ from rcp_web.asgi import Receive, Scope, Send, refuse, respond
 __all__ = ["MountRouter"]
 
 log = structlog.get_logger("rcp.asgi")
+_NONE: frozenset[str] = frozenset()
+_Served = tuple[str, str, Asgi, frozenset[str]]
+"""Prefix, suffix, application, and the parameters of its URLs that may be secrets."""
 
 
 class MountRouter:
@@ -33,7 +36,10 @@ class MountRouter:
         house: Asgi,
         own: frozenset[str],
         root_path: str,
+        port: int | None = None,
     ) -> None:
+        """Serve the mounts of a `port` of their own; None: those of the listener's."""
+        self._port = port
         self._client_api = client_api
         self._origins = origins
         self._house = house
@@ -41,13 +47,16 @@ class MountRouter:
         """Paths served by the listener itself, regardless of mounts."""
         self._root = root_path
         self._seen: list[Mount] = []
-        self._tables: dict[str, list[tuple[str, str, Asgi]]] = {"http": [], "websocket": []}
+        self._tables: dict[str, list[_Served]] = {"http": [], "websocket": []}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request or WebSocket."""
         try:
             origin = self._origins.check(scope)
-            check_url(scope)
+            if self._root:
+                self._strip(scope)
+            app, secrets = self._find(scope["type"], scope["path"])
+            check_url(scope, secrets)
         except (Forbidden, BadRequest) as error:
             self._client_api.refused("request", error.code)
             await _turn_away(scope, receive, send, error)
@@ -60,9 +69,6 @@ class MountRouter:
         if scope["path"] == "*":  # OPTIONS of the gateway as a whole (RFC 9110, 9.3.7)
             await respond(send, 204, b"", headers=[(b"allow", METHODS)])
             return
-        if self._root:
-            self._strip(scope)
-        app = self._find(scope["type"], scope["path"])
         if app is None:
             await _turn_away(scope, receive, send, UnknownPath(f"nothing found at {scope['path']}"))
             return
@@ -82,28 +88,32 @@ class MountRouter:
             scope["path"] = path[len(self._root) :] or "/"
         scope["root_path"] = self._root
 
-    def _find(self, kind: str, path: str) -> Asgi | None:
+    def _find(self, kind: str, path: str) -> tuple[Asgi | None, frozenset[str]]:
+        """Return the application of a path, and the parameters of its URL that may be secrets."""
         if self._seen != self._client_api.mounts:
             self._compile()
         if kind == "http" and path in self._own:
-            return self._house
-        for prefix, suffix, app in self._tables[kind]:
+            return self._house, _NONE
+        for prefix, suffix, app, secrets in self._tables[kind]:
             if path.startswith(prefix) and path.endswith(suffix):
                 rest = path[len(prefix) :]
                 if not rest or rest[0] == "/" or prefix == "/":
-                    return app
-        return self._house if kind == "http" else None
+                    return app, secrets
+        return self._house if kind == "http" else None, _NONE
 
     def _compile(self) -> None:
         self._seen = list(self._client_api.mounts)
         order: Callable[[Mount], tuple[bool, int]] = lambda m: (bool(m.suffix), len(m.prefix))  # noqa: E731 - typed
         for kind, table in self._tables.items():
-            mounts = sorted((m for m in self._seen if m.kind == kind), key=order, reverse=True)
-            table[:] = [(m.prefix, m.suffix, m.app) for m in mounts]
+            here = (m for m in self._seen if m.kind == kind and m.port == self._port)
+            mounts = sorted(here, key=order, reverse=True)
+            table[:] = [(m.prefix, m.suffix, m.app, m.url_secrets) for m in mounts]
+        if self._port is not None:
+            return
         served = {mount.prefix for mount in self._seen}
         absent = self._client_api.absent_adapters()
         self._tables["http"][:0] = [
-            (f"/{name}", "", _absent(name, detail))
+            (f"/{name}", "", _absent(name, detail), _NONE)
             for name, detail in absent.items()
             if f"/{name}" not in served
         ]

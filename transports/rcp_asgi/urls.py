@@ -17,8 +17,10 @@ _SECRETS = frozenset(
 )
 
 
-def check_url(scope: Scope) -> None:
+def check_url(scope: Scope, allowed: frozenset[str] = frozenset()) -> None:
     """Refuse a query that contains a secret; its value is neither evaluated nor reported.
+
+    `allowed` are the names of parameters that may.
 
     :raises BadRequest: it does.
     """
@@ -26,7 +28,7 @@ def check_url(scope: Scope) -> None:
     if not query:
         return
     for name, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
-        if name.strip().lower().replace("-", "_") in _SECRETS:
+        if name.strip().lower().replace("-", "_") in _SECRETS and name not in allowed:
             raise BadRequest(
                 f"the URL has a parameter `{name.strip()}`; secrets are not allowed in URLs",
                 remedy="Send `Authorization: Bearer <token>`, or `token` in `hello` on the "

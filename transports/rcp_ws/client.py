@@ -14,13 +14,13 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, peek_header
+from rcp_web.read_gate import ReadGate
+from rcp_web.socket import NativeSocket
 from rcp_ws import segments
 from rcp_ws.config import WsConfig
-from rcp_ws.gate import ReadGate
 from rcp_ws.incoming import Incoming
 from rcp_ws.outgoing import Outgoing
 from rcp_ws.segments import Again
-from rcp_ws.socket import NativeSocket
 
 __all__ = ["WsClient"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from rcp_ws.socket import NativeSocket
+from rcp_web.socket import NativeSocket
 
 __all__ = ["ReadGate"]
 
