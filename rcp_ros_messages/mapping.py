@@ -20,6 +20,7 @@ from rcp_ros_messages.source import (
     beside,
     constant,
     constant_list,
+    first,
     real,
     stamp,
 )
@@ -325,7 +326,7 @@ COMMANDS: tuple[Command, ...] = (
         "cmd_vel",
         "geometry_msgs/msg/Twist",
         "actuator/cmd_vel",
-        {"linear": at("linear"), "angular": at("angular")},
+        {"linear": first("linear", "twist.linear"), "angular": first("angular", "twist.angular")},
     ),
     Command(
         "goal_pose",

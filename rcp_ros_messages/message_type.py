@@ -95,7 +95,9 @@ def parse(name: str, text: str) -> MessageType:
             raise ValueError(f"{name}: cannot read {line!r}")
         type_ = found["type"]
         if type_ not in PRIMITIVES:
-            type_ = full_name(type_ if "/" in type_ else f"{name.split('/', maxsplit=1)[0]}/{type_}")
+            type_ = full_name(
+                type_ if "/" in type_ else f"{name.split('/', maxsplit=1)[0]}/{type_}"
+            )
         if found["value"] is not None:
             constants.append(Constant(found["name"], type_, found["value"]))
         else:

@@ -51,6 +51,16 @@ def at(path: str) -> Take:
     return lambda source: _find(source.value, names)
 
 
+def first(*paths: str) -> Take:
+    """Take the first field of the value that is there."""
+    takes = [at(path) for path in paths]
+
+    def found(source: Source) -> Any:
+        return next((v for take in takes if (v := take(source)) is not None), None)
+
+    return found
+
+
 def beside(path: str) -> Take:
     """Take a field of the value beside it."""
     names = path.split(".")

@@ -51,7 +51,7 @@ class Rendering:
     of both. `tail` raises `RcpError` for a sample that is not sent.
     """
 
-    __slots__ = ("head", "tail")
+    __slots__ = ("__weakref__", "head", "tail")
 
     def __init__(self, head: bytes, tail: Callable[[Sample], bytes]) -> None:
         self.head = head
