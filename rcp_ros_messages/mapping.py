@@ -69,6 +69,8 @@ class Command:
     """Name of the resource."""
     fields: Mapping[str, Take]
     """What each field of the value is taken from, in the message."""
+    same: bool = False
+    """Whether a message of the type is the value as it is."""
 
     def value(self, message: Any) -> dict[str, Any]:
         """Return the value of a message."""
@@ -327,6 +329,7 @@ COMMANDS: tuple[Command, ...] = (
         "geometry_msgs/msg/Twist",
         "actuator/cmd_vel",
         {"linear": first("linear", "twist.linear"), "angular": first("angular", "twist.angular")},
+        same=True,
     ),
     Command(
         "goal_pose",

@@ -348,12 +348,12 @@ class RosClient:
                 self._send()
             if not socket.writable:
                 outbox.hand(socket.buffered)
+                self._subscriptions.note_missed()
             else:
                 if outbox.buffered:
                     outbox.hand(0)
                 if outbox.control or outbox.feedback or outbox.pending:
                     outbox.again()
-            self._subscriptions.tell_missed()
             if self._gate.paused:
                 self._gate.review()
         except Exception as error:

@@ -200,6 +200,8 @@ class Graph:
                 # A value of a profile is not the message, if that has a header.
                 rest = self._split(facts["path"])[1]
                 command = next((c for c in COMMANDS if c.target == rest), None)
+                if command is not None and command.same and same_type(type_, command.type):
+                    command = None
                 mapping = command if facts.get("profiles") else None
                 topic.target = Target(facts["path"], "actuator", mapping, expires=_expires(facts))
                 topic.subscribers.append(node)
@@ -246,7 +248,8 @@ class Graph:
         allowed = {"actuator": "write", "action": "execute"}.get(kind)
         for command in commands:
             if allowed in operations:
-                target = Target(facts["path"], kind, command, expires=_expires(facts))
+                mapping = None if command.same else command
+                target = Target(facts["path"], kind, mapping, expires=_expires(facts))
                 name = start + command.name
                 topic = self.topics.setdefault(name, RosTopic(name, command.type))
                 if kind == "actuator" and "subscribe" in operations and topic.feed is None:

@@ -9,6 +9,7 @@ import msgspec
 
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.wire import Reply, Request
+from rcp_ros_messages import message_type
 from rcp_rosbridge.compatibility import decoded, modern
 from rcp_rosbridge.context import Context
 from rcp_rosbridge.graph import Graph, RosTopic, Target, same_type
@@ -19,6 +20,7 @@ __all__ = ["Publishing"]
 
 _MOST = 1000  # topics that a client publishes on
 _QUEUE = 16  # messages of a topic that wait for the robot
+_REMEDY = "Send a message of the topic's type; /rosapi/message_details describes it."
 _BYTES = 4 * 1024 * 1024  # of all that wait
 
 
@@ -143,10 +145,12 @@ class Publishing:
             message = decoded(body)
             if target.wraps:
                 if not isinstance(message, dict) or "data" not in message:
-                    raise BadRequest(f"a message of {topic.type} has the field `data`")
+                    text = f"a message of {topic.type} has the field `data`"
+                    raise BadRequest(text, remedy=_REMEDY)
                 value: Any = message["data"]  # pyright: ignore[reportUnknownVariableType]
             else:
                 assert target.mapping is not None
+                _check_fields(message, topic.type)
                 value = target.mapping.value(message)
             body = msgspec.Raw(msgspec.json.encode(value))
         if target.kind == "action":
@@ -175,6 +179,21 @@ class Publishing:
         if error.get("remedy"):
             text = f"{text.removesuffix('.')}. {error['remedy']}"
         self._context.status.error(text, id_, f"{topic} {error['code']}")
+
+
+def _check_fields(message: Any, type_: str) -> None:
+    """Refuse what is not a message of a common type.
+
+    :raises BadRequest: it is no object, or has an unknown field.
+    """
+    if not isinstance(message, dict):
+        raise BadRequest(f"a message of {type_} is an object", remedy=_REMEDY)
+    known = message_type(type_)
+    names = () if known is None else tuple(field.name for field in known.fields)
+    for name in message:  # pyright: ignore[reportUnknownVariableType]
+        if known is not None and name not in names:
+            text = f"{type_} has no field '{name}'; it has {', '.join(names)}"
+            raise BadRequest(text, remedy=_REMEDY)
 
 
 def _nobody(name: str, topic: RosTopic | None) -> str:

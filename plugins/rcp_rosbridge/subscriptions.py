@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +22,7 @@ __all__ = ["MARK", "Subscriptions"]
 MARK = 0
 """First byte of messages that are packed before they are sent; four bytes with the number follow."""
 _AGAIN = 0.25  # s between two looks for topics that do not exist yet
-_TOLD = 1.0  # s between two messages about what a client missed
+_TELL = 1.0  # s between two looks for what a client missed
 _DEEPEST = 1024
 _MOST = 1000  # subscriptions of one client, whose topics need not exist
 _SLOWEST = 3_600_000.0  # ms
@@ -57,8 +58,8 @@ class Subscriptions:
         self._topics: dict[str, _Subscribed] = {}
         self._numbers = itertools.count(1)
         self._packed: dict[int, _Subscribed] = {}
-        self._looking: Any = None
-        self._told = 0.0
+        self._looking: asyncio.TimerHandle | None = None
+        self._telling: asyncio.TimerHandle | None = None
 
     @property
     def packs(self) -> bool:
@@ -104,9 +105,10 @@ class Subscriptions:
             self._update(topic)
 
     def close(self) -> None:
-        """Stop looking for topics."""
-        if self._looking is not None:
-            self._looking.cancel()
+        """Stop looking for topics, and for what was missed."""
+        for timer in (self._looking, self._telling):
+            if timer is not None:
+                timer.cancel()
         self._topics.clear()
 
     def pack(self, message: bytes) -> list[bytes]:
@@ -114,12 +116,13 @@ class Subscriptions:
         subscribed = self._packed.get(int.from_bytes(message[1:5], "big"))
         return [] if subscribed is None else subscribed.packing.pack(message[5:])
 
-    def tell_missed(self) -> None:
-        """Tell the client what it missed because it does not read fast enough."""
-        now = self._context.client_api.loop.time()
-        if now - self._told < _TOLD:
-            return
-        self._told = now
+    def note_missed(self) -> None:
+        """Look soon for what the client missed because it does not read fast enough."""
+        if self._telling is None and self._topics:
+            self._telling = self._context.client_api.loop.call_later(_TELL, self._tell_missed)
+
+    def _tell_missed(self) -> None:
+        self._telling = None
         known = self._context.connection.session.subscriptions
         for topic, subscribed in self._topics.items():
             first = known.get(subscribed.ids[0]) if subscribed.ids else None
@@ -128,7 +131,7 @@ class Subscriptions:
             count, subscribed.missed = first.skipped - subscribed.missed, first.skipped
             self._context.status.warning(
                 f"{count} messages of {topic} were skipped, because this connection does not read "
-                "them fast enough; a throttle_rate would be kinder to it"
+                "them fast enough. Ask for fewer with `throttle_rate`."
             )
 
     # -- changes -------------------------------------------------------------------------------

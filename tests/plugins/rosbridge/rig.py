@@ -47,9 +47,7 @@ async def site(
     """Serve; `options` are those of the plugin."""
     given = {"port": 0, "status": "info", **options}
     text = "".join(tables) + listener() + limits
-    for name in ("http", "ws", "sse"):
-        text = table("transports", **{name: False}) + text if name == "http" else text
-    text = text.replace("[transports]\n", "[transports]\nws = false\nsse = false\n", 1)
+    text += table("transports", http=False, ws=False, sse=False)
     config = parse(text + key("operator", OPERATOR), "test")
     config = msgspec.structs.replace(config, plugins={"rosbridge": given})
     async with serve(config, *kinds, adapters=(ROSBRIDGE,)) as served:
