@@ -266,7 +266,9 @@ def _action_details(part: str) -> Callable[[Graph, Args], Any]:
 
 
 def _get_time(_: Graph, _args: Args) -> Any:
-    return {"time": time_of(time.time_ns())}
+    now = time_of(time.time_ns())
+    # Older clients know the fields by the names of ROS 1.
+    return {"time": {**now, "secs": now["sec"], "nsecs": now["nanosec"]}}
 
 
 _ANSWERS: dict[str, Callable[[Graph, Args], Any]] = {
