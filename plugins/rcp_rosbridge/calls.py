@@ -247,6 +247,9 @@ def _complaint(reply: Reply) -> str:
 
 def _response(service: RosService, reply: Reply) -> tuple[Any, bool]:
     if reply.error is not None:
+        answered = (reply.error.get("details") or {}).get("result")
+        if service.type and not service.triggers and isinstance(answered, dict):
+            return answered, True  # with `success` false, which is a response in ROS
         return _complaint(reply), False
     values = _plain(reply)
     if service.triggers:
