@@ -21,7 +21,7 @@ class RosbridgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Port of its own, at `/`; rosbridge_suite has 9090. 0 takes a free one."""
     tenant: Annotated[str, Meta(min_length=1, max_length=128)] | None = None
     """Tenant of clients that name none; default: the first one of the client."""
-    url_token: bool = False
+    token_in_url: bool = False
     """Accept `?token=` in the URL, which may end up in logs."""
     valid_for: Annotated[float, Meta(gt=0, le=3600)] = 0.5
     """Time after which a robot stops unless the page publishes its velocity again."""

@@ -66,7 +66,7 @@ class _Endpoint:
         """
         query = parse_qs(scope["query_string"].decode("latin-1"))
         token = bearer(header(scope, b"authorization"))
-        if token is None and self._config.url_token:
+        if token is None and self._config.token_in_url:
             token = _one(query, _TOKEN)
         try:
             principal = await self._client_api.identify(token, peer_of(scope))
@@ -90,7 +90,7 @@ async def open_rosbridge(
 ) -> AsyncGenerator[dict[str, Any]]:
     """Mount the WebSocket in the listener while entered."""
     app = _Endpoint(config, client_api)
-    secrets = frozenset((_TOKEN,) if config.url_token else ())
+    secrets = frozenset((_TOKEN,) if config.token_in_url else ())
     mounts = [
         Mount(name="rosbridge", prefix=config.path, kind="websocket", app=app, url_secrets=secrets)
     ]

@@ -56,7 +56,7 @@ async def test_a_token_in_the_url_only_where_it_is_configured() -> None:
             async with page(gateway, path=path):
                 pass
         assert refused.value.response.status_code == 400
-    async with site(CLOSED, ROVER, url_token=True) as gateway:
+    async with site(CLOSED, ROVER, token_in_url=True) as gateway:
         async with page(gateway, path=path) as client:
             assert "/odom" in (await client.values("/rosapi/topics"))["topics"]
         gateway.url = f"ws://127.0.0.1:{gateway.port}"
