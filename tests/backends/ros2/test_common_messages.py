@@ -60,7 +60,7 @@ def test_an_empty_message_is_read_by_ros(name: str) -> None:
 
 
 def cls_zero(cls: Any) -> Any:
-    """Return a message of zeros: ROS's own defaults differ (the w of a quaternion)."""
+    """Return a message of zeros: ROS's own defaults differ (the `w` of a quaternion)."""
     message = cls()
     for field, type_ in cls.get_fields_and_field_types().items():
         value = getattr(message, field)
@@ -68,6 +68,8 @@ def cls_zero(cls: Any) -> Any:
             setattr(message, field, cls_zero(type(value)))
         elif type_ in ("double", "float"):
             setattr(message, field, 0.0)
+        elif type_.startswith(("int", "uint")):
+            setattr(message, field, 0)
     return message
 
 
