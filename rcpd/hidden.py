@@ -12,27 +12,35 @@ from rcp_kernel.config.file import secrets_of
 __all__ = ["Hidden"]
 
 _WORD = re.compile(r"[^\W_]+")
-_SHORT = 3  # characters of a word that could be in any message
+_SHORT = 3  # characters; a shorter secret could be in any message
+_WORDY = 5  # characters; shorter words of a secret ("admin-of-the-kit") are in many messages
+_LONG = 8  # characters of what does not appear in a message by chance, as a part of other words
 
 
 class Hidden:
     """The secrets of a file: its values from the environment, and those that keys call secret."""
 
     def __init__(self, text: str) -> None:
-        secrets = secrets_of(text)
+        secrets = [secret.casefold() for secret in secrets_of(text)]
         rest = text.casefold()
         for secret in secrets:  # what the file shows elsewhere too is none
-            rest = rest.replace(secret.casefold(), " ", 1)
-        shown = set(_WORD.findall(rest))
-        words = (word for secret in secrets for word in _WORD.findall(secret.casefold()))
-        self._words = {word for word in words if len(word) >= _SHORT} - shown
-        folded = {secret.casefold() for secret in secrets if len(secret) >= _SHORT}
-        self._whole = {secret for secret in folded if secret not in rest}
+            rest = rest.replace(secret, " ", 1)
+        words = {word for secret in secrets for word in _WORD.findall(secret)}
+        words -= set(_WORD.findall(rest))
+        self._words = {
+            word for word in words if len(word) >= (_SHORT if word in secrets else _WORDY)
+        }
+        self._parts = {
+            part
+            for part in (*words, *secrets)
+            if len(part) >= _LONG and part not in rest  # a word may be a part of others there
+        }
 
     def reason(self, message: str, source: str) -> str:
         """Return a message, or one that only says where to read it."""
         folded = message.casefold()
-        if not any(secret in folded for secret in (*self._words, *self._whole)):
+        shown = not self._words.isdisjoint(_WORD.findall(folded))
+        if not shown and not any(part in folded for part in self._parts):
             return message
         return (
             f"{source}: refused for a reason that contains a value from the environment or a "

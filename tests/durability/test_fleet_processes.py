@@ -149,7 +149,8 @@ def test_two_hubs_find_their_robot_and_its_router_again_and_a_command_ends_once(
         far = {"position": {"x": 5.0, "y": 0.0}, "speed": 0.1}
         started = fleet.hub.ask("POST", MOVE, far)
         assert started["status"] in ("accepted", "in_progress"), started
-        until(fleet.commands)
+        # Before that, its key may not be stored yet: the robot has not been told, and the hub may ask again.
+        until(lambda: [one["status"] for one in fleet.commands()] == ["in_progress"])
         fleet.robot.kill()
         until(lambda: fleet.lost)
         fleet.start_robot()

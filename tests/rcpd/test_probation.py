@@ -20,6 +20,7 @@ from rcp_kernel.features.configuration import FileState
 from rcp_kernel.testing import ADMIN, eventually, serve
 from rcpd.cli import main
 from rcpd.configuration_file import ConfigurationFile
+from rcpd.hidden import Hidden
 from rcpd.probation import Probation
 
 OLD = configuration(table("safety", guard_after=10.0))
@@ -144,6 +145,26 @@ async def test_what_a_plugin_says_of_a_proposal_without_secrets_is_passed_on(
         text = ZENOH.format("nonsense").replace('"alpha"', '"${ROBOT}"')
         with pytest.raises(InvalidValue, match="nonsense"):
             gateway.propose(OLD + text, restart=True)
+
+
+@pytest.mark.parametrize(
+    ("secret", "message", "outcome"),
+    [
+        ("mean", "did you mean `limits`?", "hidden"),
+        ("ab", "about a table", "shown"),
+        ("admin-did-you", "did you mean `limits`?", "shown"),
+        ("admin-LIMITS-you", "did you mean `limits`?", "hidden"),
+        ("admin-limit-you", "did you mean `limits`?", "shown"),
+        ("long-Passw0rd", "'xlong-passw0rdx' is no endpoint", "hidden"),
+        ("long-Passw0rd", "unexpected value in '\\npassw0rdx'", "hidden"),
+    ],
+)
+def test_a_message_is_hidden_for_whole_words_of_a_secret_and_for_long_parts_of_one(
+    secret: str, message: str, outcome: str
+) -> None:
+    hidden = Hidden(f'[[keys]]\nname = "admin"\nsecret = "{secret}"\n')
+    reason = hidden.reason(message, "rcp.toml")
+    assert reason == message if outcome == "shown" else "`rcpd check`" in reason
 
 
 async def test_only_the_file_in_force_is_confirmed(tmp_path: Path) -> None:
