@@ -282,7 +282,7 @@ def _merged(requests: list[Subscribe], queue: int) -> _Wish:
     depth = queue if 0 in lengths else min(max(lengths), _DEEPEST)
     sizes = [int(op.fragment_size) for op in requests if op.fragment_size]
     wanted = {op.compression or "none" for op in requests}
-    compression = next(one for one in _ORDER if one in wanted)
+    compression: Compression = next(one for one in _ORDER if one in wanted)
     dialect: Dialect = _DIALECTS.get(compression, "json")
     return _Wish(
         dialect,
