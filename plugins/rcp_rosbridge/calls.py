@@ -123,10 +123,7 @@ class Calls:
                     )
                 )
                 return
-            try:
-                self._execute(op, action)
-            except RcpError as error:
-                failed(error)
+            self._execute(op, action)
 
         self._context.with_graph(use, failed)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from rcp_kernel.api import Connection
+from rcp_kernel.api import Connection, to_internal_error
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.wire import Reply, Request
@@ -75,7 +75,7 @@ class Context:
         """Call `use` with the graph that the client may see: now if it is known."""
         graph = self.graphs.ready(self.connection.session)
         if graph is not None:
-            use(graph)
+            _contained(use, graph, failed)
             return
         try:
             self.client_api.charge(self.connection.session)
@@ -88,8 +88,18 @@ class Context:
     ) -> Generator[None]:
         try:
             graph = yield from self.graphs.build(self.connection.session)
-        except RcpError as error:
-            failed(error)
+        except Exception as error:
+            failed(to_internal_error(error))
             return
         if not self.connection.closed:
-            use(graph)
+            _contained(use, graph, failed)
+
+
+def _contained(
+    use: Callable[[Graph], None], graph: Graph, failed: Callable[[RcpError], None]
+) -> None:
+    """Use a graph; whatever fails is told, so that nobody waits for ever."""
+    try:
+        use(graph)
+    except Exception as error:
+        failed(to_internal_error(error))

@@ -173,17 +173,18 @@ class Graph:
         """Add a resource that has a ROS name of its own; return whether it has."""
         meta: Facts = facts.get("meta") or {}
         kind, type_, node = facts["kind"], meta.get("type"), f"/{facts['backend']}"
-        if kind == "param" and meta.get("parameter"):
-            self._add_parameter(facts, meta["node"], meta["parameter"])
+        own: Facts = {name: item for name, item in meta.items() if isinstance(item, str)}
+        if kind == "param" and "parameter" in own and "node" in own:
+            self._add_parameter(facts, own["node"], own["parameter"])
             return True
         if not isinstance(type_, str):
             return False
-        if "topic" in meta and meta.get("field") is None and facts.get("native") == type_:
-            self._add_ros_topic(facts, self._name(facts, meta["topic"]), type_, node)
-        elif kind == "service" and "service" in meta:
-            self._add_service(self._name(facts, meta["service"]), facts, type_)
-        elif kind == "action" and "action" in meta:
-            name = self._name(facts, meta["action"])
+        if "topic" in own and meta.get("field") is None and facts.get("native") == type_:
+            self._add_ros_topic(facts, self._name(facts, own["topic"]), type_, node)
+        elif kind == "service" and "service" in own:
+            self._add_service(self._name(facts, own["service"]), facts, type_)
+        elif kind == "action" and "action" in own:
+            name = self._name(facts, own["action"])
             schemas = facts["schemas"]
             action = RosAction(name, type_, facts["path"], node, None, schemas)
             self.actions.setdefault(name, action)
