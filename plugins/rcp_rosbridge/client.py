@@ -36,6 +36,7 @@ from rcp_rosbridge.context import Context
 from rcp_rosbridge.dialects import Renderings
 from rcp_rosbridge.fragments import Assembly
 from rcp_rosbridge.graphs import Graphs
+from rcp_rosbridge.leases import Leases
 from rcp_rosbridge.notices import explained
 from rcp_rosbridge.publishing import Publishing
 from rcp_rosbridge.status import StatusMessages, sentence
@@ -102,7 +103,8 @@ class RosClient:
         context = Context(client_api, config, self.connection, graphs, renderings, status)
         self._status = status
         self._subscriptions = Subscriptions(context, self._agree)
-        self._publishing = Publishing(context)
+        self._leases = Leases(context)
+        self._publishing = Publishing(context, self._leases)
         self._calls = Calls(context)
         self._assembly = Assembly(client_api.loop, config.fragment_timeout, self._fragment_lost)
         self._operations: dict[type[Any], Operate] = {
@@ -380,7 +382,7 @@ class RosClient:
         for data in outbox.control:
             if data.startswith(b'{"type":'):
                 outbox.waiting -= len(data)
-                explained(data, self._status)  # which adds to what waits
+                explained(data, self._status, self._leases.lost)  # adds to what waits
             else:
                 control.append(data)
         if len(control) != len(outbox.control):

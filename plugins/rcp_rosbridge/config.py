@@ -25,6 +25,8 @@ class RosbridgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Accept `?token=` in the URL, which may end up in logs."""
     valid_for: Annotated[float, Meta(gt=0, le=3600)] = 0.5
     """Time after which a robot stops unless the page publishes its velocity again."""
+    lease: Annotated[float, Meta(gt=0, le=3600)] = 10.0
+    """Duration of leases that are acquired for clients that publish where one is required."""
     queue: Annotated[int, Meta(ge=1, le=1024)] = 16
     """Messages kept for a slow client for each topic, where `queue_length` is 0."""
     status: Level = "error"

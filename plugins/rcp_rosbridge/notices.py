@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -24,13 +25,18 @@ _LEVELS: dict[str, Level] = {
 }
 
 
-def explained(data: bytes, status: StatusMessages) -> None:
-    """Tell a client what a notice, or the reply to `hello`, says."""
+def explained(data: bytes, status: StatusMessages, lost: Callable[[str, str], bool]) -> None:
+    """Tell a client what a notice, or the reply to `hello`, says.
+
+    `lost` is called with a lease that the client lost and who ended it; it returns whether to tell.
+    """
     found: dict[str, Any] = msgspec.json.decode(data)
     if found["type"] == "hello":
         _tell_outcome(found, status)
         return
     code = str(found.get("code", ""))
+    if code == "lease_lost" and not lost(str(found.get("lease")), str(found.get("by"))):
+        return
     level = _LEVELS.get(code)
     if level is None:
         return

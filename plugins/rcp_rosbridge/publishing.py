@@ -13,6 +13,7 @@ from rcp_ros_messages import message_type
 from rcp_rosbridge.compatibility import decoded, modern
 from rcp_rosbridge.context import Context
 from rcp_rosbridge.graph import Graph, RosTopic, Target, same_type
+from rcp_rosbridge.leases import Leases
 from rcp_rosbridge.operations import Advertise, Publish, Unadvertise
 from rcp_rosbridge.status import sentence
 
@@ -37,8 +38,9 @@ class _Outlet:
 class Publishing:
     """Passes messages on to what they command, one after the other for each topic."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, leases: Leases) -> None:
         self._context = context
+        self._leases = leases
         self._advertised: dict[str, set[str | None]] = {}
         self._outlets: dict[str, _Outlet] = {}
         self._size = 0
@@ -75,6 +77,12 @@ class Publishing:
         ids.discard(id_)
         if id_ is None or not ids:
             del self._advertised[op.topic]
+            self._context.with_graph(lambda graph: self._release(op.topic, graph), lambda _: None)
+
+    def _release(self, name: str, graph: Graph) -> None:
+        topic = graph.topic(name)
+        if topic is not None and topic.target is not None and name not in self._advertised:
+            self._leases.release(topic.target.path)
 
     def publish(self, op: Publish) -> None:
         """Send a message, or keep it until the one before has been received."""
@@ -130,13 +138,23 @@ class Publishing:
             self._next(outlet, target)
             return
 
-        def answer(reply: Reply) -> None:
+        def again(refusal: Reply | None) -> None:
+            if refusal is None:
+                self._context.request(request, lambda reply: answer(reply, first=False))
+            else:
+                answer(refusal, first=False)
+
+        def answer(reply: Reply, *, first: bool = True) -> None:
             if reply.error is not None:
+                if first and self._leases.may_help(target.path, reply.error["code"]):
+                    self._leases.acquire(target.path, again)
+                    return
                 self._refused(op.topic, id_, reply.error)
             # A goal runs on when it is accepted; the next one may follow.
             if outlet.busy and (reply.final or target.kind == "action"):
                 self._next(outlet, target)
 
+        self._leases.keep(target.path)
         self._context.request(request, answer)
 
     def _request(self, op: Publish, topic: RosTopic, target: Target) -> Request:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import msgspec
 import pytest
@@ -10,6 +11,7 @@ from websockets.exceptions import InvalidStatus
 
 from configuration import backend, key, role, rule
 from plugins.rosbridge.rig import OPEN, OPERATOR, ROVER, page, site
+from rcp_kernel.testing import eventually
 
 CLOSED = "anonymous = false\n"
 GUEST = "guest-of-these-tests"
@@ -101,16 +103,56 @@ async def test_each_tenant_has_its_names() -> None:
 
 async def test_two_commanders_where_a_lease_is_required() -> None:
     safety = '[safety]\nlease_required = ["/actuator/**"]\n'
-    async with site(OPEN, ROVER, limits=safety) as gateway, page(gateway) as client:
+    boss = role("boss", rule("*", "/**"), priority=90) + key(
+        "boss", GUEST, role=["operator", "boss"]
+    )
+
+    def fast(message: dict[str, Any]) -> bool:
+        return message.get("topic") == "/velocity" and message["msg"]["twist"]["linear"]["x"] > 0.1
+
+    async with (
+        site(OPEN, ROVER, boss, limits=safety, lease=1.0) as gateway,
+        page(gateway) as first,
+        page(gateway) as second,
+        page(gateway, GUEST) as chief,
+    ):
+        await first.send(op="subscribe", topic="/velocity")
+        await first.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.3}})
+        await first.until(fast)
+        await second.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": -0.3}})
+        assert "lease" in (await second.status("/cmd_vel"))["msg"]
+        lease = {"do": "acquire", "scope": "/actuator", "take": True, "reason": "by hand"}
+        assert (await chief.call("/system/leases", lease))["result"]
+        assert (await first.status("by hand"))["level"] == "error"
+        await first.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.3}})
+        await first.status("/cmd_vel")  # it does not take the lease back by itself
+
+
+async def test_a_lease_is_acquired_again_after_a_pause() -> None:
+    safety = '[safety]\nlease_required = ["/actuator/**"]\n'
+
+    def told(message: dict[str, Any]) -> bool:
+        return message.get("topic") == "/cmd_vel" and message["msg"]["linear"]["x"] == 0.2
+
+    async with (
+        site(OPEN, ROVER, limits=safety, lease=0.2) as gateway,
+        page(gateway) as client,
+        page(gateway) as other,
+    ):
+        await client.send(op="subscribe", topic="/cmd_vel")
         await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.1}})
-        assert "lease" in (await client.status("/cmd_vel"))["msg"]
-        lease = await client.call("/system/leases", {"do": "acquire", "scope": "/actuator"})
-        assert lease["result"], lease
-        await client.send(op="subscribe", topic="/odom")
-        await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.3}})
         await client.until(
-            lambda m: m["op"] == "publish" and m["msg"]["twist"]["twist"]["linear"]["x"] > 0.1
+            lambda m: m.get("topic") == "/cmd_vel" and m["msg"]["linear"]["x"] == 0.1
         )
+
+        async def expired() -> bool:
+            leases = await other.call("/system/leases", {"do": "acquire", "scope": "/actuator"})
+            return bool(leases["result"])
+
+        await eventually(expired, "the lease has ended by itself")
+        await other.call("/system/leases", {"do": "release", "scope": "/actuator"})
+        await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.2}})
+        await client.until(told)
 
 
 async def test_a_key_that_is_withdrawn_ends_the_connection() -> None:
