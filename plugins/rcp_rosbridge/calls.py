@@ -10,7 +10,7 @@ import msgspec
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import Body, Reply, Request
-from rcp_rosbridge.compatibility import decoded, modern
+from rcp_rosbridge.compatibility import decoded, has_bytes, modern
 from rcp_rosbridge.context import Context, Packing
 from rcp_rosbridge.graph import Graph, RosAction, RosService
 from rcp_rosbridge.operations import CallService, CancelActionGoal, SendActionGoal
@@ -211,7 +211,8 @@ def arguments(args: msgspec.Raw, schema: dict[str, Any] | None) -> msgspec.Raw:
 
     :raises BadRequest: a list that is too long, or of what has no fields.
     """
-    body = modern(args or _NO_ARGUMENTS, schema or {})
+    known = schema or {}
+    body = modern(args or _NO_ARGUMENTS, known, has_bytes=has_bytes(known))
     if bytes(body).lstrip()[:1] != b"[":
         return body
     values = decoded(body)

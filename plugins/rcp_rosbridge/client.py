@@ -56,6 +56,7 @@ _TURN = 0.0005  # s of processing per client and turn; then others have theirs
 _LEAST = 0.0002  # s guaranteed per client even if the total is used up: a stop takes less
 _SHORT = 4096  # bytes of a message that is always accepted
 _BACKLOG = 256  # messages queued for a client before it is not read from
+_OWN = b'{"type":'  # how messages of the gateway itself begin
 _LAST = 32  # times the data sent per turn, before a connection is closed
 Operate = Callable[[Any], None]
 
@@ -87,6 +88,7 @@ class RosClient:
             peer,
         )
         self._outbox = self.connection.outbox
+        self._session = self.connection.session
         self._gate = ReadGate(
             socket,
             wait=self._wait,
@@ -248,8 +250,9 @@ class RosClient:
             self._patience.cancel()
             self._patience = None
         self._limit = self._socket.limit = self.connection.limit
-        # The session may be another one, which has no subscriptions yet.
-        self._client_api.loop.call_soon(self._subscriptions.renew)
+        if self.connection.session is not self._session:  # it has no subscriptions yet
+            self._session = self.connection.session
+            self._client_api.loop.call_soon(self._subscriptions.renew)
         return {}
 
     def _released(self, messages: deque[bytes]) -> None:
@@ -378,16 +381,13 @@ class RosClient:
     def _explain(self) -> None:
         """Replace the gateway's own messages by what a client of rosbridge understands."""
         outbox = self._outbox
-        control: list[bytes] = []
-        for data in outbox.control:
-            if data.startswith(b'{"type":'):
+        waiting, outbox.control = outbox.control, []
+        for data in waiting:
+            if data.startswith(_OWN):
                 outbox.waiting -= len(data)
-                explained(data, self._status, self._leases.lost)  # adds to what waits
+                explained(data, self._status, self._leases.lost)
             else:
-                control.append(data)
-        if len(control) != len(outbox.control):
-            added = outbox.control[len(outbox.control) :]
-            outbox.control = control + added
+                outbox.control.append(data)
 
     def _flush_last(self) -> None:
         """Send the remaining data before the end, which may include its reason."""

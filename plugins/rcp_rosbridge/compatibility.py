@@ -9,14 +9,15 @@ import msgspec
 
 from rcp_kernel.errors import BadRequest
 
-__all__ = ["decoded", "modern"]
+__all__ = ["decoded", "has_bytes", "modern"]
 
+_DEPTH = 8  # nested messages that are searched for bytes
 _OLD_STAMPS = (b'"secs"', b'"nsecs"')
 _OLD_TIME = {"secs": "sec", "nsecs": "nanosec"}
 
 
-def modern(body: msgspec.Raw, schema: dict[str, Any]) -> msgspec.Raw:
-    """Return a message as ROS 2 has it; `schema` is that of the value.
+def modern(body: msgspec.Raw, schema: dict[str, Any], *, has_bytes: bool) -> msgspec.Raw:
+    """Return a message as ROS 2 has it; `schema` is that of the value, which may have bytes.
 
     A message that needs no change is not decoded.
 
@@ -24,7 +25,7 @@ def modern(body: msgspec.Raw, schema: dict[str, Any]) -> msgspec.Raw:
     """
     data = bytes(body)
     old = any(name in data for name in _OLD_STAMPS)
-    if not old and not _has_bytes(schema, schema):
+    if not old and not has_bytes:
         return body
     value = decoded(body)
     if old:
@@ -65,8 +66,12 @@ def _resolved(schema: Any, whole: dict[str, Any]) -> dict[str, Any]:
     return schema if isinstance(schema, dict) else {}  # pyright: ignore[reportUnknownVariableType]
 
 
-def _has_bytes(schema: Any, whole: dict[str, Any], depth: int = 8) -> bool:
+def has_bytes(schema: dict[str, Any]) -> bool:
     """Return whether a value of a schema has bytes somewhere."""
+    return _has_bytes(schema, schema, _DEPTH)
+
+
+def _has_bytes(schema: Any, whole: dict[str, Any], depth: int) -> bool:
     found = _resolved(schema, whole)
     if "contentEncoding" in found:
         return True

@@ -127,8 +127,9 @@ class _Messages:
         return b"".join((head, b"\x65bytes\x5a", struct.pack(">I", len(data)), data))
 
     def _serialised(self, sample: Sample) -> bytes:
-        if self._feed.native and sample.native is not None:
-            return sample.native.data
+        native = sample.native
+        if self._feed.native and native is not None and not hasattr(native, "encoding"):
+            return native.data
         if self._known:
             return encode_cdr(self._type, self._message(sample))
         raise UnsupportedOperation(f"messages of {self._type} have no serialised form")

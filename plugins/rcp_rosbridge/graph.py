@@ -12,6 +12,7 @@ from typing import Any
 
 from rcp_kernel.model import BRANCHES
 from rcp_ros_messages import ACTIONS, COMMANDS, TOPICS, ActionMapping, Command, Topic, full_name
+from rcp_rosbridge.compatibility import has_bytes
 
 __all__ = [
     "Facts",
@@ -73,6 +74,9 @@ class RosTopic:
     feed: Feed | None = None
     target: Target | None = None
     schema: Facts = field(default_factory=Facts)
+    """Of the values, where they are the messages."""
+    has_bytes: bool = False
+    """Whether they have bytes somewhere."""
     publishers: list[str] = field(default_factory=list[str])
     subscribers: list[str] = field(default_factory=list[str])
 
@@ -195,7 +199,10 @@ class Graph:
     def _add_ros_topic(self, facts: Facts, name: str, type_: str, node: str) -> None:
         topic = self.topics.get(name)
         if topic is None:
-            topic = self.topics[name] = RosTopic(name, type_, schema=facts["schemas"]["value"])
+            topic = self.topics[name] = RosTopic(name, type_)
+        schema = facts["schemas"]["value"]
+        if not topic.schema and not facts.get("profiles"):  # else these are the profile's fields
+            topic.schema, topic.has_bytes = schema, has_bytes(schema)
         if facts["kind"] == "actuator":
             if "write" in facts["operations"] and topic.target is None:
                 # A value of a profile is not the message, if that has a header.
@@ -209,8 +216,6 @@ class Graph:
             if "subscribe" in facts["operations"] and topic.feed is None and type_ != _STAMPED:
                 topic.feed = Feed(facts["path"])  # what was commanded last
         elif "subscribe" in facts["operations"] and topic.feed is None:
-            if facts.get("profiles"):  # the profile's fields, and not those of the message
-                topic.schema = {}
             topic.feed = Feed(facts["path"], native=True)
             topic.publishers.append(node)
 
@@ -305,7 +310,7 @@ class Graph:
         wraps = not whole
         if type_ is None:
             type_ = f"rcp/msg/{_camel(self._split(facts['path'])[1].rpartition('/')[2])}"
-        topic = RosTopic(name, type_, schema=schema)
+        topic = RosTopic(name, type_, schema=schema, has_bytes=has_bytes(schema))
         node = f"/{facts['backend']}"
         if "subscribe" in facts["operations"]:
             topic.feed = Feed(facts["path"], wraps=wraps)

@@ -158,7 +158,7 @@ class Publishing:
         self._context.request(request, answer)
 
     def _request(self, op: Publish, topic: RosTopic, target: Target) -> Request:
-        body = modern(op.msg, topic.schema)
+        body = modern(op.msg, topic.schema, has_bytes=topic.has_bytes)
         if target.mapping is not None or target.wraps:
             message = decoded(body)
             if target.wraps:

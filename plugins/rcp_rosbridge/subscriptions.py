@@ -100,7 +100,9 @@ class Subscriptions:
 
     def renew(self) -> None:
         """Subscribe again to all topics, in the session that the client has now."""
-        for topic, subscribed in self._topics.items():
+        for topic, subscribed in list(self._topics.items()):
+            for id_ in subscribed.ids:
+                self._context.connection.outbox.render(id_, None)
             subscribed.ids, subscribed.key = [], None
             self._update(topic)
 

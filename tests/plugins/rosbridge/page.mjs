@@ -73,12 +73,14 @@ if (facts.stops) {
 cmdVel.unadvertise();
 
 for (const compression of ['png', 'cbor', 'cbor-raw']) {
-  const message = await next(topic(facts.odom, 'nav_msgs/Odometry', { compression }));
+  // What was on its way in the form before may still come.
+  const field = compression === 'cbor-raw' ? 'bytes' : 'pose';
+  const message = await next(topic(facts.odom, 'nav_msgs/Odometry', { compression }), (m) => m[field]);
   found[compression] = compression === 'cbor-raw'
     ? new Uint8Array(message.bytes).length
     : message.pose.pose.orientation.w;
 }
-const typed = await next(topic(facts.odom, 'nav_msgs/Odometry', { compression: 'cbor' }));
+const typed = await next(topic(facts.odom, 'nav_msgs/Odometry', { compression: 'cbor' }), (m) => m.pose);
 found.covariance = `${typed.pose.covariance.constructor.name} ${typed.pose.covariance.length}`;
 if (facts.long) {
   const { promise, resolve } = Promise.withResolvers();

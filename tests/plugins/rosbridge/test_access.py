@@ -175,3 +175,23 @@ async def test_the_rover_of_a_page_that_is_closed_stops() -> None:
         await watcher.until(
             lambda m: m["op"] == "publish" and abs(m["msg"]["twist"]["linear"]["x"]) < 0.01
         )
+
+
+async def test_a_second_token_of_another_client_keeps_the_subscriptions() -> None:
+    more = key("viewer", GUEST, role="viewer")
+    async with site(CLOSED, ROVER, more) as gateway, page(gateway, GUEST) as client:
+        await client.send(op="subscribe", topic="/odom")
+        await client.message("/odom")
+        for _ in range(2):  # the same token again changes nothing
+            await client.send(op="auth", token=OPERATOR)
+            await client.status("authenticated as operator")
+        client._received.clear()  # noqa: SLF001 - what the viewer got
+        stamps = []
+        for _ in range(20):
+            stamp = (await client.message("/odom"))["header"]["stamp"]
+            stamps.append((stamp["sec"], stamp["nanosec"]))
+        assert len(set(stamps)) >= 19  # each once: the current value may come again
+        await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.2}})
+        await client.until(
+            lambda m: m["op"] == "publish" and m["msg"]["twist"]["twist"]["linear"]["x"] > 0.1
+        )
