@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
 
 import msgspec
+import pytest
 
 from plugins.rosbridge.rig import OPEN, ROBOT, page, site
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
+from rcp_rosbridge import dialects
 
 
 class _NoOptions(msgspec.Struct):
@@ -78,3 +81,29 @@ async def test_what_a_dead_client_leaves_is_bounded() -> None:
             await asyncio.sleep(0)
         outbox = session.connection.outbox
         assert outbox.waiting < 4_000_000
+
+
+async def test_a_message_is_written_once_for_all_clients(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    whole = dialects._Messages._json  # noqa: SLF001 - the place where messages are written
+
+    def counted(self: Any, sample: Any) -> bytes:
+        made.append(sample.seq)
+        return whole(self, sample)
+
+    monkeypatch.setattr(dialects._Messages, "_json", counted)  # noqa: SLF001
+    kind = BackendKind("robot", _NoOptions, _open)
+    async with site(OPEN, ROBOT, kinds=(kind,)) as gateway, AsyncExitStack() as stack:
+        robot = gateway.served.life.backend
+        assert isinstance(robot, _Robot)
+        robot.host.publish("sensor/count", 0)
+        pages = [await stack.enter_async_context(page(gateway)) for _ in range(4)]
+        for client in pages:
+            await client.send(op="subscribe", topic="/sensor/count", queue_length=8)
+            await client.message("/sensor/count")
+        made.clear()
+        for number in range(1, 21):
+            robot.host.publish("sensor/count", number)
+            for client in pages:
+                assert (await client.message("/sensor/count"))["data"] == number
+        assert len(made) == 20
