@@ -21,9 +21,9 @@ from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.config.limits import Limits
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
@@ -40,7 +40,6 @@ from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.connections import Connection, ConnectionParts
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
@@ -49,6 +48,7 @@ from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
+from rcp_scheduling.turns import Turns
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store
 

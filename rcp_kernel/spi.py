@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import msgspec
 from msgspec import Meta
@@ -35,10 +35,13 @@ __all__ = [
     "Host",
     "MotionState",
     "Native",
+    "OwnLeases",
     "Principal",
     "Progress",
     "Publication",
     "RobotFacts",
+    "RobotLease",
+    "RobotLeaseRequest",
     "RobotLink",
     "StopPlan",
     "Watchdog",
@@ -112,6 +115,46 @@ class RobotLink(msgspec.Struct, frozen=True, kw_only=True):
     received: int
     lost: int
     """Links that ended because messages were lost on the way."""
+
+
+class RobotLease(msgspec.Struct, frozen=True, kw_only=True):
+    """A lease that a robot's own gateway has granted. Times are by its clock, ns since the epoch."""
+
+    id: str
+    scope: str
+    """In the paths of this gateway, and never more than the robot."""
+    holder: str
+    """The principal's name."""
+    priority: int
+    since: int
+    expires: int
+    reason: str | None
+    told: int
+    """When the robot's gateway said so."""
+
+
+class OwnLeases(msgspec.Struct, frozen=True):
+    """All leases on a robot, as its own gateway lists them."""
+
+    leases: tuple[RobotLease, ...]
+    told: int
+    """When the robot's gateway said so, ns by its clock."""
+
+
+class RobotLeaseRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """A request for a lease on a robot, or a part of it, to its own gateway."""
+
+    do: Literal["acquire", "renew", "release", "hand_over"]
+    scope: str
+    """In the paths of this gateway."""
+    lease: str | None = None
+    """The id that the robot's gateway has given it; None: the one on exactly this scope."""
+    ttl: float | None = None
+    """In seconds."""
+    take: bool = False
+    reason: str | None = None
+    heir: Principal | None = None
+    """To whom it is handed over."""
 
 
 class Watchdog(msgspec.Struct, frozen=True):
@@ -270,6 +313,13 @@ class Host(Protocol):
 
         None: it is not latched. With `reset`, because somebody has reset it there: then this
         gateway does not hold the robot any longer either. See `Backend.has_gateways`.
+        """
+        ...
+
+    def own_leases(self, robot: str, leases: OwnLeases | None) -> None:
+        """Report who holds leases on a robot, as its own gateway says; None: it cannot be asked.
+
+        See `Backend.has_gateways`.
         """
         ...
 
@@ -438,6 +488,16 @@ class Backend(Protocol):
         """
         ...
 
+    async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
+        """Ask a robot's own gateway for a lease, for who `caller()` tells; see `has_gateways`.
+
+        Return the lease as it is after the request.
+
+        :raises LeaseHeld, LeaseLost, LeaseRequired: its gateway says so.
+        :raises RcpError: it refuses, or cannot be reached.
+        """
+        ...
+
     def watchdogs(self) -> Sequence[Watchdog]:
         """List what stops the robots when the gateway falls silent, as verified on the device."""
         ...
@@ -502,6 +562,10 @@ class BaseBackend:
 
     async def reset_estop(self, robot: str | None) -> None:
         """Do nothing: no robot has a latch of its own."""
+
+    async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
+        """Refuse: no robot has leases of its own."""
+        raise UnsupportedOperation(f"'{robot}' has no gateway of its own")
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """List none."""

@@ -98,8 +98,8 @@ def serve(config: Path) -> None:
 def check(config: Path) -> None:
     """Report every error of a configuration without opening a robot or a socket."""
     from rcp_kernel.access.identities import store_file
-    from rcp_kernel.access.key_strength import weak_keys
     from rcp_kernel.app.server import prepare
+    from rcpd.key_strength import weak_keys
 
     try:
         prepared = prepare(load(config), str(config))

@@ -10,7 +10,7 @@ from typing import Any
 
 import structlog
 
-from rcp_kernel.app.reload import needs_restart, prepare_reload, reload
+from rcp_kernel.app.reload import needs_restart, prepare_reload
 from rcp_kernel.app.server import Prepared, Server, prepare
 from rcp_kernel.clock import SYSTEM_CLOCK, iso
 from rcp_kernel.config.file import GatewayConfig, parse
@@ -24,6 +24,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.features.configuration import FileState
 from rcpd.configuration_file import RETRY, ConfigurationFile, Proposal
 from rcpd.hidden import Hidden
+from rcpd.reload import reload
 
 __all__ = ["Probation"]
 

@@ -13,10 +13,8 @@ from typing import NoReturn
 
 import click
 
-from rcp_kernel.access.key_strength import log_weak_keys
 from rcp_kernel.app.containment import end_in_time, run_contained
 from rcp_kernel.app.log import Recent, configure
-from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import StartupError
@@ -25,9 +23,11 @@ from rcpd.configuration_file import ConfigurationFile, run_again
 from rcpd.demo import Demo
 from rcpd.exits import RECORD_LOST, fail
 from rcpd.garbage import collected_at_rest
+from rcpd.key_strength import log_weak_keys
 from rcpd.memory import keep_freed_memory
 from rcpd.notify import notifying
 from rcpd.probation import Probation
+from rcpd.reload import reload
 
 __all__ = ["leave", "loop_factory", "run"]
 

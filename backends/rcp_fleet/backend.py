@@ -27,7 +27,16 @@ from rcp_kernel.errors import (
     RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotLink, caller
+from rcp_kernel.spi import (
+    BaseBackend,
+    Host,
+    MotionState,
+    Progress,
+    RobotLease,
+    RobotLeaseRequest,
+    RobotLink,
+    caller,
+)
 from rcp_zenoh.inbox import received
 from rcp_zenoh.keys import alive, part
 from rcp_zenoh.session import configuration, opened
@@ -173,6 +182,10 @@ class FleetBackend(BaseBackend):
         for name in names:
             self._stops(name)
         await asyncio.gather(*(self.gateways[name].reset_estop() for name in names))
+
+    async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
+        """Ask the gateway of a robot."""
+        return await self._gateway(robot).lease(request)
 
     async def close(self) -> None:
         """End all sessions."""

@@ -14,11 +14,13 @@ from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, ResourceInfo
 from rcp_fleet.config import FleetConfig
+from rcp_fleet.leases import RobotLeases
 from rcp_fleet.link import FleetLinks
 from rcp_fleet.link_status import LinkStatus
 from rcp_fleet.resources import (
     CONFIGURATION,
     ESTOP,
+    LEASES,
     ROBOTS,
     STATUS,
     TREE,
@@ -33,7 +35,15 @@ from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import AdapterUnavailable, DeadlineExceeded, RcpError
-from rcp_kernel.spi import Caller, Host, Principal, Progress, caller
+from rcp_kernel.spi import (
+    Caller,
+    Host,
+    Principal,
+    Progress,
+    RobotLease,
+    RobotLeaseRequest,
+    caller,
+)
 from rcp_kernel.wire import VERSION
 
 __all__ = ["RemoteGateway"]
@@ -83,6 +93,7 @@ class RemoteGateway:
         self._client = self._sessions.own
         self.link = LinkStatus(host, name, self._sessions.statistics)
         self.stops = RobotStop(self._client, config.hub, host, name)
+        self._leases = RobotLeases(self._sessions, host, name)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
@@ -142,6 +153,7 @@ class RemoteGateway:
             group.create_task(self._keep(STATUS, self._ask_version))
             group.create_task(self._keep(ROBOTS, self._follow_facts))
             group.create_task(self._keep(ESTOP, self.stops.follow))
+            group.create_task(self._keep(LEASES, self._leases.follow))
 
     async def _keep(self, path: str, follow: Callable[[str], AsyncIterator[object]]) -> None:
         """Follow what a gateway offers; again after each cut if it does not: it may be replaced."""
@@ -295,6 +307,11 @@ class RemoteGateway:
             raise AdapterUnavailable("its gateway cannot be reached")
         async with self._sessions.acting(_who(caller())) as client:
             await client.estop(reset=True)
+
+    async def lease(self, request: RobotLeaseRequest) -> RobotLease:
+        """Ask the gateway for a lease, as the person who asked."""
+        asked = caller()
+        return await self._leases.ask(request, asked, _left(asked))
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:

@@ -13,6 +13,7 @@ from rcp_kernel.spi import Dimensions, RobotFacts
 __all__ = [
     "CONFIGURATION",
     "ESTOP",
+    "LEASES",
     "ROBOTS",
     "STATUS",
     "TREE",
@@ -22,6 +23,7 @@ __all__ = [
 ]
 
 TREE, STATUS, ROBOTS, ESTOP = "/system/tree", "/system/status", "/system/robots", "/system/estop"
+LEASES = "/system/leases"
 """What a hub follows of a gateway."""
 
 CONFIGURATION = "/system/configuration"

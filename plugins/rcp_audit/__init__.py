@@ -11,7 +11,7 @@ from rcp_audit.log import HISTORY, AuditLog
 from rcp_audit.replies import DelayedReplies
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.features.status import StatusPart
+from rcp_kernel.features.feature import StatusPart
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Resource
 

@@ -11,8 +11,7 @@ from typing import Any
 import msgspec
 
 from rcp_audit.config import AuditConfig
-from rcp_audit.facts import ACTS, accepted, ended, requested
-from rcp_audit.owner import who_did
+from rcp_audit.facts import ACTS, accepted, ended, requested, who_did
 from rcp_audit.retention import Retention
 from rcp_audit.throttle import DenialThrottle
 from rcp_kernel.contract.digest import bounded

@@ -12,7 +12,7 @@ from collections import deque
 from rcp_audit.log import FULL
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.sessions.session import Answer
-from rcp_kernel.sessions.unrecorded import unrecorded
+from rcp_kernel.sessions.substitutes import unrecorded
 from rcp_kernel.wire import Reply
 from rcp_store.ledger import Ledger
 

@@ -33,6 +33,7 @@ _RESOURCE = Resource(
 )
 
 _USE = Rule(("discover", "read", "subscribe", "execute"), (PATH,))
+_SEE = Rule(("discover", "read", "subscribe"), (PATH,))
 
 
 def _make(config: LeasesConfig, host: FeatureHost) -> Feature:
@@ -65,6 +66,6 @@ def rcp_features() -> Iterable[FeatureKind]:
             __doc__ or "",
             table=from_gateway,
             check=check,
-            grants={"operator": (_USE,), "agent": (_USE,)},
+            grants={"operator": (_USE,), "agent": (_USE,), "hub": (_SEE,)},
         )
     ]

@@ -24,7 +24,10 @@ class LeaseControl:
     def holder(self, entry: Entry) -> Holder | None:
         """Return the holder of the lease that a resource is under."""
         lease = self._leases.over(entry.path)
-        return None if lease is None else Holder(lease.holder, lease.scope, lease.expires)
+        if lease is not None:
+            return Holder(lease.holder, lease.scope, lease.expires)
+        there = self._leases.gateways.over(entry.unit, entry.path)
+        return None if there is None else Holder(there.holder, Scope(there.scope), there.expires)
 
     def gains(self, session: Session, entry: Entry, value: Any) -> Scope | None:
         """Return the scope that a lease request would grant.

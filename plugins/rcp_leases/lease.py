@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import LeaseHeld
 from rcp_kernel.features import Scope
 
-__all__ = ["Lease", "refusal"]
+__all__ = ["Held", "Lease", "refusal"]
+
+
+class Held(NamedTuple):
+    """The same lease at the gateway of one of its robots."""
+
+    id: str
+    """The one that the robot's gateway has given it."""
+    told: int
+    """When that gateway last granted it, ns by its clock."""
 
 
 @dataclass(slots=True, eq=False)
@@ -28,6 +38,12 @@ class Lease:
     since: int
     expires: int
     reason: str | None = None
+    gateways: dict[str, Held] = field(default_factory=dict[str, Held])
+    """By the name of each robot (`StopGroup.name`) that has a gateway of its own."""
+
+    def of_robots(self) -> Iterable[tuple[str, Held]]:
+        """Go through the robots' gateways that hold it."""
+        return self.gateways.items()
 
     def left(self, moment: int) -> float:
         """Return the seconds until it expires."""

@@ -9,22 +9,23 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import structlog
 
 from rcp_kernel.clock import iso
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.features import Call, FeatureHost, Scope, Slot
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_leases.config import LeasesConfig
-from rcp_leases.lease import Lease, refusal
+from rcp_leases.gateways import GatewayLeases, Granted
+from rcp_leases.lease import Held, Lease, refusal
 from rcp_leases.losses import Loss, Losses
+from rcp_scheduling.turns import Work
 
 __all__ = ["COMMANDING", "Leases"]
 
@@ -51,6 +52,11 @@ class Leases:
         self._store = host.store(_TABLE)
         self.held: dict[str, Lease] = {}
         """By id."""
+        self.gateways = GatewayLeases(host.robots, host.clock, self.held)
+        """The leases that the robots' own gateways hold."""
+        self._asked: set[str] = set()
+        """Ids of the leases about which robots' gateways are being asked."""
+        host.robots.follow_leases(self._told)
         self._lost = Losses()
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._over: dict[str, Lease | None] = {}
@@ -89,7 +95,8 @@ class Leases:
     def _restore(self) -> None:
         for id_, kept in self._store.load().items():
             try:
-                lease = Lease(id_, Scope(kept.pop("scope")), **kept)
+                gateways = {name: Held(*one) for name, one in kept.pop("gateways", {}).items()}
+                lease = Lease(id_, Scope(kept.pop("scope")), **kept, gateways=gateways)
             except (RcpError, TypeError, KeyError, AttributeError) as error:
                 log.warning(
                     "store_row_unreadable", table=f"leases.{_TABLE}", key=id_, error=str(error)
@@ -165,9 +172,18 @@ class Leases:
     # -- requests of holders -------------------------------------------------------------------
 
     def acquire(
-        self, session: Session, scope: Scope, ttl: float, reason: str | None, *, take: bool
+        self,
+        session: Session,
+        scope: Scope,
+        until: int,
+        reason: str | None,
+        *,
+        take: bool,
+        granted: Granted | None = None,
     ) -> Lease:
         """Grant a session the lease on a scope that it may command, or renew the one it holds.
+
+        `until` is when it ends, ns; `granted` is what robots' own gateways have said.
 
         :raises LeaseHeld: another session holds an overlapping lease and is not pre-empted.
         :raises BadRequest: a take-over has no reason.
@@ -184,7 +200,7 @@ class Leases:
                 scope=scope,
                 key=session.holder,
                 holder=by,
-                session=None if session.stateless else session.id[:8],
+                session=None if session.holder != session.id else session.id[:8],
                 priority=priority,
                 since=self._now(),
                 expires=0,
@@ -194,7 +210,7 @@ class Leases:
         lease.priority = priority
         for key in session.holders:
             self._lost.forgive(key, scope)
-        self._extend(session, lease, ttl)
+        self._extend(session, lease, until, granted)
         self._note("acquire", lease, session, take=take, reason=reason)
         return lease
 
@@ -248,13 +264,18 @@ class Leases:
         what = id_ if scope is None else scope.text
         raise LeaseRequired(f"this session holds no lease {what}")
 
-    def renew(self, session: Session, lease: Lease, ttl: float) -> None:
-        """Extend a lease to `ttl` seconds from now."""
+    def renew(
+        self, session: Session, lease: Lease, until: int, granted: Granted | None = None
+    ) -> None:
+        """Extend a lease, as robots' own gateways have if there are any in its scope."""
         lease.priority = session.rights.priority(lease.scope.tenant)
-        self._extend(session, lease, ttl)
+        self._extend(session, lease, until, granted)
 
-    def _extend(self, session: Session, lease: Lease, ttl: float) -> None:
-        lease.expires = self._now() + int(ttl * 1e9)
+    def _extend(self, session: Session, lease: Lease, until: int, granted: Granted | None) -> None:
+        lease.expires = until
+        if granted is not None:
+            lease.gateways |= granted.held
+            lease.expires = min(until, granted.until)
         if session.principal.expires is not None:
             lease.expires = min(lease.expires, session.principal.expires)
         self._set_timer(lease)
@@ -273,13 +294,19 @@ class Leases:
                     self._lost.forgive(key, loss.scope)
         self._refresh()
 
-    def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
+    def hand_over(
+        self, session: Session, lease: Lease, heir: Session, granted: Granted | None = None
+    ) -> None:
         """Transfer a lease, and the commands running under it, to another session."""
         before = lease.key
+        if granted is not None:
+            lease.gateways |= granted.held
+            lease.expires = min(lease.expires, granted.until)
+            self._set_timer(lease)
         self._host.control.hand_over(before, lease.scope.covers, heir)
         lease.key = heir.holder
         lease.holder = heir.principal.name
-        lease.session = None if heir.stateless else heir.id[:8]
+        lease.session = None if heir.holder != heir.id else heir.id[:8]
         lease.priority = heir.rights.priority(lease.scope.tenant)
         if heir.principal.expires is not None:
             lease.expires = min(lease.expires, heir.principal.expires)
@@ -342,8 +369,11 @@ class Leases:
                 self.lose(lease, by, reason, stop=False)
 
     def session_ended(self, session: Session) -> None:
-        """Revoke the leases of an ended session, unless the gateway is stopping."""
-        if self._host.closing:
+        """Revoke the leases of an ended session, unless the gateway is stopping.
+
+        One of a person who came by a hub expires: the person may come by another one.
+        """
+        if self._host.closing or session.principal.via is not None:
             return
         for lease in [held for held in self.held.values() if held.key == session.holder]:
             self.lose(lease, "the gateway", "its session ended")
@@ -361,6 +391,41 @@ class Leases:
                 return
         if holders and lease.key == key:
             self.lose(lease, "the gateway", "the holder no longer has access")
+
+    # -- robots with gateways of their own -----------------------------------------------------
+
+    @contextmanager
+    def asking(self, lease: Lease) -> Generator[None]:
+        """Judge what robots' gateways say of a lease only when they have answered."""
+        self._asked.add(lease.id)
+        try:
+            yield
+        finally:
+            self._asked.discard(lease.id)
+            self.compare(lease)
+
+    def _told(self, unit: StopGroup) -> None:
+        changed = self.gateways.told(unit)
+        for lease in list(self.held.values()):
+            self._compare(lease, unit)
+        if changed:
+            self._changed()
+
+    def compare(self, lease: Lease) -> None:
+        """Revoke a lease that a robot's own gateway has ended or given to somebody else."""
+        for unit in self.gateways.units(lease.scope):
+            self._compare(lease, unit)
+
+    def _compare(self, lease: Lease, unit: StopGroup) -> None:
+        held, own = lease.gateways.get(unit.name), unit.own_leases
+        if held is None or own is None or own.told < held.told or lease.id in self._asked:
+            return
+        there = next((one for one in own.leases if one.id == held.id), None)
+        if there is not None and there.holder == lease.holder:
+            return
+        others = (one for one in own.leases if Scope(one.scope).overlaps(lease.scope))
+        taker = next((one.holder for one in others), "its own gateway")
+        self.lose(lease, taker, f"{unit.name} is no longer under it")
 
     # -- bookkeeping ---------------------------------------------------------------------------
 

@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import asyncio
+from collections.abc import Coroutine, Iterator
 from typing import Annotated, Any, Literal
+from weakref import WeakValueDictionary
 
 import msgspec
 from msgspec import Meta
 
 from rcp_kernel.clock import iso
+from rcp_kernel.contract.identity import same
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
     Forbidden,
+    LeaseHeld,
     LeaseLost,
+    LeaseRequired,
     OutOfRange,
     RcpError,
     UnknownPath,
 )
 from rcp_kernel.features import FeatureHost, Scope
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.spi import RobotLease
+from rcp_kernel.tree.entry import StopGroup
 from rcp_kernel.types import Time
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
-from rcp_leases.lease import Lease
+from rcp_leases.lease import Held, Lease
 from rcp_leases.leases import COMMANDING, Leases
 
 __all__ = ["PATH", "LeaseRequest", "LeaseRequests", "LeaseState", "releases"]
@@ -89,6 +96,7 @@ class LeaseRequests:
     def __init__(self, leases: Leases, host: FeatureHost) -> None:
         self._leases = leases
         self._host = host
+        self._turns = WeakValueDictionary[tuple[str, str], asyncio.Lock]()
 
     def view(self, session: Session) -> Iterator[dict[str, Any] | None]:
         """List the leases on robots visible to a session, in steps."""
@@ -96,11 +104,16 @@ class LeaseRequests:
         for lease in list(self._leases.held.values()):
             visible = yield from look(session.rights, lease.scope)
             yield msgspec.to_builtins(_state(lease)) if visible else None
+        for there in list(self._leases.gateways.others()):
+            visible = yield from look(session.rights, Scope(there.scope))
+            yield msgspec.to_builtins(_state_there(there)) if visible else None
 
     def request(
         self, session: Session, request: LeaseRequest, *, dry_run: bool
-    ) -> LeaseState | None:
+    ) -> LeaseState | Coroutine[Any, Any, LeaseState] | None:
         """Carry out a request and return the resulting lease; None for a dry run.
+
+        A coroutine returns it when the robots' own gateways have answered, if they have any.
 
         :raises LeaseHeld, LeaseLost, LeaseRequired, UnknownPath, Forbidden: it is refused.
         :raises BadRequest, OutOfRange: a field is missing, or exceeds its limit.
@@ -121,21 +134,17 @@ class LeaseRequests:
             raise
         if request.do == "hand_over":
             heir = self._heir(session, request.to, lease.scope)
-            if not dry_run:
-                self._leases.hand_over(session, lease, heir)
-        elif request.do == "renew":
+            return None if dry_run else self._hand_over(session, lease, heir)
+        if request.do == "renew":
             ttl = self._ttl(request)
-            if not dry_run:
-                self._leases.renew(session, lease, ttl)
-        elif not dry_run:
-            self._leases.release(session, lease)
-        return None if dry_run else _state(lease)
+            return None if dry_run else self._renew(session, lease, ttl)
+        return None if dry_run else self._release(session, lease)
 
     def _acquire(
         self, session: Session, request: LeaseRequest, scope: Scope, *, dry_run: bool
-    ) -> LeaseState | None:
-        scopes, rights = self._host.scopes, session.rights
-        ttl = self._ttl(request)
+    ) -> LeaseState | Coroutine[Any, Any, LeaseState] | None:
+        scopes, rights, leases = self._host.scopes, session.rights, self._leases
+        ttl, take = self._ttl(request), request.take
         if not scopes.sees(rights, scope):
             raise UnknownPath(f"no resources in {scope.text}", path=scope.text)
         if not scopes.may(rights, scope, COMMANDING):
@@ -145,10 +154,124 @@ class LeaseRequests:
             )
         if self._host.closing:
             raise AdapterUnavailable("the gateway is closing")
+        units = leases.gateways.units(scope)
+        if dry_run or units:
+            leases.check_free(session, scope, request.reason, take=take)
         if dry_run:
-            self._leases.check_free(session, scope, request.reason, take=request.take)
             return None
-        return _state(self._leases.acquire(session, scope, ttl, request.reason, take=request.take))
+        if units:
+            return self._acquire_there(session, request, scope, ttl, units)
+        return _state(leases.acquire(session, scope, self._until(ttl), request.reason, take=take))
+
+    def _renew(
+        self, session: Session, lease: Lease, ttl: float
+    ) -> LeaseState | Coroutine[Any, Any, LeaseState]:
+        units = self._leases.gateways.units(lease.scope)
+        if units:
+            return self._renew_there(session, lease, ttl, units)
+        self._leases.renew(session, lease, self._until(ttl))
+        return _state(lease)
+
+    def _release(
+        self, session: Session, lease: Lease
+    ) -> LeaseState | Coroutine[Any, Any, LeaseState]:
+        self._leases.release(session, lease)
+        return self._release_there(session, lease) if lease.gateways else _state(lease)
+
+    def _hand_over(
+        self, session: Session, lease: Lease, heir: Session
+    ) -> LeaseState | Coroutine[Any, Any, LeaseState]:
+        if lease.gateways and not same(session.principal, heir.principal):
+            return self._hand_over_there(session, lease, heir)
+        self._leases.hand_over(session, lease, heir)
+        return _state(lease)
+
+    # -- robots with gateways of their own -----------------------------------------------------
+
+    def _turn(self, session: Session) -> asyncio.Lock:
+        """Return what keeps the requests of a person in order: at a robot they are one holder."""
+        key = session.principal.identity
+        lock = self._turns.get(key)
+        if lock is None:
+            lock = self._turns[key] = asyncio.Lock()
+        return lock
+
+    async def _acquire_there(
+        self,
+        session: Session,
+        request: LeaseRequest,
+        scope: Scope,
+        ttl: float,
+        units: list[StopGroup],
+    ) -> LeaseState:
+        leases, until, take = self._leases, self._until(ttl), request.take
+        async with self._turn(session):
+            granted = await leases.gateways.acquire(
+                units,
+                scope,
+                ttl,
+                take=take,
+                reason=request.reason,
+                principal=session.principal.name,
+            )
+            try:
+                if not self._host.sessions.holding(session.holder):
+                    raise LeaseLost("the session ended meanwhile", path=scope.text)
+                lease = leases.acquire(
+                    session, scope, until, request.reason, take=take, granted=granted
+                )
+            except RcpError:  # another session here was faster
+                await leases.gateways.release(units, _unheld(scope, granted.held))
+                raise
+            leases.compare(lease)
+            return self._still(session, lease)
+
+    async def _renew_there(
+        self, session: Session, lease: Lease, ttl: float, units: list[StopGroup]
+    ) -> LeaseState:
+        leases, until = self._leases, self._until(ttl)
+        async with self._turn(session):
+            self._still(session, lease)
+            with leases.asking(lease):
+                try:
+                    granted = await leases.gateways.extend(units, lease, ttl)
+                except (LeaseHeld, LeaseLost, LeaseRequired) as error:
+                    by = (error.details or {}).get("holder") or (error.details or {}).get("by")
+                    leases.lose(lease, by or "its own gateway", error.message)
+                    return self._still(session, lease)
+                self._still(session, lease)
+                leases.renew(session, lease, until, granted)
+            return self._still(session, lease)
+
+    async def _release_there(self, session: Session, lease: Lease) -> LeaseState:
+        async with self._turn(session):
+            await self._leases.gateways.release(self._leases.gateways.units(lease.scope), lease)
+        return _state(lease)
+
+    async def _hand_over_there(self, session: Session, lease: Lease, heir: Session) -> LeaseState:
+        leases = self._leases
+        units = leases.gateways.units(lease.scope)
+        async with self._turn(session):
+            self._still(session, lease)
+            with leases.asking(lease):
+                try:
+                    granted = await leases.gateways.hand_over(units, lease, heir.principal)
+                except BaseException as error:  # some may have a new holder
+                    leases.lose(lease, session.principal.name, f"its hand-over failed: {error}")
+                    raise
+                self._still(session, lease)
+                leases.hand_over(session, lease, heir, granted)
+        return _state(lease)
+
+    def _still(self, session: Session, lease: Lease) -> LeaseState:
+        """Return a lease that the session still holds.
+
+        :raises LeaseLost: it does not.
+        """
+        return _state(self._leases.find(session, lease.id, None))
+
+    def _until(self, ttl: float) -> int:
+        return self._host.clock.now() + int(ttl * 1e9)
 
     def _ttl(self, request: LeaseRequest) -> float:
         config = self._leases.config
@@ -193,6 +316,25 @@ class LeaseRequests:
                 + ".",
             )
         return present[0]
+
+
+def _unheld(scope: Scope, held: dict[str, Held]) -> Lease:
+    """Return a lease that robots' gateways have granted and this one has not."""
+    return Lease("", scope, "", "", None, 0, 0, 0, gateways=held)
+
+
+def _state_there(lease: RobotLease) -> LeaseState:
+    """Describe a lease of a robot's own gateway."""
+    return LeaseState(
+        lease=lease.id,
+        scope=lease.scope,
+        holder=lease.holder,
+        session=None,
+        priority=lease.priority,
+        since=iso(lease.since),
+        expires=iso(lease.expires),
+        reason=lease.reason,
+    )
 
 
 def _state(lease: Lease) -> LeaseState:

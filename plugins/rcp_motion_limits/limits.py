@@ -14,7 +14,6 @@ import structlog
 from rcp_conditions import condition
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.contract.identity import Grants
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
 from rcp_kernel.safety.safety import safe_value
@@ -24,6 +23,7 @@ from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import EnvelopeConfig, MotionLimitsConfig, patterns
 from rcp_motion_limits.limit import MotionLimit
 from rcp_motion_limits.narrowed import narrowed
+from rcp_scheduling.turns import Work
 
 __all__ = ["BoundPath", "MotionLimits"]
 

@@ -14,7 +14,6 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.contract.touches import EVERYTHING
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
     BadRequest,
@@ -46,6 +45,7 @@ from rcp_plans.pace import Allowance
 from rcp_plans.reading import ConditionReader
 from rcp_plans.symbolic import from_symbolic
 from rcp_protocol.plain import is_map
+from rcp_scheduling.turns import Work
 
 __all__ = ["PlanChecker"]
 

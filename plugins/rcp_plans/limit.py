@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Hashable
 from contextlib import asynccontextmanager
 
-from rcp_kernel.contract.turns import Turns
+from rcp_scheduling.turns import Turns
 
 __all__ = ["paced_timeout"]
 

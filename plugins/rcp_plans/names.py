@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from itertools import islice
 from typing import Any
 
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import InvalidValue, UnknownPath
 from rcp_kernel.model import Kind
 from rcp_kernel.sessions.session import Session
@@ -17,6 +16,7 @@ from rcp_plans.lines import word
 from rcp_plans.nearest import nearest
 from rcp_plans.symbolic import Action
 from rcp_protocol.plain import is_map
+from rcp_scheduling.turns import Work
 
 __all__ = ["NameScope"]
 

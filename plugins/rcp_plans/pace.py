@@ -11,8 +11,8 @@ from collections.abc import Generator, Hashable
 from contextlib import contextmanager
 from time import thread_time
 
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import RateLimited
+from rcp_scheduling.turns import Turns
 
 __all__ = ["Allowance", "Pace"]
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakKeyDictionary
 
 from rcp_kernel.access.acl import Rights, reach
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.model import Operation
+from rcp_scheduling.turns import at_once
 
 if TYPE_CHECKING:
     from rcp_kernel.tree.entry import Entry, StopGroup

@@ -13,8 +13,8 @@ from weakref import WeakKeyDictionary
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.clock import now
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.model import Pattern
+from rcp_scheduling.turns import Turns, Work
 
 if TYPE_CHECKING:
     from rcp_kernel.tree.entry import Entry

@@ -18,9 +18,7 @@ from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.queued_request import QueuedRequest
-from rcp_kernel.contract.shared_work import SharedWork
 from rcp_kernel.contract.touches import EVERYTHING as TOUCHES_EVERYTHING
-from rcp_kernel.contract.turns import Turns, at_once
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.requests.discovery import Query
 from rcp_kernel.sessions.command import Command
@@ -28,13 +26,15 @@ from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.sessions.unsent import left_out
+from rcp_kernel.sessions.substitutes import left_out
 from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.streams.outbound import Backlog, Outbound
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_protocol.structure import LONG as LONG_MESSAGE
 from rcp_protocol.structure import check_structure
+from rcp_scheduling.shared_work import SharedWork
+from rcp_scheduling.turns import Turns, at_once
 from rcp_store.modes import others_may
 from rcp_store.plugin_store import PluginStore
 

@@ -31,15 +31,14 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.role import Rule
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.contract.timers import Deadlines
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.requests.action_host import GatewayActionHost
 from rcp_kernel.requests.actions import ActionHandler
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.atomic_write import AtomicWriteHandler
 from rcp_kernel.requests.batch import BatchHandler
 from rcp_kernel.requests.command_access import CommandAccess
@@ -70,9 +69,7 @@ from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.connections import ConnectionParts
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
@@ -81,6 +78,8 @@ from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
+from rcp_scheduling.timers import Deadlines
+from rcp_scheduling.turns import Turns
 from rcp_store.ledger import Ledger
 from rcp_store.store import Store
 
@@ -226,11 +225,11 @@ def compose(
 
 def _grants(features: Sequence[ActiveFeature]) -> dict[str, tuple[Rule, ...]]:
     """Return the rules that features add to built-in roles."""
-    found: dict[str, tuple[Rule, ...]] = {}
+    grants: dict[str, tuple[Rule, ...]] = {}
     for feature in features:
         for role, rules in feature.kind.grants.items():
-            found[role] = (*found.get(role, ()), *rules)
-    return found
+            grants[role] = (*grants.get(role, ()), *rules)
+    return grants
 
 
 def _base(
@@ -271,7 +270,7 @@ def _base(
 def _records(base: _Base, store: Store) -> _Records:
     events = EventBus()
     replies = ReplyGate(base.settings, base.loop)
-    journal = CommandJournal(store, base.inflight, base.counts, replies, base.clock)
+    journal = CommandJournal(store, base.settings, base.counts, replies, base.clock)
     return _Records(store, events, SafetyEvents(events), replies, journal)
 
 
@@ -297,7 +296,7 @@ def _features(
         events=records.events,
         ledger=Ledger(records.store),
         visibility=base.visibility,
-        place=base.inflight.place,
+        settings=base.settings,
         sessions=clients.sessions,
         control=Control(motion.commands, motion.deadman),
         scopes=base.scopes,
@@ -461,7 +460,6 @@ def _system(
         latches=motion.latches,
         stops=motion.stops,
         registry=base.registry,
-        hub=base.hub,
         sights=base.sights,
         recent=recent,
         features=features.resources,
@@ -545,13 +543,13 @@ def _handlers(
         dry_run=features.dry_run,
         exempt=requests.exempt,
         keys=requests.keys,
+        keyed=keyed,
         inflight=inflight,
         counts=base.counts,
         replies=records.replies,
         partners=motion.partners,
         deadman=motion.deadman,
         frames=features.frames,
-        loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
     router.add("read", read.read, stepped=read.read_in_steps)

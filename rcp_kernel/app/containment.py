@@ -16,7 +16,15 @@ from typing import Any, TypeVar
 
 import structlog
 
-from rcp_kernel.spi import Backend, MotionState, Progress, RobotLink, Watchdog
+from rcp_kernel.spi import (
+    Backend,
+    MotionState,
+    Progress,
+    RobotLease,
+    RobotLeaseRequest,
+    RobotLink,
+    Watchdog,
+)
 
 __all__ = ["ContainedBackend", "PluginExit", "contained", "end_in_time", "run_contained"]
 
@@ -148,6 +156,11 @@ class ContainedBackend:
         """Ask a robot's own gateway to reset its e-stop."""
         with contained():
             await self._backend.reset_estop(robot)
+
+    async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
+        """Ask a robot's own gateway for a lease."""
+        with contained():
+            return await self._backend.lease(robot, request)
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """List what stops the robot when the gateway falls silent."""

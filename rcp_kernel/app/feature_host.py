@@ -10,10 +10,10 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clock import Clock
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
@@ -23,6 +23,7 @@ from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.backpressure import shed, waiting_bytes
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
+from rcp_scheduling.turns import Turns, Work
 from rcp_store.ledger import Ledger
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store
@@ -43,7 +44,7 @@ class GatewayFeatureHost:
         events: EventBus,
         ledger: Ledger,
         visibility: Visibility,
-        place: Callable[[Session, Request], object],
+        settings: Settings,
         sessions: SessionDirectory,
         control: Control,
         scopes: ScopeRights,
@@ -63,7 +64,7 @@ class GatewayFeatureHost:
         self._events = events
         self.ledger = ledger
         self.visibility = visibility
-        self._place = place
+        self._settings = settings
         self._shutdown = shutdown
         self._turns = turns
         self.service = services.service
@@ -131,4 +132,4 @@ class GatewayFeatureHost:
 
     def check_place(self, session: Session, request: Request) -> None:
         """Refuse a request that its session has no place for."""
-        self._place(session, request)
+        session.place(request, self._settings.limits.in_flight)

@@ -17,6 +17,7 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.requests.admission import Admission
@@ -24,7 +25,6 @@ from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.hub import Hub

@@ -1,18 +1,14 @@
-"""Reloading the configuration on SIGHUP, as far as it can change at run time."""
+"""Application of a new configuration to a running gateway, as far as it can change at run time."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import msgspec
 import structlog
 
-from rcp_kernel.access.key_strength import log_weak_keys
 from rcp_kernel.app.server import Prepared, Server, prepare, retire, start_backend
-from rcp_kernel.config.file import GatewayConfig, load
-from rcp_kernel.errors import StartupError
+from rcp_kernel.config.file import GatewayConfig
 
-__all__ = ["apply", "needs_restart", "prepare_reload", "reload"]
+__all__ = ["apply", "needs_restart", "prepare_reload"]
 
 log = structlog.get_logger("rcp.reload")
 _FIXED = ("transports", "plugins", "store", "log", "name")
@@ -48,27 +44,6 @@ def prepare_reload(running: GatewayConfig, fresh: GatewayConfig, source: str) ->
     if not kept:
         return prepared
     return prepare(msgspec.structs.replace(fresh, **kept), source)
-
-
-async def reload(server: Server, path: Path) -> bool:
-    """Apply a configuration file; an invalid one changes nothing, is logged, and returns false."""
-    running = server.kernel.settings.config
-    try:
-        fresh = load(path)
-        prepared = prepare_reload(running, fresh, str(path))
-    except StartupError as error:
-        log.error("reload_refused", reason=str(error))
-        server.kernel.event_bus.note("reload", principal=None, outcome="refused")
-        return False
-    except Exception:
-        log.exception("reload_failed", reason="a plugin or the gateway has a bug")
-        server.kernel.event_bus.note("reload", principal=None, outcome="failed")
-        return False
-    log_weak_keys(fresh.keys, str(path))
-    for part in needs_restart(running, fresh):
-        log.warning("reload_needs_restart", part=part)
-    await apply(server, prepared)
-    return True
 
 
 async def apply(server: Server, prepared: Prepared) -> None:

@@ -12,7 +12,7 @@ from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.robots import SupervisedBackend
 from rcp_kernel.streams.hub import Hub
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.samples import Sample
 
 __all__ = ["GatewayRobots"]
@@ -84,6 +84,10 @@ class GatewayRobots:
     def follow_state(self, changed: Callable[[], None]) -> None:
         """Tell of changes of state."""
         self._hub.registry.on_state.append(self._contained("follow_state", changed))
+
+    def follow_leases(self, told: Callable[[StopGroup], None]) -> None:
+        """Tell of leases at the robots' own gateways."""
+        self._hub.registry.on_leases.append(self._contained("follow_leases", told))
 
     def _contained(self, part: str, callback: Callable[P, None]) -> Callable[P, None]:
         """Keep errors of the feature from whoever changes something: a backend, or an e-stop."""

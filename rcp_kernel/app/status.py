@@ -19,12 +19,11 @@ from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, histogram
+from rcp_kernel.contract.metrics import Histogram, Metrics, RequestCounts, counter, gauge, histogram
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.journal import CommandJournal
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import RobotLink

@@ -37,6 +37,7 @@ from rcp_kernel.spi import (
     BackendKind,
     BaseBackend,
     FrameTree,
+    OwnLeases,
     Publication,
     RobotFacts,
     StopPlan,
@@ -329,6 +330,12 @@ class BackendSupervisor:
                 self._stops.end([unit])
         else:
             self._latches.show(unit.name, state)
+
+    def own_leases(self, robot: str, leases: OwnLeases | None) -> None:
+        """Note who holds leases on a robot, by its own gateway."""
+        unit = self.unit(robot)
+        unit.own_leases = leases
+        self._registry.leases_told(unit)
 
     def is_latched(self, robot: str | None = None) -> bool:
         """Tell whether an e-stop holds a robot."""

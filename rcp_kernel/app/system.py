@@ -23,7 +23,6 @@ from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import Backend, BaseBackend, Progress
-from rcp_kernel.streams.hub import Hub
 from rcp_kernel.tree.entry import Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
@@ -78,7 +77,6 @@ class System(BaseBackend):
         latches: Latches,
         stops: StopController,
         registry: Registry,
-        hub: Hub,
         sights: Sights,
         recent: Recent,
         features: Sequence[SystemResource],
@@ -91,7 +89,6 @@ class System(BaseBackend):
         self._sessions = sessions
         self._reader_status = reader_status
         self._registry = registry
-        self._hub = hub
         self._sights = sights
         self._loop = loop
         self.samples = 0
@@ -121,9 +118,9 @@ class System(BaseBackend):
         """Resources whose items can be searched and read in pages, by path."""
         self.services: dict[str, Service] = {}
         """Other executable resources of `/system`, by path."""
-        for one in features:
-            self._add(one)
-        hub.keep(self.entries[_LOG])
+        for resource in features:
+            self._add(resource)
+        self.entries[_LOG].keep_history()
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
@@ -148,7 +145,7 @@ class System(BaseBackend):
         entry = self.entries[own.path] = self._place(own.resource)
         if own.shows is not None:
             self.filters[own.path] = own.shows
-            self._hub.keep(entry)
+            entry.keep_history()
         if own.execute is not None:
             self.services[own.path] = own.execute
         if own.pages is not None:

@@ -10,8 +10,8 @@ from contextvars import ContextVar
 import msgspec
 
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.timers import moment_of
 from rcp_kernel.wire import Request
+from rcp_scheduling.timers import moment_of
 
 __all__ = ["Caller", "asked", "caller"]
 
@@ -48,9 +48,9 @@ def caller() -> Caller | None:
     None: nobody did, as for the stops and dead-man of the gateway, and for `watch`, which is for all
     subscribers. Valid until the operation ends, also while it is cancelled.
     """
-    found = asked.get()
-    if found is None:
+    current = asked.get()
+    if current is None:
         return None
-    principal, request, slot, command = found
+    principal, request, slot, command = current
     key, until = request.idempotency_key, moment_of(slot)
     return Caller(principal, key, until, command, request.valid_for)

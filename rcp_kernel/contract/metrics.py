@@ -6,6 +6,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Generator, Iterable
 from itertools import chain
+from time import perf_counter
 
 from prometheus_client import CollectorRegistry, GCCollector, PlatformCollector, ProcessCollector
 from prometheus_client.core import (
@@ -17,7 +18,9 @@ from prometheus_client.core import (
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector
 
-__all__ = ["BUCKETS", "Histogram", "Metrics", "counter", "gauge", "histogram"]
+from rcp_kernel.wire import Reply
+
+__all__ = ["BUCKETS", "Histogram", "Metrics", "RequestCounts", "counter", "gauge", "histogram"]
 
 BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 10.0)
 """Upper bounds in seconds."""
@@ -38,6 +41,32 @@ class Histogram:
         """Count one duration."""
         self.counts[0 if seconds <= _SHORTEST else bisect_left(BUCKETS, seconds)] += 1
         self.total += seconds
+
+
+class RequestCounts:
+    """Counts final replies."""
+
+    __slots__ = ("outcomes", "seconds")
+
+    def __init__(self) -> None:
+        self.outcomes: dict[tuple[str, str, str], int] = {}
+        """Requests by transport, type and code."""
+        self.seconds = Histogram()
+
+    def conclude(self, transport: str, reply: Reply, started: float) -> None:
+        """Count a final reply, and the time since `started`."""
+        self.seconds.observe(perf_counter() - started)
+        error = reply.error
+        key = (transport, reply.type, "ok" if error is None else error["code"])
+        try:
+            self.outcomes[key] += 1
+        except KeyError:
+            self.outcomes[key] = 1
+
+    def count(self, transport: str, type_: str, code: str) -> None:
+        """Count one request by its outcome."""
+        key = (transport, type_, code)
+        self.outcomes[key] = self.outcomes.get(key, 0) + 1
 
 
 def counter(
@@ -65,13 +94,13 @@ def histogram(
 ) -> Metric:
     """Return a histogram family, from rows of label values and histogram."""
     family = HistogramMetricFamily(name, text, labels=labels)
-    for values, found in rows:
+    for values, durations in rows:
         below = 0
         buckets: list[tuple[str, float]] = []
-        for bound, count in zip((*map(str, BUCKETS), "+Inf"), found.counts, strict=True):
+        for bound, count in zip((*map(str, BUCKETS), "+Inf"), durations.counts, strict=True):
             below += count
             buckets.append((bound, below))
-        family.add_metric(values, buckets, found.total)
+        family.add_metric(values, buckets, durations.total)
     return family
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.commands import CommandObserver
-from rcp_kernel.features.durability import Durability
-from rcp_kernel.features.feature import Feature, FeatureKind
+from rcp_kernel.features.feature import Durability, Feature, FeatureKind, StatusPart
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
@@ -13,7 +12,6 @@ from rcp_kernel.features.resource import Filter, Pages, Service, SystemResource,
 from rcp_kernel.features.robots import RobotConditions, Robots
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
-from rcp_kernel.features.status import StatusPart
 from rcp_kernel.sessions.account import SessionAccount
 from rcp_kernel.sessions.accounting import Accounting
 from rcp_kernel.tree.scope import Scope

@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.command import Command, Work
@@ -20,6 +19,7 @@ from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.wire import Reply, Request
+from rcp_scheduling.turns import Turns
 
 __all__ = ["Action", "ActionHost", "ActionRun"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 from prometheus_client.core import Metric
@@ -20,20 +20,60 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import Hear
 from rcp_kernel.features.commands import CommandObserver
-from rcp_kernel.features.description import Describe
-from rcp_kernel.features.durability import Durability
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
-from rcp_kernel.features.status import StatusPart
 from rcp_kernel.sessions.accounting import Accounting
 from rcp_kernel.sessions.command import CommandListener
-from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
+from rcp_kernel.wire import Reply
 
-__all__ = ["Feature", "FeatureKind"]
+__all__ = ["Describe", "Durability", "Feature", "FeatureKind", "StatusPart"]
+
+
+class StatusPart(NamedTuple):
+    """A part of the health report."""
+
+    facts: Mapping[str, Any]
+    """Items of the report, by the feature's own names."""
+    degraded: bool = False
+    """Whether something is wrong, so that the gateway as a whole is not `ok`."""
+
+
+class Describe(Protocol):
+    """Describes which commands a principal may send to a resource."""
+
+    def __call__(self, rights: Rights, entry: Entry, /, *, schemas: bool) -> Mapping[str, Any]:
+        """Return items for the description; `schemas` requests full schemas."""
+        ...
+
+
+class Durability(Protocol):
+    """Delays replies to writes, commands and recorded refusals until their records are stored.
+
+    Commands to robots are not delayed, and neither are reads and subscriptions.
+    """
+
+    def check(self) -> None:
+        """Refuse a write or command whose record could not be stored; not called for holds.
+
+        :raises QueueFull: the record could not be stored.
+        """
+        ...
+
+    def send_when_stored(self, send: Answer, until: float, reply: Reply) -> None:
+        """Send a reply now, or once all records so far are stored.
+
+        `until` is the event loop time at which the client stops waiting.
+        """
+        ...
+
+    def send_estop_when_stored(self, send: Answer, reply: Reply) -> None:
+        """Send the reply to an e-stop as `send_when_stored`, but soon in any case."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,13 +11,13 @@ from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
+from rcp_scheduling.turns import Work
 from rcp_store.ledger import Ledger
 from rcp_store.plugin_store import PluginStore
 

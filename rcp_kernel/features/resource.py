@@ -34,10 +34,14 @@ class Pages(Protocol):
 
 
 class Service(Protocol):
-    """A service of the gateway that completes immediately."""
+    """A service of the gateway that completes immediately, or soon."""
 
     def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
-        """Run the service, or for a dry run only check whether it could run."""
+        """Run the service, or for a dry run only check whether it could run.
+
+        Return the result, or a coroutine that returns it: the reply is then sent when it is done. It
+        is cancelled at the request's deadline, and `caller()` tells in it who asked.
+        """
         ...
 
 
@@ -59,7 +63,7 @@ class SystemResource:
     shows: Filter | None = None
     """Filters each sample for each session."""
     execute: Service | None = None
-    """Handles `execute`; must not block."""
+    """Handles `execute`; must not block, and may return a coroutine."""
     action: Action | None = None
     """Handles `execute` as a command that may take time. The value of the resource is the list
     of its

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from rcp_conditions import Condition, Ref
 from rcp_kernel.spi import StopPlan
-from rcp_kernel.tree.entry import Entry, Owner
+from rcp_kernel.tree.entry import Entry, Owner, StopGroup
 from rcp_kernel.tree.samples import Sample
 
 __all__ = ["RobotConditions", "Robots", "SupervisedBackend"]
@@ -74,6 +74,10 @@ class Robots(Protocol):
 
         That is its availability, an e-stop, a hold, or what its backend says of it.
         """
+        ...
+
+    def follow_leases(self, told: Callable[[StopGroup], None]) -> None:
+        """Report when a robot's own gateway has said who holds leases on it (`own_leases`)."""
         ...
 
     def watch(self, path: str, offer: Callable[[Sample], None]) -> Callable[[], None]:

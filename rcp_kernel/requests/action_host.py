@@ -10,11 +10,11 @@ import msgspec
 
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.contract.digest import bounded, hashing
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.atomic_write import check_group
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.journal import CommandJournal
@@ -22,12 +22,12 @@ from rcp_kernel.requests.read import READ_OPTIONS
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.sessions.command import Command
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Handler, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
+from rcp_scheduling.turns import Turns
 
 __all__ = ["GatewayActionHost"]
 

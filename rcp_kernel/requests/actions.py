@@ -10,10 +10,10 @@ from rcp_kernel.errors import EstopActive
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.requests.waiting import WaitingCommand, WaitingCommands
 from rcp_kernel.sessions.command import Command, Record
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.registry import Registry
@@ -114,14 +114,14 @@ class ActionHandler:
         return PreparedRun(run, waiting, units)
 
     def _units(self, run: ActionRun) -> Generator[None, None, list[StopGroup]]:
-        found: dict[StopGroup, None] = {}
+        units: dict[StopGroup, None] = {}
         for number, path in enumerate(run.touches, 1):
             entry = self._registry.entries.get(path)
             if entry is not None:
-                found[entry.unit] = None
+                units[entry.unit] = None
             if not number % _STEP:
                 yield
-        return list(found)
+        return list(units)
 
     def follow(self, command: Command, step: Record) -> None:
         """Handle a step of a command: the list of commands has changed."""

@@ -28,14 +28,13 @@ from rcp_kernel.errors import (
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, is_safe
 from rcp_kernel.sessions.command import LinkLost
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -149,8 +148,8 @@ class AtomicWriteHandler:
         """Return whether all values bring an actuator to rest, so that no rate limit may refuse."""
         try:
             parts = _parts(request).items()
-            found = (self._item(session, request, path, body) for path, body in parts)
-            return all(is_safe(item.entry, item.value) for item in found)
+            items = (self._item(session, request, path, body) for path, body in parts)
+            return all(is_safe(item.entry, item.value) for item in items)
         except RcpError:
             return False
 
@@ -217,8 +216,8 @@ class AtomicWriteHandler:
         if request.valid_for is not None:
             safe = [entry for entry in entries if entry.resource.safe is not None]
             entries = safe or entries[:1]
-        found = {entry.path: self._deadman.window(entry, request) for entry in entries}
-        return {path: window for path, window in found.items() if window is not None}
+        windows = {entry.path: self._deadman.window(entry, request) for entry in entries}
+        return {path: window for path, window in windows.items() if window is not None}
 
     def _dry_run_reply(self, request: Request, admitted: _Admitted) -> Reply:
         return Reply(

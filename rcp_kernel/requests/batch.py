@@ -15,7 +15,6 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.object_list import EncodedBody, ObjectList, expected
@@ -33,6 +32,7 @@ from rcp_kernel.wire import (
     fields_of,
     peek_header,
 )
+from rcp_scheduling.turns import Turns
 
 __all__ = ["BatchHandler"]
 

@@ -68,8 +68,8 @@ def _written(value: Any) -> Any:
 
 def from_rows(rows: Iterable[dict[str, Any]]) -> list[Command]:
     """Return the commands of earlier runs, oldest first."""
-    found = [command for row in rows if (command := _read(row)) is not None]
-    return sorted(found, key=lambda command: command.created)
+    commands = [command for row in rows if (command := _read(row)) is not None]
+    return sorted(commands, key=lambda command: command.created)
 
 
 def _read(row: dict[str, Any]) -> Command | None:

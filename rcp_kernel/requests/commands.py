@@ -18,8 +18,6 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import end_permit, permit
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.timers import Deadlines, moment_of
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AlreadyRunning,
     Cancelled,
@@ -48,6 +46,8 @@ from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import is_long
 from rcp_kernel.wire import NO_BODY, Request, error_body
+from rcp_scheduling.timers import Deadlines, moment_of
+from rcp_scheduling.turns import Turns
 
 __all__ = ["Commands"]
 
@@ -267,16 +267,12 @@ class Commands:
         if command.continuation is None:
             # Not by the task's callback, a turn of the loop later: a result that comes at once is
             # sent together with `accepted`.
-            self._complete(command, result)
+            end_permit()  # what follows from the result is not the robot's any more
+            command.task = None
+            if command.finished is None:
+                self._end(command, result)
+            self._release(command)
         return result
-
-    def _complete(self, command: Command, result: Any) -> None:
-        """End a command with its result, at the end of its own task."""
-        end_permit()  # what follows from the result is not the robot's any more
-        command.task = None
-        if command.finished is None:
-            self._end(command, result)
-        self._release(command)
 
     def _progress(
         self,

@@ -11,7 +11,7 @@ from msgspec import Meta
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.errors import BadRequest
-from rcp_kernel.features.description import Describe
+from rcp_kernel.features.feature import Describe
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
 from rcp_kernel.requests.discovery_page import Description, DiscoveryPage

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
-from collections.abc import Coroutine, Generator, Mapping
+from collections.abc import Callable, Coroutine, Generator, Mapping
 from copy import copy
+from functools import partial
+from inspect import iscoroutine
 from time import perf_counter
 from typing import Any, Protocol
 
 import msgspec
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.contract.queued_request import QueuedRequest
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.actions import ActionHandler, PreparedRun
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.command_access import CommandAccess, is_own
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.journal import CommandJournal
+from rcp_kernel.requests.keyed_write import KeyedWrites
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.requests.waiting import WaitingCommand
 from rcp_kernel.requests.write import DryRun, dry_run_reply
@@ -36,13 +38,12 @@ from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command, CommandListener, Record
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.long_value import LongValue
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import FINAL, Reply, Request
+from rcp_scheduling.turns import at_once
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
@@ -85,13 +86,13 @@ class ExecuteHandler:
         dry_run: DryRun,
         exempt: Exemptions,
         keys: Keys,
+        keyed: KeyedWrites,
         inflight: InFlight,
         counts: RequestCounts,
         replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
         frames: FrameConverter,
-        loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._resolver = resolver
         self._admission = admission
@@ -104,13 +105,13 @@ class ExecuteHandler:
         self._dry_run = dry_run
         self._is_exempt = exempt
         self._keys = keys
+        self._keyed = keyed
         self._inflight = inflight
         self._counts = counts
         self._replies = replies
         self._partners = partners
         self._deadman = deadman
         self._frames = frames
-        self._loop = loop
 
     def execute_in_steps(
         self, session: Session, request: Request, answer: Answer
@@ -302,25 +303,52 @@ class ExecuteHandler:
         value: Any,
         answer: Answer,
     ) -> None:
-        """Execute a service of the gateway at once; the reply is sent once it is stored."""
-        started = perf_counter()
-        reply = self._served(service, session, request, entry, value)
-        self._counts.conclude(session, reply, started)
-        self._replies.when_stored(answer, request)(reply)
+        """Execute a service of the gateway; the reply is sent once it is stored.
 
-    def _served(
-        self, service: Service, session: Session, request: Request, entry: Entry, value: Any
-    ) -> Reply:
-        """Return the reply of a service; a repetition with the same key is not executed."""
-        known = self._keys.find(session, request, entry.path)
-        if isinstance(known, asyncio.Future):
-            again = copy(known.result())
-            again.id = request.id
-            return again
-        lost = self._replies.lost
-        body = service(session, value, dry_run=request.dry_run)
-        if request.dry_run:
-            return dry_run_reply(request, entry, {"execute": value})
+        A repetition with the same key is not executed.
+        """
+        started, limit = perf_counter(), self._inflight.deadline(request, entry)
+        answer = self._replies.when_stored(answer, request)
+        known = self._keyed.find(session, request, entry.path)
+        if known is not None and not known.done():
+            self._keyed.repeat(known, session, request, entry.path, limit, answer)
+            return
+        if known is not None:
+            reply = copy(known.result())
+            reply.id = request.id
+        else:
+            lost = self._replies.lost
+            body = service(session, value, dry_run=request.dry_run)
+            made = partial(self._service_reply, request, entry, lost)
+            if iscoroutine(body):
+                self._serve_later(session, request, entry, body, made, limit, answer)
+                return
+            if request.dry_run:
+                reply = dry_run_reply(request, entry, {"execute": value})
+            else:
+                reply = made(body)
+                self._keyed.note_service(session, request, entry.path, _ignore)(reply)
+        self._counts.conclude(session.transport, reply, started)
+        answer(reply)
+
+    def _serve_later(
+        self,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        work: Coroutine[Any, Any, Any],
+        made: Callable[[Any], Reply],
+        limit: float,
+        answer: Answer,
+    ) -> None:
+        noted = self._keyed.note_service(session, request, entry.path, answer)
+        try:
+            self._inflight.later(session, request, noted, work, made, limit, entry.path)
+        except RcpError:
+            self._keyed.forget(session, request, entry.path)
+            raise
+
+    def _service_reply(self, request: Request, entry: Entry, lost: int, body: Any) -> Reply:
         reply = Reply(
             type="execute",
             id=request.id,
@@ -330,13 +358,7 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
-        reply = self._replies.confirmed(reply, lost)
-        if request.idempotency_key is not None:
-            outcome: asyncio.Future[Reply] = self._loop.create_future()
-            outcome.set_result(reply)
-            self._keys.note(session, request, entry.path, outcome)
-            self._keys.settle(session, request, entry.path, reply)
-        return reply
+        return self._replies.confirmed(reply, lost)
 
     def _known(self, session: Session, request: Request, entry: Entry) -> Command | None:
         """Return the command that was started with the same key.
@@ -385,6 +407,10 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
+
+
+def _ignore(_: Reply) -> None:
+    """Answer nobody."""
 
 
 def _command(call: Call) -> Command:

@@ -12,14 +12,14 @@ from typing import Any
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import end_permit
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.timers import Deadlines
-from rcp_kernel.contract.turns import Turns
-from rcp_kernel.errors import Cancelled, DeadlineExceeded, DuplicateRequest, QueueFull, RcpError
-from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.errors import Cancelled, DeadlineExceeded, RcpError
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Reply, Request, failure
+from rcp_scheduling.timers import Deadlines
+from rcp_scheduling.turns import Turns
 
 __all__ = ["InFlight"]
 
@@ -64,7 +64,11 @@ class InFlight:
         :raises QueueFull: too many requests are in flight.
         """
         try:
-            key = f"\0{secrets.token_hex(8)}" if urgent else self.place(session, request)
+            key = (
+                f"\0{secrets.token_hex(8)}"
+                if urgent
+                else session.place(request, self._settings.limits.in_flight)
+            )
         except RcpError:
             work.close()
             raise
@@ -74,21 +78,6 @@ class InFlight:
             pending.start()
         else:
             self._turns.begin(session.principal.identity, pending.start)
-
-    def place(self, session: Session, request: Request) -> str:
-        """Return the place of a request among its session's unanswered ones.
-
-        :raises DuplicateRequest: the id is in use.
-        :raises QueueFull: there is no place left.
-        """
-        inflight = session.inflight
-        if len(inflight) >= self._settings.limits.in_flight:
-            raise QueueFull(f"this session already has {len(inflight)} unanswered requests")
-        if request.id is None or (session.connection is None and session.stateless):
-            return f"\0{secrets.token_hex(8)}"
-        if request.id in inflight:
-            raise DuplicateRequest(f"a request with the id '{request.id}' is still unanswered")
-        return request.id
 
     def deadline(self, request: Request, entry: Entry) -> float:
         """Return the seconds a read or write may take."""
@@ -187,5 +176,5 @@ class _Pending:
             assert error is not None
             reply = failure(error, request.type, request.id, self._path)
         reply.custom = request.custom
-        inflight.counts.conclude(session, reply, self._started)
+        inflight.counts.conclude(session.transport, reply, self._started)
         answer(reply)

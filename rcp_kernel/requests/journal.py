@@ -7,21 +7,23 @@ it is recorded; features decide whether its reply waits until the record is stor
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Callable
 from itertools import product
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
 from rcp_kernel.clock import Clock
-from rcp_kernel.contract.metrics import Histogram
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.metrics import Histogram, RequestCounts
 from rcp_kernel.requests.command_rows import TABLE, as_row, cut_off, from_rows
-from rcp_kernel.requests.finished import Finished
 from rcp_kernel.requests.idempotency import committed
-from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.replies import ReplyGate
 from rcp_kernel.sessions.command import Command, CommandListener, Record
-from rcp_kernel.sessions.counts import RequestCounts
-from rcp_kernel.wire import FINAL, Request
+from rcp_kernel.sessions.long_value import SCALARS, LongValue
+from rcp_kernel.values import Encoding, dump
+from rcp_kernel.wire import FINAL, NO_BODY, Request
 from rcp_store.store import Store
 
 if TYPE_CHECKING:
@@ -32,6 +34,9 @@ __all__ = ["CommandJournal"]
 log = structlog.get_logger("rcp.commands")
 _HISTORY = 64  # steps kept per command, always including the first and last
 _FOLLOWED = 256  # own commands remembered per session
+_KEPT = 1000  # finished commands
+_BYTES = 32 * 1024 * 1024  # of the inputs, feedback and results of all finished commands
+_EMPTY = 1024  # bytes that any command counts for, numbers included
 
 
 class StepListener(Protocol):
@@ -51,7 +56,7 @@ class CommandJournal:
     def __init__(
         self,
         store: Store,
-        inflight: InFlight,
+        settings: Settings,
         counts: RequestCounts,
         replies: ReplyGate,
         clock: Clock,
@@ -61,7 +66,7 @@ class CommandJournal:
         Interrupted ones become `failed`, but for those that go on without this gateway.
         """
         self._store = store
-        self._inflight = inflight
+        self._settings = settings
         self._requests = counts
         self._replies = replies
         self._now = clock.now
@@ -74,7 +79,7 @@ class CommandJournal:
         self.counts: dict[tuple[str, str], int] = {}
         """Ended commands by path and final status."""
         self.seconds = Histogram()
-        self._finished = Finished(self._forget)
+        self._finished = _Finished(self._forget)
         self._load()
 
     def _load(self) -> None:
@@ -159,9 +164,9 @@ class CommandJournal:
     ) -> None:
         """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: see `InFlight.place`.
+        :raises DuplicateRequest, QueueFull: see `Session.place`.
         """
-        key = self._inflight.place(session, request)
+        key = session.place(request, self._settings.limits.in_flight)
         session.inflight.add(key)
         if self._replies.demands:
             answer = self._replies.when_stored(answer, request)
@@ -175,7 +180,7 @@ class CommandJournal:
             reply.id = request.id  # others may follow the same command with their own request ids
             if step.status in FINAL:
                 session.inflight.discard(key)
-                self._requests.conclude(session, reply, started)
+                self._requests.conclude(session.transport, reply, started)
             answer(reply)
 
         history = command.history
@@ -189,3 +194,46 @@ def _forget_finished(commands: dict[str, OwnCommand]) -> None:
     known = [id_ for id_, command in commands.items() if command.finished is not None]
     for id_ in known[: _FOLLOWED // 2]:
         del commands[id_]
+
+
+class _Finished:
+    """The commands that ended last, by id; `forget` is called for each that is removed."""
+
+    def __init__(self, forget: Callable[[Command], None]) -> None:
+        self._forget = forget
+        self._known: OrderedDict[str, Command] = OrderedDict()
+        self._sizes: dict[str, int] = {}
+        self._bytes = 0
+
+    def get(self, id_: str) -> Command | None:
+        """Return a command by the gateway's id."""
+        return self._known.get(id_)
+
+    def newest_first(self) -> list[Command]:
+        """Return all of them."""
+        return list(reversed(self._known.values()))
+
+    def add(self, command: Command) -> None:
+        """Remember a command, at the cost of the oldest."""
+        size = _EMPTY
+        if not isinstance(command.input, SCALARS):
+            size += _length(command.input)
+        for step in command.history:
+            if step.body is not NO_BODY and not isinstance(step.body, SCALARS):
+                size += _length(step.body)
+        self._known[command.id] = command
+        self._sizes[command.id] = size
+        self._bytes += size
+        while len(self._known) > _KEPT or (self._bytes > _BYTES and len(self._known) > 1):
+            id_, oldest = self._known.popitem(last=False)
+            self._bytes -= self._sizes.pop(id_)
+            self._forget(oldest)
+
+
+def _length(value: Any) -> int:
+    if isinstance(value, LongValue):
+        return value.size
+    try:
+        return len(dump(value, Encoding.MSGPACK))
+    except Exception:  # what cannot be encoded is not shown to clients either
+        return _EMPTY

@@ -1,4 +1,4 @@
-"""Writes with an idempotency key: the first outcome is kept, and answers each repetition."""
+"""Writes and services with an idempotency key: the first outcome is kept, and answers each repetition."""
 
 from __future__ import annotations
 
@@ -37,6 +37,28 @@ class KeyedWrites:
         def noted(reply: Reply) -> None:
             outcome.set_result(reply)
             self._keys.settle(session, request, place, reply)
+            answer(reply)
+
+        return noted
+
+    def note_service(
+        self, session: Session, request: Request, place: str, answer: Answer
+    ) -> Answer:
+        """Store an execute of a service under its key; return the receiver of its reply.
+
+        One that fails may be repeated.
+        """
+        if request.idempotency_key is None:
+            return answer
+        outcome: asyncio.Future[Reply] = self._loop.create_future()
+        self._keys.note(session, request, place, outcome)
+
+        def noted(reply: Reply) -> None:
+            outcome.set_result(reply)
+            if reply.error is None:
+                self._keys.settle(session, request, place, reply)
+            else:
+                self._keys.forget(session, request, place)
             answer(reply)
 
         return noted

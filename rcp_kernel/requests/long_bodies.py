@@ -11,7 +11,7 @@ from rcp_kernel.contract.digest import hashing
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
-from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ValueType

@@ -9,12 +9,12 @@ from itertools import islice
 from typing import Any
 
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import DeadlineExceeded
 from rcp_kernel.requests.object_list import ObjectList
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample, project
 from rcp_kernel.wire import NO_BODY, error_body
+from rcp_scheduling.turns import Turns
 
 __all__ = ["PatternRead"]
 

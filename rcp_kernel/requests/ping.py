@@ -7,8 +7,8 @@ from time import perf_counter
 import msgspec
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.sessions.account import passes
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request

@@ -15,8 +15,8 @@ from msgspec import Meta
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import attribute_error
-from rcp_kernel.contract.turns import Turns, Work, at_once
 from rcp_kernel.errors import (
     AdapterUnavailable,
     FilterUnsupported,
@@ -26,14 +26,13 @@ from rcp_kernel.errors import (
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.object_list import ObjectList, expected, is_listing, listed
 from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.account import passes
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.prompt_reply import PromptReply
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend, has_watch
 from rcp_kernel.tree.entry import Entry
@@ -41,6 +40,7 @@ from rcp_kernel.tree.registry import Registry
 from rcp_kernel.tree.samples import Sample, masked, project
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Body, Reply, Request
+from rcp_scheduling.turns import Turns, Work, at_once
 
 __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 
@@ -151,7 +151,7 @@ class ReadHandler:
             sample = entry.latest
             assert sample is not None
             reply = _reply(request, entry, sample, options)
-            self._counts.conclude(session, reply, started)
+            self._counts.conclude(session.transport, reply, started)
             answer(reply)
             yield
 

@@ -9,7 +9,7 @@ from typing import Protocol
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.features import Durability
 from rcp_kernel.sessions.session import Answer
-from rcp_kernel.sessions.unrecorded import unrecorded
+from rcp_kernel.sessions.substitutes import unrecorded
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Reply, Request
 

@@ -12,17 +12,17 @@ from time import perf_counter
 import structlog
 
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.requests.exempt import Exemptions
 from rcp_kernel.requests.long_bodies import LongBodies
 from rcp_kernel.requests.request_events import RequestEvents
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request, failure
 from rcp_protocol.structure import LONG, check_structure
+from rcp_scheduling.turns import Turns
 
 __all__ = ["RequestRouter", "Route", "SteppedRoute"]
 
@@ -119,7 +119,7 @@ class RequestRouter:
         except Exception as error:
             reply, answer = self._refuse(session, request, answer, error)
         if reply is not None:
-            self._counts.conclude(session, reply, started)
+            self._counts.conclude(session.transport, reply, started)
             answer(reply)
 
     def _slowly(
@@ -145,7 +145,7 @@ class RequestRouter:
         except Exception as error:
             reply, answer = self._refuse(session, request, answer, error)
         if reply is not None:
-            self._counts.conclude(session, reply, started)
+            self._counts.conclude(session.transport, reply, started)
             answer(reply)
 
     def is_stop(self, session: Session, request: Request) -> bool:

@@ -12,10 +12,10 @@ from weakref import WeakValueDictionary
 
 import msgspec
 
+from rcp_conditions.filters import Change, parse_where
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
@@ -29,18 +29,18 @@ from rcp_kernel.errors import (
 from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.object_list import is_listing, listed
 from rcp_kernel.requests.pages import MOST, MOST_BYTES, cursor_of
 from rcp_kernel.sessions.conditional import ConditionalSubscriptions
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.streams.filters import Change, Options, check_fields, parse_where, seconds
 from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.options import Options, check_fields, seconds
 from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.shared_update import SharedUpdate
@@ -48,6 +48,7 @@ from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import Encoding, ValueType, value_type
 from rcp_kernel.wire import Reply, Request, error_body
+from rcp_scheduling.turns import Work
 
 __all__ = ["SubscribeHandler"]
 

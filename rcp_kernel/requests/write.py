@@ -10,12 +10,11 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.admission import Admission, Resolver
 from rcp_kernel.requests.atomic_write import AtomicWriteHandler, DryRun
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.keyed_write import KeyedWrites
@@ -24,7 +23,6 @@ from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
 from rcp_kernel.sessions.command import LinkLost
 from rcp_kernel.sessions.long_value import LongValue
-from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -32,6 +30,7 @@ from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, Reply, Request
 from rcp_protocol.structure import LONG
+from rcp_scheduling.turns import Turns
 
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
 

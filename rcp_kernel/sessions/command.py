@@ -23,7 +23,7 @@ from rcp_kernel.errors import (
     Refused,
 )
 from rcp_kernel.sessions.long_value import plain
-from rcp_kernel.sessions.unrecorded import unrecorded
+from rcp_kernel.sessions.substitutes import unrecorded
 from rcp_kernel.spi import Progress
 from rcp_kernel.tree.entry import Entry, is_system
 from rcp_kernel.values import ANY, Encoding

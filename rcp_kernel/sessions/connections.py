@@ -13,18 +13,17 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.pending import to_internal_error
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.errors import QueueFull, RcpError
-from rcp_kernel.sessions.counts import RequestCounts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Handler, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.sessions.unsent import left_out
+from rcp_kernel.sessions.substitutes import left_out
 from rcp_kernel.streams.outbound import SHARE, SMALL, Outbound
 from rcp_kernel.streams.outbox import FlushScheduler, Outbox
 from rcp_kernel.values import Encoding, value_type
@@ -39,6 +38,7 @@ from rcp_kernel.wire import (
     peek_header,
 )
 from rcp_protocol.structure import LONG, check_structure
+from rcp_scheduling.turns import Turns, Work
 
 __all__ = ["Connection", "ConnectionParts"]
 

@@ -19,8 +19,8 @@ from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.streams.filters import Options
 from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.options import Options
 from rcp_store.store import Store
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.clock import Clock, iso
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import Peer
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.subscription import Subscription
@@ -189,19 +189,36 @@ class Session:
 
     @property
     def holder(self) -> str:
-        """The holder of what the session acquires: itself, or its principal if it is shared."""
+        """The holder of what the session acquires: itself, or its principal if others act for it too."""
         return self.holders[0]
 
     @property
     def holders(self) -> tuple[str, ...]:
         """Whose holdings are the session's: its own, and those of its principal as a whole."""
         whole = f"{self.principal.proof}:{self.principal.name}"
-        return (whole,) if self.shared else (self.id, whole)
+        # A person may come by several hubs, which tell their own sessions apart themselves.
+        as_person = self.shared or self.principal.via is not None
+        return (whole,) if as_person else (self.id, whole)
 
     @property
     def stateless(self) -> bool:
         """Whether the session belongs to a transport without connections (HTTP)."""
         return self.connection is None and self.cut is None
+
+    def place(self, request: Request, most: int) -> str:
+        """Return the place of a request among at most so many unanswered ones.
+
+        :raises DuplicateRequest: the id is in use.
+        :raises QueueFull: there is no place left.
+        """
+        inflight = self.inflight
+        if len(inflight) >= most:
+            raise QueueFull(f"this session already has {len(inflight)} unanswered requests")
+        if request.id is None or (self.connection is None and self.stateless):
+            return f"\0{secrets.token_hex(8)}"
+        if request.id in inflight:
+            raise DuplicateRequest(f"a request with the id '{request.id}' is still unanswered")
+        return request.id
 
     def charge(self) -> None:
         """Count a request without an envelope.

@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable
 from typing import Any, NamedTuple, Protocol
 
+from rcp_conditions.filters import Change
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streams.filters import Change
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.streams.path_subscription import PathSubscription, Subscriber
 from rcp_kernel.streams.shared_update import SharedUpdate

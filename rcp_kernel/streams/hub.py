@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.contract.timers import Timers
 from rcp_kernel.streams.deadline_monitor import DeadlineMonitor
 from rcp_kernel.streams.demand import AbsentListener, DemandTracker, absent_listener
 from rcp_kernel.streams.feeds import new_path_subscription
@@ -22,6 +21,7 @@ from rcp_kernel.streams.shared_fanout import (
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry, Listener
 from rcp_kernel.tree.registry import Registry
+from rcp_scheduling.timers import Timers
 
 __all__ = ["Hub"]
 
@@ -171,11 +171,6 @@ class Hub:
         # A new list, because a sample may just be being offered to the old one.
         entry.listeners = [listener for listener in entry.listeners if listener is not feed]
         return True
-
-    @staticmethod
-    def keep(entry: Entry) -> None:
-        """Keep the whole history of a path even without subscribers."""
-        _keep_history(entry, 0.0)
 
     def listen(self, entry: Entry, listener: Listener) -> None:
         """Offer every sample to a listener of the gateway, and keep the source running for it."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
 
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.streams.feeds import new_path_subscription
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.notices import notice
@@ -18,6 +17,7 @@ from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
+from rcp_scheduling.turns import Turns, Work
 
 __all__ = ["Links"]
 

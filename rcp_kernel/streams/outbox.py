@@ -351,12 +351,11 @@ class Outbox:
         elif out and self.framing is not None:
             text = self.text
             frame = self.framing
-            if len(out) == 1 and not long:
-                out[0] = frame(len(out[0]), text) + out[0]
-            elif long:  # the head is a separate part, so that a long body is not copied
+            if long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]
             else:
-                out = [frame(len(data), text) + data for data in out]
+                for place, data in enumerate(out):
+                    out[place] = frame(len(data), text) + data
         pending = self.pending
         if not pending or self.control or self.feedback or self.paused:
             return out

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from rcp_kernel.streams.filters import seconds
+from rcp_kernel.streams.options import seconds
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.samples import Sample
 

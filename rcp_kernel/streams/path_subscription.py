@@ -10,8 +10,9 @@ from collections.abc import Callable, Container, Iterable
 from typing import Any, Protocol
 from weakref import WeakValueDictionary
 
+from rcp_conditions.filters import Where
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streams.filters import Options, Where
+from rcp_kernel.streams.options import Options
 from rcp_kernel.streams.outbox import Framing, Outbox, Wrap
 from rcp_kernel.streams.special_updates import first_native, shortened, spliced
 from rcp_kernel.tree.entry import Entry

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from typing import Any, Protocol
 
+from rcp_conditions.filters import Where, parse_where
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.model import Pattern
 from rcp_kernel.streams.filtered import View
-from rcp_kernel.streams.filters import Options, Where, parse_where
 from rcp_kernel.streams.framed import FrameView
+from rcp_kernel.streams.options import Options
 from rcp_kernel.streams.outbox import Outbox
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.entry import Entry

@@ -8,7 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Anchor, FrameTree, Host, Publication, RobotFacts, StopPlan
+from rcp_kernel.spi import (
+    Anchor,
+    FrameTree,
+    Host,
+    OwnLeases,
+    Publication,
+    RobotFacts,
+    StopPlan,
+)
 
 __all__ = ["Recorder"]
 
@@ -108,6 +116,9 @@ class Recorder:
     def own_estop(
         self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
     ) -> None:
+        """Do nothing: no robot has a gateway of its own."""
+
+    def own_leases(self, robot: str, leases: OwnLeases | None) -> None:
         """Do nothing: no robot has a gateway of its own."""
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:

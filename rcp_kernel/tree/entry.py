@@ -14,9 +14,18 @@ from typing import Any, Literal, Protocol
 from rcp_kernel.clock import Clock, now
 from rcp_kernel.errors import AdapterUnavailable, RcpError
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
-from rcp_kernel.spi import Anchor, Backend, FrameTree, MotionState, RobotFacts
+from rcp_kernel.spi import (
+    Anchor,
+    Backend,
+    FrameTree,
+    MotionState,
+    OwnLeases,
+    RobotFacts,
+    RobotLease,
+    RobotLeaseRequest,
+)
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
-from rcp_kernel.tree.samples import Sample, encoded_of
+from rcp_kernel.tree.samples import Form, Sample, form_of, forms
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
@@ -115,6 +124,7 @@ class Entry:
         "feedback_type",
         "input_type",
         "is_hold",
+        "keeps_history",
         "kind",
         "label",
         "latest",
@@ -181,6 +191,8 @@ class Entry:
         self.numbered = False
         """Whether its samples have the numbers of their source: `Encoded`."""
         self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
+        self.keeps_history = False
+        """Whether its whole history is stored even without subscribers."""
         self.listeners: list[Listener] = []
         self.sustained = 0.0
         """Rate in Hz at which it is published regardless of subscribers."""
@@ -206,18 +218,21 @@ class Entry:
     def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
-        usual = type(value) is self.value_type.type
-        if not usual and (encoded := encoded_of(value)) is not None:
-            if self.latest is not None and encoded.seq <= self.seq:
+        form: Form = "value"
+        if type(value) is not self.value_type.type:  # the usual value has no other form
+            kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+            form = forms.get(kind) or form_of(value)
+        if form == "encoded":
+            if self.latest is not None and value.seq <= self.seq:
                 return self.latest
             self.numbered = True
-            self.seq, timestamp = encoded.seq, encoded.timestamp
+            self.seq, timestamp = value.seq, value.timestamp
         elif self.numbered:  # its source is to publish it, with a number
-            self.latest = Sample(self, value, timestamp or received, received, self.seq)
+            self.latest = Sample(self, value, timestamp or received, received, self.seq, form)
             return self.latest
         else:
             self.seq += 1
-        sample = Sample(self, value, timestamp or received, received, self.seq)
+        sample = Sample(self, value, timestamp or received, received, self.seq, form)
         latest = self.latest
         if latest is not None:
             latest.release()
@@ -231,22 +246,29 @@ class Entry:
             self.size_ring()
         return sample
 
+    def keep_history(self) -> None:
+        """Store the whole history even without subscribers."""
+        self.keeps_history = True
+        self.size_ring()
+
     def size_ring(self) -> None:
         """Store as many samples as history and memory allow, fewer without subscribers."""
-        wanted = self.resource.history if self.listeners else _IDLE_HISTORY
-        wanted = min(wanted, self.resource.history)
+        length = self.resource.history
+        if not (self.listeners or self.keeps_history):
+            length = min(length, _IDLE_HISTORY)
         if self.latest is not None and self.value_type.grows:
             try:
-                wanted = min(wanted, _HISTORY_BYTES // max(1, self.latest.weight()))
+                length = min(length, _HISTORY_BYTES // max(1, self.latest.weight()))
             except RcpError:
-                wanted = 1
-        wanted = max(1, wanted)
-        if wanted != self.ring.maxlen:
-            self.ring = deque(self.ring, maxlen=wanted)
+                length = 1
+        length = max(1, length)
+        if length != self.ring.maxlen:
+            self.ring = deque(self.ring, maxlen=length)
 
     def adopt(self, old: Entry) -> None:
         """Go on where an entry of the same path left off: number, samples and listeners."""
         self.seq, self.numbered = old.seq, old.numbered
+        self.keeps_history = old.keeps_history
         self.listeners = old.listeners
         self.sustained = old.sustained
         self.written = old.written
@@ -274,6 +296,7 @@ class StopGroup:
         "lost",
         "name",
         "own",
+        "own_leases",
         "owner",
         "retired",
         "robot",
@@ -314,6 +337,8 @@ class StopGroup:
         """Where one of its frames is fixed to the earth."""
         self.frames: FrameTree | None = None
         """The transforms between its frames, if its backend receives them."""
+        self.own_leases: OwnLeases | None = None
+        """The leases on it, as its own gateway says, if it has one that can be asked."""
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches
@@ -430,6 +455,14 @@ class StopGroup:
         :raises RcpError: it refuses, or cannot be reached.
         """
         await self._open().reset_estop(self.robot)
+
+    async def lease_own(self, request: RobotLeaseRequest) -> RobotLease:
+        """Ask its own gateway for a lease: see `Backend.lease`.
+
+        :raises RcpError: it refuses, or cannot be reached.
+        """
+        assert self.robot is not None
+        return await self._open().lease(self.robot, request)
 
     async def hold(self) -> None:
         """Bring it to rest without an e-stop.

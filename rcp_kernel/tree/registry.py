@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import PluginError, RcpError
 from rcp_kernel.model import Kind, Pattern, Resource, full_path, kind_of
-from rcp_kernel.tree.entry import Entry, Owner
+from rcp_kernel.tree.entry import Entry, Owner, StopGroup
 from rcp_kernel.values import value_type
 
 __all__ = ["Registry"]
@@ -34,6 +34,8 @@ class Registry:
         self.on_removed: list[Callable[[Entry], None]] = []
         self.on_state: list[Callable[[], None]] = []
         """Called when the state of some robot, or what is known of it, may have changed."""
+        self.on_leases: list[Callable[[StopGroup], None]] = []
+        """Called when a robot's own gateway has said who holds leases on it."""
         self._growing: list[Owner] = []
         """Backends that have not declared all that they may have."""
         self._index: list[str] | None = None
@@ -90,6 +92,11 @@ class Registry:
         """Announce that the state of some robot, or what is known of it, may have changed."""
         for callback in self.on_state:
             callback()
+
+    def leases_told(self, unit: StopGroup) -> None:
+        """Announce what a robot's own gateway says of leases on it."""
+        for callback in self.on_leases:
+            callback(unit)
 
     def grow(self, owner: Owner, *, growing: bool) -> None:
         """Record whether a backend may declare more resources: it is opening, or discovering."""

@@ -16,7 +16,7 @@ from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value
 from rcp_kernel.wire import Body, encode_frame
 from rcp_protocol.plain import is_map
 
-__all__ = ["NATIVE", "Fields", "Rendering", "Sample", "encoded_of", "masked", "project"]
+__all__ = ["NATIVE", "Fields", "Rendering", "Sample", "form_of", "forms", "masked", "project"]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
@@ -25,22 +25,16 @@ _BYTES = value_type(bytes)
 _JSON = Encoding.JSON  # Python 3.11 takes 0.1 µs to look it up in the enum
 _BODIES = {encoding: f"body in {encoding}" for encoding in Encoding}
 """Keys of bodies among a sample's encodings."""
-_Form = Literal["value", "native", "encoded"]
-_forms: dict[type, _Form] = {}
+Form = Literal["value", "native", "encoded"]
+forms: dict[type, Form] = {}
 """Which protocol values of a type follow: asking the protocol itself takes 8 µs."""
 
 
-def _form(value: Any) -> _Form:
-    """Find out the form of a type's first value; callers look at `_forms` first."""
-    form: _Form = "native" if isinstance(value, Native) else "value"
-    form = _forms[type(value)] = "encoded" if isinstance(value, Encoded) else form
+def form_of(value: Any) -> Form:
+    """Find out the form of a type's first value; callers look at `forms` first."""
+    form: Form = "native" if isinstance(value, Native) else "value"
+    form = forms[type(value)] = "encoded" if isinstance(value, Encoded) else form
     return form
-
-
-def encoded_of(value: Any) -> Encoded | None:
-    """Return a value that has its number and encoding from elsewhere; None for any other."""
-    kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
-    return value if (_forms.get(kind) or _form(value)) == "encoded" else None
 
 
 class Rendering:
@@ -117,22 +111,24 @@ class Sample(Body):
         "timestamp",
     )
 
-    def __init__(self, entry: Source, value: Any, timestamp: int, received: int, seq: int) -> None:
+    def __init__(
+        self,
+        entry: Source,
+        value: Any,
+        timestamp: int,
+        received: int,
+        seq: int,
+        form: Form = "value",
+    ) -> None:
         self.entry = entry
         self.timestamp = timestamp
         """Source time, ns since the epoch."""
         self.received = received
         self.seq = seq
-        self.native: Native | None = None
+        self.native: Native | None = None if form == "value" else value
         """The backend's own form of the value."""
-        self._encoding: Encoding | None = None
+        self._encoding: Encoding | None = value.encoding if form == "encoded" else None
         """Of the bytes of `native`, where they are the value in an encoding."""
-        if type(value) is not entry.value_type.type:  # the usual value is nothing else
-            kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
-            form = _forms.get(kind) or _form(value)
-            if form != "value":
-                self.native = value
-                self._encoding = value.encoding if form == "encoded" else None
         self._value = value
         self._checked = False
         self._time: str | None = None
@@ -329,7 +325,7 @@ def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
     """Keep only some fields, nested as they were: `position.x` gives `{"position": {"x": …}}`."""
     out: dict[str, Any] = {}
     for dotted in fields:
-        found = Field(dotted).one(value)
+        field = Field(dotted).one(value)
         names = dotted.split(".")
         place = out
         for name in names[:-1]:
@@ -338,5 +334,5 @@ def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
                 break
             place = inner
         else:
-            place[names[-1]] = to_plain(found)
+            place[names[-1]] = to_plain(field)
     return out

@@ -22,7 +22,7 @@ from rcp_kernel.model import BRANCHES, Policy, operation_names
 from rcp_kernel.requests.discovery import Query
 from rcp_kernel.requests.read import ReadOptions
 from rcp_kernel.sessions.hello import Hello
-from rcp_kernel.streams.filters import Options, Qos
+from rcp_kernel.streams.options import Options, Qos
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 from rcp_leases import LeaseRequest
 from rcp_store.store import Store

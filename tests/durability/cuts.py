@@ -4,7 +4,7 @@ A hub and a robot's gateway in one process, with a TCP proxy between the robot a
 breaks connections, refuses new ones for a while, freezes old ones and lets their bytes through after
 those of new ones, and slows. Meanwhile clients of the hub send commands with feedback, writes and
 plans, and a client of the robot itself, over a link of its own, holds a lease and a reliable
-subscription. By hand: `python tests/durability/cuts.py CUTS SEED`.
+subscription. The two contend for another lease, and never both hold it. By hand: `python tests/durability/cuts.py CUTS SEED`.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from rcp_client.settings import Settings
 from rcp_fleet.link import FleetLink, FleetLinks
 from rcp_fleet.link_names import LinkNames
 from rcp_kernel.app.log import configure
+from rcp_kernel.clock import now, parse_time
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Resource
@@ -45,6 +46,7 @@ BOUND = 60.0  # s that anything may take to come right after a cut
 SILENCE = 1.0  # s
 FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
 COMMANDERS = 4
+TTL = 2.0  # s of the lease that both sides want: some expire during a cut
 
 _OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
 _KEYS = f'[[keys]]\nname = "operator"\nrole = "operator"\nkey = "{OPERATOR}"\n'
@@ -94,9 +96,15 @@ class Robot:
             ),
             Resource(name="service/run", description="Runs.", **text),
             Resource(name="service/own", description="Runs under a lease.", **text),
+            Resource(name="service/ours", description="Both sides want it.", **text),
             Resource(name="param/label", description="A label.", value=str),
             Resource(name="sensor/level", description="A level.", value=quantity("m"), live=True),
-            behaviours={"action/go": self.go, "service/run": self.run, "service/own": self.run},
+            behaviours={
+                "action/go": self.go,
+                "service/run": self.run,
+                "service/own": self.run,
+                "service/ours": self.run,
+            },
         )
         robot.takes["param/label"] = self.take
         measuring = asyncio.create_task(_measure(robot))
@@ -122,6 +130,8 @@ class Campaign:
         self.seen: list[int] = []
         self.gaps: list[tuple[int, int]] = []
         self.fresh = asyncio.Event()
+        self.hub_holds = 0
+        """Until when the hub's lease on what both sides want holds, ns; 0: it has none."""
         self.over = False
 
     async def command(self, client: MemoryClient, name: str) -> None:
@@ -168,6 +178,43 @@ class Campaign:
                 self.counts[f"under a lease {error.code}"] += 1
             if self.over:
                 return
+
+    async def contend(self, client: Client) -> None:
+        """Acquire at the robot what somebody at the hub wants too, again and again."""
+        path = "/tenant/alpha/service/ours"
+        while not self.over:
+            try:
+                async with client.lease(path, ttl=TTL):
+                    assert now() > self.hub_holds, "the hub and the robot both granted a lease"
+                    self.counts["robot's lease"] += 1
+                    await asyncio.sleep(random.uniform(0, 0.2))
+            except RcpError as error:
+                self.counts[f"robot's lease {error.code}"] += 1
+            await asyncio.sleep(random.uniform(0.05, 0.3))
+
+    async def contend_at_hub(self, client: MemoryClient) -> None:
+        """Acquire and use at the hub what somebody at the robot wants too, again and again."""
+        path = "/tenant/alpha/service/r7/ours"
+        for number in range(1_000_000):
+            if self.over:
+                return
+            got = await self._lease(client, {"do": "acquire", "scope": path, "ttl": TTL})
+            if got["status"] == "completed":
+                self.hub_holds = parse_time(got["body"]["expires"])
+                mark = f"ours-{number}"
+                sent = {"type": "execute", "path": path, "body": mark, "idempotency_key": mark}
+                replies = await client.replies(await client.send(sent), BOUND)
+                self.outcomes[mark] = [reply["status"] for reply in replies]
+                self.hub_holds = 0
+                await self._lease(client, {"do": "release", "scope": path})
+            await asyncio.sleep(random.uniform(0.05, 0.3))
+
+    async def _lease(self, client: MemoryClient, body: dict[str, Any]) -> dict[str, Any]:
+        sent = {"type": "execute", "path": "/system/leases", "body": body}
+        (reply,) = await client.replies(await client.send(sent), BOUND)
+        code = reply["error"]["code"] if reply.get("error") else reply["status"]
+        self.counts[f"hub's lease {body['do']} {code}"] += 1
+        return reply
 
     def check(self) -> None:
         """Raise AssertionError with what is wrong."""
@@ -282,8 +329,8 @@ async def campaign(cuts: int) -> Counter[str]:
         gateways: dict[str, Any] = getattr(fleet, "gateways")  # noqa: B009 - of another type
         await _until(lambda: "r7" in gateways and gateways["r7"].ready, "the robot is there")
         own = await enter(_own_client(port, one))
-        clients = [hub.client(OPERATOR) for _ in range(COMMANDERS)]
-        for client in clients:
+        *clients, rival = (hub.client(OPERATOR) for _ in range(COMMANDERS + 1))
+        for client in (*clients, rival):
             stack.push_async_callback(client.close)
         listening = asyncio.create_task(one.listen(own))
         tasks = [
@@ -291,6 +338,8 @@ async def campaign(cuts: int) -> Counter[str]:
             for place, client in enumerate(clients)
         ]
         tasks.append(asyncio.create_task(one.hold(own)))
+        tasks.append(asyncio.create_task(one.contend(own)))
+        tasks.append(asyncio.create_task(one.contend_at_hub(rival)))
         kinds = _cuts(cable)
         for number in range(cuts):
             name = list(kinds)[number % len(kinds)]

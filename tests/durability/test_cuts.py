@@ -30,3 +30,6 @@ def test_every_command_ends_once_and_runs_once_however_often_the_link_is_cut() -
     assert counts["action/r7/go completed"]
     assert counts["plan completed"]
     assert counts["under a lease"]
+    assert counts["hub's lease acquire completed"]
+    assert counts["hub's lease acquire lease_held"]
+    assert counts["robot's lease"]

@@ -17,7 +17,6 @@ from structlog.testing import capture_logs
 from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared, world_of
 from rcp_kernel.app import plugins
 from rcp_kernel.app.features import active
-from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import load, parse
@@ -25,6 +24,7 @@ from rcp_kernel.errors import ConfigError, Forbidden, PluginError
 from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot
 from rcp_kernel.features.approval import APPROVALS
 from rcp_kernel.types import Twist
+from rcpd.reload import reload
 
 pytestmark = pytest.mark.anyio
 OFF = "\n[features]\n" + "".join(f"{name} = false\n" for name in BUILTIN)

@@ -26,7 +26,7 @@ def break_(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> NoReturn:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("rcp_kernel.sessions.resolver.Resolver.resolve", broken)
+    monkeypatch.setattr("rcp_kernel.requests.admission.Resolver.resolve", broken)
     monkeypatch.setattr("rcp_kernel.requests.read._READ", 0)  # no read is answered without it
 
 

@@ -8,9 +8,9 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
-from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import Server, prepare, running
 from rcp_kernel.config.file import load
+from rcpd.reload import reload
 
 pytestmark = pytest.mark.anyio
 SAFE = """

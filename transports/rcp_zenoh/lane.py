@@ -57,6 +57,7 @@ class Lane:
         "_publisher",
         "_session",
         "_size",
+        "_step",
         "acknowledged",
         "parts",
         "received",
@@ -70,6 +71,7 @@ class Lane:
         self._session, self._key, self._priority = session, key, priority
         self._publisher: zenoh.Publisher | None = None
         self._delay = DelayWindow(PART) if priority is Priority.BULK else None
+        self._step = 1 if priority is Priority.BULK else WINDOWS[priority] // 4
         self.sent = self.written = 0
         """Messages and bytes sent."""
         self.taken = 0
@@ -101,8 +103,7 @@ class Lane:
     def due(self) -> bool:
         """Whether the other end should be told what was received: it may wait for room."""
         unsaid = self.received - self.acknowledged
-        step = 1 if self._priority is Priority.BULK else WINDOWS[self._priority] // 4
-        return unsaid > 0 and (not self.acknowledged or unsaid >= step)
+        return unsaid >= self._step or (unsaid > 0 and not self.acknowledged)
 
     def count(self, size: int) -> None:
         """Number a message to send."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from datetime import UTC, datetime
+from functools import lru_cache
 
 from rcp_protocol.errors import BadRequest
 
@@ -47,6 +48,13 @@ def _text_of(second: int) -> str:
     return text
 
 
+@lru_cache(maxsize=_MAX_SECONDS)
+def _second_of(text: str, zone: str) -> int:
+    """Return the seconds since the epoch; raises ValueError for a day or an hour that is none."""
+    offset = "+00:00" if zone in "Zz" else zone
+    return int(datetime.fromisoformat(text.upper() + offset).astimezone(UTC).timestamp())
+
+
 def parse_time(value: str | float) -> int:
     """Parse a `timestamp`, ISO 8601 in UTC or epoch seconds; return ns since the epoch.
 
@@ -60,9 +68,7 @@ def parse_time(value: str | float) -> int:
         match = _ISO.match(value)
         if match is None:
             raise ValueError(value)
-        zone = "+00:00" if match[3] in "Zz" else match[3]
-        whole = datetime.fromisoformat(match[1].upper() + zone).astimezone(UTC)
-        return int(whole.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
+        return _second_of(match[1], match[3]) * _SECOND + int((match[2] or "0").ljust(9, "0"))
     except (ValueError, OverflowError):
         raise BadRequest(
             f"timestamp {str(value)[:40]!r} is not a timestamp",

@@ -110,7 +110,7 @@ async def _client(stack: AsyncExitStack, gateway: Served, secret: str = OPERATOR
     return client
 
 
-async def _opened(
+async def opened(
     stack: AsyncExitStack, url: str, robots: int, heard: Heard | None = None
 ) -> Person:
     """Connect to a hub's process once it listens, and wait until it has all robots."""
@@ -166,12 +166,12 @@ async def test_a_person_whose_hub_is_killed_goes_on_with_the_other(tmp_path: Pat
         first = await stack.enter_async_context(
             process_of(tmp_path / "h1.toml", pair.hub("h1", listens=True))
         )
-        person = await _opened(stack, pair.urls, 2, heard)
+        person = await opened(stack, pair.urls, 2, heard)
         # The other one starts later: it knows nothing of what was before, but the robot does.
         await stack.enter_async_context(
             process_of(tmp_path / "h2.toml", pair.hub("h2", listens=True))
         )
-        await _opened(stack, pair.urls.split(",")[1], 2)
+        await opened(stack, pair.urls.split(",")[1], 2)
         cart.measure("sensor/count", 1.0)
         seen = aiter(person.subscribe(_COUNT, reliable=True))
         assert (await anext(seen)).body == 1.0
@@ -210,7 +210,7 @@ async def test_a_typescript_client_whose_hub_is_killed_goes_on_with_the_other(
             for hub in pair.ports
         }
         for url in pair.urls.split(","):
-            await _opened(stack, url, 1)
+            await opened(stack, url, 1)
         cart.measure("sensor/count", 1.0)
         client = await asyncio.create_subprocess_exec(
             found, "--no-warnings", "test/failover.ts",

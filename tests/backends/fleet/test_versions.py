@@ -49,7 +49,9 @@ async def test_a_gateway_without_what_later_ones_offer_is_used_and_what_it_lacks
         client = hub.client(ADMIN)
         async with serving(_early(port)):
             await appears(client, _POSE)
-            await _lacks(client, "/system/robots", "/system/status", "/system/tree")
+            await _lacks(
+                client, "/system/leases", "/system/robots", "/system/status", "/system/tree"
+            )
             assert (await client.request("read", _POSE, body={"fresh": True}))["body"]
             goal = {"position": {"x": 0.1, "y": 0.0}}
             assert (await client.request("execute", _MOVE, body=goal))["status"] == "completed"

@@ -13,11 +13,11 @@ from kernel.world import CONFIG, Client, World, world_of
 from rcp_kernel.app.server import prepare
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import parse
-from rcp_kernel.contract import turns
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 from rcp_kernel.testing import SteppedClock
+from rcp_scheduling import turns
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"

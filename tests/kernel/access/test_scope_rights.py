@@ -10,12 +10,12 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.role import Role, Rule
-from rcp_kernel.contract.turns import at_once
 from rcp_kernel.features import Scope
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import quantity
+from rcp_scheduling.turns import at_once
 
 COMMANDING = Operation.WRITE | Operation.EXECUTE
 ALL = Scope("/tenant/alpha")

@@ -28,7 +28,7 @@ class _Deadlines:
 async def test_work_that_never_began_is_closed_when_its_deadline_passes() -> None:
     deadlines, replies = _Deadlines(), list[Reply]()
     unused: Any = SimpleNamespace(conclude=lambda *_: None)
-    session: Any = SimpleNamespace(inflight=set(), principal=None)
+    session: Any = SimpleNamespace(inflight=set(), principal=None, transport="memory")
     inflight = InFlight(unused, unused, unused, deadlines, asyncio.get_running_loop())  # pyright: ignore[reportArgumentType]
     request = Request(type="read", id="1")
 

@@ -16,11 +16,12 @@ from structlog.testing import capture_logs
 
 from configuration import backend, key, listener
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
-from rcp_kernel.app.reload import apply, reload
+from rcp_kernel.app.reload import apply
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import BackendKind, Host
+from rcpd.reload import reload
 
 pytestmark = pytest.mark.anyio
 STRANGER = key("stranger", "stranger-stranger", role="operator")

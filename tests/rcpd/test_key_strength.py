@@ -13,10 +13,10 @@ import pytest
 from click.testing import CliRunner
 
 from durability.process import ADMIN, Served, until
-from rcp_kernel.access.key_strength import entropy, weak_keys
 from rcp_kernel.config.file import parse
 from rcpd.cli import main
 from rcpd.demo import Demo
+from rcpd.key_strength import entropy, weak_keys
 
 ENOUGH = 64
 CONFIG = """

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import uvloop
 
-from rcp_kernel.contract.timers import Timers
+from rcp_scheduling.timers import Timers
 
 Loops = Callable[[], asyncio.AbstractEventLoop]
 LOOPS = pytest.mark.parametrize("new_loop", [asyncio.new_event_loop, uvloop.new_event_loop])

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from rcp_kernel.contract.shared_work import SharedWork
+from rcp_scheduling.shared_work import SharedWork
 
 pytestmark = pytest.mark.anyio
 

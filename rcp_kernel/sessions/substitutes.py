@@ -1,11 +1,11 @@
-"""The substitute for a reply that is too long for a client's queue."""
+"""Replies sent in place of others: of one that is too long for its client, and of one that is not recorded."""
 
 from __future__ import annotations
 
-from rcp_kernel.errors import QueueFull
+from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
 from rcp_kernel.wire import Reply, failure
 
-__all__ = ["left_out"]
+__all__ = ["left_out", "unrecorded"]
 
 _ACTS = ("write", "execute")
 
@@ -29,4 +29,20 @@ def left_out(reply: Reply, size: int) -> Reply:
     if acted and substitute.error is not None:
         substitute.status = "failed"
         substitute.error["retryable"] = False
+    return substitute
+
+
+def unrecorded(reply: Reply, why: str = "could not be written in time") -> Reply:
+    """Return a reply that confirms nothing, and contains the true outcome in `details`."""
+    error = reply.error
+    outcome = reply.status if error is None else error["code"]
+    unknown: RcpError = DeadlineExceeded(
+        f"its audit record {why}, so it cannot be confirmed",
+        remedy="Check the state of the robot and /system/status before you send it again.",
+        details={"outcome": outcome},
+    )
+    substitute = failure(unknown, reply.type, reply.id, reply.path, command=reply.command)
+    substitute.custom = reply.custom
+    assert substitute.error is not None
+    substitute.error["retryable"] = False  # it may have been executed
     return substitute

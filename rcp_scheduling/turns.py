@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 
 import structlog
 
-from rcp_kernel.errors import QueueFull
+from rcp_protocol.errors import QueueFull
 
 __all__ = ["Turns", "Work", "at_once"]
 

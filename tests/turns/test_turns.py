@@ -12,8 +12,8 @@ import pytest
 import uvloop
 
 from kernel.world import BOUND
-from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.errors import QueueFull
+from rcp_scheduling.turns import Turns, Work
 
 pytestmark = pytest.mark.anyio
 
