@@ -1,9 +1,10 @@
 """The ROS 2 backend beside a bare server of the same work. Run: python benchmarks/beside_rosbridge.py
 
-python benchmarks/beside_rosbridge.py [NAME…] runs only the cases so named. The servers run on one core, publisher
-and clients on the other; figures are per CPU-second of the server. rosbridge_suite is not on PyPI:
-to measure it, start it with a sourced ROS 2 and point `ros2/publisher.py` and `ros2/client.py
-rosbridge ws://…:9090` at it.
+python benchmarks/beside_rosbridge.py [NAME…] runs only the cases so named: by the gateway's own protocol (`gateway`), and
+by rosbridge at the gateway (`rosbridge`). The servers run on one core, publisher
+and clients on the other; figures are per CPU-second of the server. rosbridge_suite is not on PyPI: where a
+ROS 2 with it is sourced, RUN_ROSBRIDGE="ros2 launch rosbridge_server rosbridge_websocket_launch.xml port:={port}" has it
+measured too (`suite`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shlex
 import socket
 import subprocess
 import sys
@@ -27,6 +29,9 @@ from rcp_ros2 import PROFILE
 
 HERE = Path(__file__).parent / "ros2"
 SECONDS = 4.0
+SUITE = os.environ.get("RUN_ROSBRIDGE", "")
+ROSBRIDGE = {"json": "json", "native": "cbor-raw"}
+"""The compression of rosbridge for an encoding of the gateway's own protocol."""
 ROUNDS = int(os.environ.get("ROUNDS", "3"))
 SERVER, OTHERS = [0], [1]
 
@@ -70,6 +75,7 @@ port = {port}
 [plugins.foxglove]
 [anonymous]
 role = "operator"
+[plugins.rosbridge]
 [[backends]]
 use = "ros2"
 tenant = "t"
@@ -106,7 +112,7 @@ def open_port(port: int) -> None:
 
 
 def run(case: Case, server: str) -> dict[str, float]:
-    """Run one case against `gateway` or `floor`; return what arrived and what it cost."""
+    """Run one case against a server; return what arrived and what it cost."""
     port, env = free_port(), environment()
     with ExitStack() as stack:
 
@@ -131,21 +137,35 @@ def run(case: Case, server: str) -> dict[str, float]:
             served = start(SERVER, sys.executable, str(HERE / "floor.py"), str(port), *follow)
             encoding = "msgpack" if case.floor == "binary" else case.floor
             asked += ["bare", f"ws://127.0.0.1:{port}", "--encoding", encoding]
+        elif server == "suite":
+            served = start(SERVER, *shlex.split(SUITE.format(port=port)))
+            asked += [
+                "rosbridge",
+                f"ws://127.0.0.1:{port}",
+                "--topic",
+                "/value",
+                "--type",
+                case.type,
+            ]
+            asked += ["--encoding", ROSBRIDGE[case.encoding]]
         else:
             path = stack.enter_context(tempfile.NamedTemporaryFile("w", suffix=".toml"))
             typed = f', type = "{case.type}"' if case.type else ', type = "std_msgs/msg/Bool"'
             path.write(CONFIG.format(port=port, more=typed))
             path.flush()
             served = start(SERVER, "rcpd", "serve", path.name)
-            if case.encoding == "cdr":
+            if server == "rosbridge":
+                asked += ["rosbridge", f"ws://127.0.0.1:{port}/rosbridge", "--topic", "/value"]
+                asked += ["--encoding", ROSBRIDGE[case.encoding]]
+            elif case.encoding == "cdr":
                 asked += ["foxglove", f"ws://127.0.0.1:{port}/foxglove/t", "--topic", "/value"]
+                asked += ["--encoding", case.encoding]
             else:
-                asked += ["rcp", f"ws://127.0.0.1:{port}/rcp/v1/ws"]
+                asked += ["rcp", f"ws://127.0.0.1:{port}/rcp/v1/ws", "--encoding", case.encoding]
                 asked += ["--topic", "/tenant/t/sensor/value"]
-            asked += ["--encoding", case.encoding]
         open_port(port)
         if case.service:
-            name = "/reset" if server == "floor" else "/tenant/t/service/reset"
+            name = "/tenant/t/service/reset" if server == "gateway" else "/reset"
             asked += ["--service", name]
             time.sleep(3.0)  # for discovery
         asked += ["--clients", str(case.clients), "--seconds", str(SECONDS), "--settle", "3"]
@@ -153,11 +173,16 @@ def run(case: Case, server: str) -> dict[str, float]:
         info = psutil.Process(served.pid)
         assert client.stdout
         line_of(client)
-        before = info.cpu_times()
+        before = cpu_of(info)
         result = json.loads(line_of(client))
-        after = info.cpu_times()
-    cpu = after.user + after.system - before.user - before.system
+        cpu = cpu_of(info) - before
     return {**result, "cpu": cpu, "per_cpu": result["frames"] / max(cpu, 0.001)}
+
+
+def cpu_of(process: psutil.Process) -> float:
+    """Return the CPU time of a process and of those it has started, in s."""
+    times = [one.cpu_times() for one in (process, *process.children(recursive=True))]
+    return sum(one.user + one.system for one in times)
 
 
 def show(case: Case, name: str, found: dict[str, float]) -> None:
@@ -173,13 +198,21 @@ def show(case: Case, name: str, found: dict[str, float]) -> None:
 
 def beside(case: Case) -> None:
     print(case.name, flush=True)
-    ratios = []
+    names = ["floor", "gateway"]
+    if case.encoding in ROSBRIDGE:
+        names += ["rosbridge", "suite"] if SUITE else ["rosbridge"]
+    found: dict[str, list[float]] = {name: [] for name in names}
     for _ in range(ROUNDS):
-        floor, ours = run(case, "floor"), run(case, "gateway")
-        show(case, "floor", floor)
-        show(case, "gateway", ours)
-        ratios.append(ours["per_cpu"] / max(floor["per_cpu"], 0.001))
-    print(f"  ratio {sorted(ratios)[len(ratios) // 2]:.2f} of the floor (median)")
+        for name in names:
+            result = run(case, name)
+            show(case, name, result)
+            found[name].append(result["per_cpu"])
+    medians = {name: sorted(values)[len(values) // 2] for name, values in found.items()}
+    for name in names[1:]:
+        text = f"  {name}: {medians[name] / max(medians['floor'], 0.001):.2f} of the floor"
+        if name != "gateway":
+            text += f", {medians[name] / max(medians['gateway'], 0.001):.2f} of the gateway's own protocol"
+        print(text)
 
 
 if __name__ == "__main__":

@@ -133,9 +133,11 @@ def test_every_transport_of_the_house_is_told() -> None:
             assert f"`[transports.{name}]`" not in text
 
 
+_ADAPTERS = "[plugins.a2a]\n[plugins.foxglove]\n[plugins.mcp]\n[plugins.rosbridge]\n"
+
+
 def test_every_adapter_of_the_house_is_told() -> None:
-    text = "[plugins.a2a]\n[plugins.foxglove]\n[plugins.mcp]\n"
-    for name, kind in Plugins(parse(text, "test")).adapters.items():
+    for name, kind in Plugins(parse(_ADAPTERS, "test")).adapters.items():
         agree(section(PAGE, f"`[plugins.{name}]`"), kind.config)
 
 
