@@ -36,13 +36,18 @@ async def armed(client: Page) -> None:
     raise AssertionError(result)
 
 
+def _has_fix(message: dict[str, Any]) -> bool:
+    """Tell whether a vehicle that has just started knows its position."""
+    return message["msg"]["latitude"] is not None
+
+
 async def test_a_page_for_ros_robots_flies_a_drone() -> None:
     async with site(OPEN, DRONE) as gateway, page(gateway) as client:
         types = await until_topics(client, "/odom", "/imu/data", "/fix", "/battery_state")
         assert types["/fix"] == "sensor_msgs/msg/NavSatFix"
         assert types["/cmd_vel"] == "geometry_msgs/msg/Twist"
-        fix = await client.message("/fix")
-        assert abs(fix["latitude"]) > 1
+        fix = await client.until(lambda m: m.get("topic") == "/fix" and _has_fix(m), BOUND)
+        assert abs(fix["msg"]["latitude"]) > 1
         await armed(client)
         risen = await goal(client, "/takeoff", altitude=4.0)
         assert risen["result"], risen
