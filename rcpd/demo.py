@@ -22,6 +22,10 @@ name = "rcp-demo"
 port = {port}
 
 [plugins.dashboard]
+
+[plugins.foxglove]
+
+[plugins.rosbridge]
 {a2a}{mcp}
 [log]
 level = "{level}"
@@ -221,6 +225,7 @@ class Demo:
         mcp = f"{url}/mcp               MCP, for AI models"
         if not self._mcp:
             mcp = "To add MCP: pip install 'rcp-gateway[mcp]'"
+        socket = url.replace("http", "ws", 1)
         return f"""\
 RCP gateway demo: {where}
   {url}/                  dashboard (open in a browser)
@@ -228,6 +233,8 @@ RCP gateway demo: {where}
   {url}/metrics           Prometheus metrics
   {a2a}
   {mcp}
+  {socket}/foxglove            for Foxglove and Lichtblick
+  {socket}/rosbridge           for web pages and scripts of ROS robots
 
   operator key  {self._operator}   (reads, writes, commands)
   admin key     {self._admin}   (as operator; also resets an e-stop:

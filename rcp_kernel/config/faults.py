@@ -126,9 +126,9 @@ class Collector:
             self.add(place, f"belongs to the top level of the file: {mend}")
             return None
         near = nearest(key, allowed)
-        advice = f"; did you mean `{near}`?" if near else ""
-        words = ", ".join(sorted(allowed)) or "none"
-        self.add(place, f"unknown key{advice} Allowed: {words}")
+        advice = f"did you mean `{near}`? Allowed: " if near else "allowed: "
+        words = ", ".join(sorted(set(allowed))) or "none"
+        self.add(place, f"unknown key; {advice}{words}")
         return near
 
     def _map(self, node: dict[str, Any], types: tuple[Any, ...], place: Place) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -40,8 +41,25 @@ def fresh_domain() -> int:
             claim.close()
         else:
             claim.detach()
+            _clear()
             return domain
     raise AssertionError("every ROS domain is in use by tests")
+
+
+def _clear() -> None:
+    """Remove the shared memory of killed processes: Fast DDS may wait for ever in front of it.
+
+    Some of it, such as port 7000, is shared by the processes of all domains.
+    """
+    maps = ""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            maps += process.joinpath("maps").read_text()
+    used = set(re.findall(r"/dev/shm/(\S*fastdds_\S+)", maps))
+    for file in Path("/dev/shm").glob("*fastdds_*"):
+        segment = file.name.removeprefix("sem.").removesuffix("_mutex").removesuffix("_el")
+        if used.isdisjoint((segment, f"sem.{segment}_mutex")):
+            file.unlink(missing_ok=True)
 
 
 class Robot:
