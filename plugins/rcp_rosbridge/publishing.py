@@ -32,7 +32,8 @@ class _Outlet:
 
     def __init__(self) -> None:
         self.busy = False
-        self.waiting: deque[Publish] = deque()
+        self.waiting: deque[tuple[Publish, float]] = deque()
+        """Each with the time of its receipt, by the loop's clock."""
 
 
 class Publishing:
@@ -91,15 +92,16 @@ class Publishing:
             if len(self._outlets) >= _MOST:
                 raise BadRequest(f"a client publishes on at most {_MOST} topics")
             outlet = self._outlets[op.topic] = _Outlet()
+        received = self._now()
         if not outlet.busy:
-            self._send(op, outlet)
+            self._send(op, outlet, received)
         elif self._size + len(op.msg) > _BYTES:
             self._skipped(op.topic)
         else:
             self._size += len(op.msg)
-            outlet.waiting.append(op)
+            outlet.waiting.append((op, received))
             if len(outlet.waiting) > _QUEUE:
-                self._size -= len(outlet.waiting.popleft().msg)
+                self._size -= len(outlet.waiting.popleft()[0].msg)
                 self._skipped(op.topic)
 
     def close(self) -> None:
@@ -110,7 +112,10 @@ class Publishing:
         text = f"messages on {topic} come faster than the robot takes them; some were skipped"
         self._context.status.warning(text, None, f"skipped {topic}")
 
-    def _send(self, op: Publish, outlet: _Outlet) -> None:
+    def _now(self) -> float:
+        return self._context.client_api.loop.time()
+
+    def _send(self, op: Publish, outlet: _Outlet, received: float) -> None:
         outlet.busy = True
         id_ = None if op.id_ is None else str(op.id_)
 
@@ -121,7 +126,7 @@ class Publishing:
                 self._context.status.error(text, id_, f"nobody {op.topic}")
                 self._next(outlet, None)
             else:
-                self._pass_on(op, topic, topic.target, outlet)
+                self._pass_on(op, topic, topic.target, outlet, received)
 
         def failed(error: RcpError) -> None:
             self._failed(op.topic, id_, error)
@@ -129,7 +134,9 @@ class Publishing:
 
         self._context.with_graph(use, failed)
 
-    def _pass_on(self, op: Publish, topic: RosTopic, target: Target, outlet: _Outlet) -> None:
+    def _pass_on(
+        self, op: Publish, topic: RosTopic, target: Target, outlet: _Outlet, received: float
+    ) -> None:
         id_ = None if op.id_ is None else str(op.id_)
         try:
             request = self._request(op, topic, target)
@@ -137,6 +144,12 @@ class Publishing:
             self._failed(op.topic, id_, error)
             self._next(outlet, target)
             return
+        if request.valid_for is not None:  # a velocity that has waited must not act any longer
+            request.valid_for -= self._now() - received
+            if request.valid_for <= 0:
+                self._skipped(op.topic)
+                self._next(outlet, target)
+                return
 
         def again(refusal: Reply | None) -> None:
             if refusal is None:
@@ -182,12 +195,14 @@ class Publishing:
         waiting = outlet.waiting
         if target is not None and target.expires:
             while len(waiting) > 1:
-                self._size -= len(waiting.popleft().msg)
+                self._size -= len(waiting.popleft()[0].msg)
         if waiting and not self._context.connection.closed:
-            op = waiting.popleft()
+            op, received = waiting.popleft()
             self._size -= len(op.msg)
             outlet.busy = True
-            self._context.client_api.turns.call(self._context.owner, lambda: self._send(op, outlet))
+            self._context.client_api.turns.call(
+                self._context.owner, lambda: self._send(op, outlet, received)
+            )
 
     def _failed(self, topic: str, id_: str | None, error: RcpError) -> None:
         self._context.status.error(f"{topic}: {sentence(error)}", id_, f"{topic} {error.code}")
