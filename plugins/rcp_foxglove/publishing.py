@@ -17,6 +17,7 @@ __all__ = ["Publishing"]
 
 _WAITING = 16  # messages of a channel while the robot is still busy with an earlier one
 _CHANNELS = 1000
+_BYTES = 4 * 1024 * 1024  # of all that wait, beside the message that each channel may have
 _LISTED = 10
 
 
@@ -45,6 +46,7 @@ class Publishing:
         self._statuses = statuses
         self._valid_for = valid_for
         self._channels: dict[int, _Channel] = {}
+        self._size = 0
 
     @property
     def topics(self) -> set[str]:
@@ -84,7 +86,8 @@ class Publishing:
         if channel is None:
             self._statuses.tell(f"There is no client channel {number}.", WARNING)
             return
-        channel.waiting.clear()
+        while channel.waiting:
+            self._pop(channel)
         self._statuses.remove(channel.status)
         if channel.target is not None:
             self._leases.release(channel.target.path)
@@ -98,10 +101,12 @@ class Publishing:
         if channel.target is None:
             return  # the reason is shown
         channel.waiting.append((payload, self._now()))
+        self._size += len(payload)
         if channel.busy:
             # Of velocities only the newest one matters, and an old one must not come late.
-            if len(channel.waiting) > (1 if channel.target.deadman else _WAITING):
-                channel.waiting.popleft()
+            most = 1 if channel.target.deadman or self._size > _BYTES else _WAITING
+            while len(channel.waiting) > most:
+                self._pop(channel)
                 channel.skipped += 1
             return
         channel.busy = True
@@ -110,10 +115,15 @@ class Publishing:
     async def _write_all(self, channel: _Channel) -> None:
         try:
             while channel.waiting and channel.target is not None:
-                payload, received = channel.waiting.popleft()
+                payload, received = self._pop(channel)
                 await self._write(channel, channel.target, payload, received)
         finally:
             channel.busy = False
+
+    def _pop(self, channel: _Channel) -> tuple[bytes, float]:
+        first = channel.waiting.popleft()
+        self._size -= len(first[0])
+        return first
 
     async def _write(
         self, channel: _Channel, target: Target, payload: bytes, received: float
