@@ -11,7 +11,6 @@ from datetime import datetime
 from functools import lru_cache
 from typing import Any
 
-import cel
 import structlog
 
 from rcp_conditions.cost import ASSUMED, BUDGET, Size, cost, size_of
@@ -94,7 +93,10 @@ class Condition:
                 costly=True,
             )
         try:
-            self._program = cel.compile(write(self._tree))
+            # Here: its package imports a command line, which few gateways need at their start.
+            from cel import compile as compile_cel
+
+            self._program = compile_cel(write(self._tree))
         except Exception as error:
             raise self._wrong(_first_line(error)) from None
         self._afforded: dict[str, Size] = {}

@@ -117,10 +117,6 @@ class StatusView(Protocol):
         """Return the adapters that are installed and do not run, each with the reason and remedy."""
         ...
 
-    def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
-        """Write the Prometheus exposition for a principal, in steps."""
-        ...
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientApiParts:
@@ -144,6 +140,8 @@ class ClientApiParts:
     store: Store
     is_stop: Callable[[Session, Request], bool]
     status: StatusView
+    exposition: Callable[[Rights], Generator[None, None, bytes]]
+    """Writes the Prometheus exposition for a principal, in steps."""
     turns: Turns
     loop: asyncio.AbstractEventLoop
 
@@ -485,7 +483,7 @@ class ClientApi:
 
     def metrics(self, session: Session) -> Generator[None, None, bytes]:
         """Write the Prometheus exposition in steps, without the paths hidden from a session."""
-        return self._parts.status.exposition(session.rights)
+        return self._parts.exposition(session.rights)
 
 
 def _place(mount: Mount) -> tuple[str, str, str, int | None]:

@@ -18,7 +18,7 @@ from msgspec import Meta
 from rcp_kernel.contract.caller import Caller, caller
 from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.errors import UnsupportedOperation
+from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Transform
 from rcp_kernel.values import Encoding
@@ -32,6 +32,7 @@ __all__ = [
     "Dimensions",
     "Encoded",
     "FrameTree",
+    "FrameWatch",
     "Host",
     "MotionState",
     "Native",
@@ -85,7 +86,7 @@ class Encoded(Native, Protocol):
 
 
 class Publication(msgspec.Struct, frozen=True, gc=False):
-    """One value for `Host.publish_batch`."""
+    """One value for `Host.publish_batch`, or read from a robot, with its time."""
 
     name: str
     value: Any
@@ -155,6 +156,10 @@ class RobotLeaseRequest(msgspec.Struct, frozen=True, kw_only=True):
     reason: str | None = None
     heir: Principal | None = None
     """To whom it is handed over."""
+    program: str | None = None
+    """Which of the principal's programs asks, as a digest."""
+    former: str | None = None
+    """The same of the gateway where that program was before, if there is any."""
 
 
 class Watchdog(msgspec.Struct, frozen=True):
@@ -245,6 +250,20 @@ class FrameTree(Protocol):
         ...
 
 
+class FrameWatch(msgspec.Struct, frozen=True):
+    """The values of a resource in a frame, as somebody wants them from the robot's own gateway."""
+
+    frame: str
+    rate: float | None
+    """Hz; None: every sample."""
+    principal: Principal
+    """Who wants them, and whose rights there count."""
+    publish: Callable[[Any], None]
+    """Takes each value: `Encoded`."""
+    missing: Callable[[str], None]
+    """Told why there are none for now, in one sentence."""
+
+
 class Progress(Protocol):
     """Report feedback of a running command; newest wins for a slow client, none are reordered."""
 
@@ -323,6 +342,13 @@ class Host(Protocol):
         """
         ...
 
+    def refused(self, error: RcpError, *, count: int = 1) -> None:
+        """Report that somebody was refused who did not come by a transport, for the audit log.
+
+        `count` says how often. A backend whose robots dial in calls this.
+        """
+        ...
+
     def guard(self, name: str, plan: StopPlan | None) -> None:
         """Give the guard process what stops a part of the robot without the gateway.
 
@@ -370,12 +396,38 @@ class Backend(Protocol):
     """
 
     async def read(self, name: str) -> Any:
-        """Return the current value; called only if no fresh sample is available.
+        """Return the current value, or a `Publication` of it with its source time.
+
+        Called only if no fresh sample is available.
 
         :raises AdapterUnavailable: the link is down.
         :raises DeviceTimeout: the robot did not respond.
         :raises UnsupportedOperation: the value cannot be requested, only subscribed to; the kernel
             then waits for the first sample.
+        """
+        ...
+
+    def frames_of(self, name: str) -> Sequence[str]:
+        """Return the frames of a resource, as the robot's own gateway listed them: no I/O.
+
+        Asked only of a backend that `has_gateways`.
+        """
+        ...
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Have the robot's own gateway send a resource's values in a frame; return the end function.
+
+        Asked only of a backend that `has_gateways`. It goes on over cuts, and waits for a robot that is
+        not there yet, until it is ended; `missing` is told why nothing comes.
+        """
+        ...
+
+    async def read_in_frame(self, name: str, frame: str) -> Any:
+        """Return the current value in a frame, as the robot's own gateway converts it: `Encoded`.
+
+        Asked only of a backend that `has_gateways`.
+
+        :raises FilterUnsupported, InvalidValue, PreconditionFailed: that gateway says so.
         """
         ...
 
@@ -406,6 +458,15 @@ class Backend(Protocol):
         the coroutine ends.
 
         :raises DeviceRejected: the robot refused or aborted.
+        """
+        ...
+
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a dry run of what `execute` would refuse now, as far as the backend knows.
+
+        Called on the event loop: it sends nothing to the robot, and must be fast.
+
+        :raises RcpError: as `execute` would.
         """
         ...
 
@@ -521,6 +582,18 @@ class BaseBackend:
         """Refuse: only published values are available."""
         raise UnsupportedOperation(f"'{name}' cannot be read")
 
+    async def read_in_frame(self, name: str, frame: str) -> Any:
+        """Refuse: no robot has a gateway of its own."""
+        raise UnsupportedOperation(f"'{name}' cannot be read in a frame")
+
+    def frames_of(self, name: str) -> Sequence[str]:
+        """List none: no robot has a gateway of its own."""
+        return ()
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Refuse: no robot has a gateway of its own."""
+        raise UnsupportedOperation(f"'{name}' cannot be subscribed to in a frame")
+
     async def write(self, name: str, value: Any) -> Any:
         """Refuse."""
         raise UnsupportedOperation(f"'{name}' cannot be written")
@@ -532,6 +605,9 @@ class BaseBackend:
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Refuse."""
         raise UnsupportedOperation(f"'{name}' cannot be executed")
+
+    def foresee(self, name: str, value: Any) -> None:
+        """Accept: only the robot knows."""
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Do nothing: everything is published without subscribers."""

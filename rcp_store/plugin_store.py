@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from rcp_store.store import Store
@@ -28,3 +29,7 @@ class PluginStore:
     def load(self) -> dict[str, Any]:
         """Return the values of earlier runs. Blocks: use it only at the start."""
         return self._store.load(self._table)
+
+    def settled(self, callback: Callable[[], object]) -> None:
+        """Call back on the event loop once everything put so far is committed; at once without a store."""
+        self._store.settled(callback)

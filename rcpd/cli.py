@@ -1,4 +1,4 @@
-"""`rcpd`: demo, serve, check, plugins, profiles, new, audit, token, version, plugin commands."""
+"""`rcpd`: demo, init, serve, check, plugins, profiles, new, audit, token, version, plugin commands."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from rcpd.check import check
 from rcpd.diagnosis import explained
 from rcpd.effective import config_command
 from rcpd.exits import FAILED, fail
+from rcpd.init import init
 from rcpd.profiles import profiles
 from rcpd.scaffold import KINDS, write_plugin
 from rcpd.schema import schema
@@ -58,6 +59,7 @@ def main() -> None:
 main.add_command(audit)
 main.add_command(check)
 main.add_command(config_command)
+main.add_command(init)
 main.add_command(profiles)
 main.add_command(schema)
 main.add_command(store)

@@ -38,6 +38,11 @@ guard_after = 5.0
 "/tenant/alpha" = {{ latitude = -35.3632, longitude = 149.1653, altitude = 584 }}
 "/tenant/beta" = {{ latitude = -35.3631, longitude = 149.1654, altitude = 584 }}
 
+[features.places.given.box]
+description = "Square box in the hall of the rovers, north-west of its middle."
+position = {{ latitude = -35.3631369, longitude = 149.1652119 }}
+radius = 0.45
+
 [[backends]]
 use = "sim"
 name = "rover-alpha"
@@ -77,7 +82,7 @@ use = "mavlink"
 name = "drone-gamma"
 tenant = "gamma"
 links = ["sim:copter"]
-twin = { warmup = 2 }
+twin = { warmup = 2, boxes = [{ latitude = -35.3631369, longitude = 149.1652119, side = 0.6, height = 1.8 }] }
 """
 
 _HEAD = """

@@ -11,26 +11,26 @@ import msgspec
 from rcp_kernel.access.identities import check_proofs
 from rcp_kernel.app.plugins import GROUPS, Plugins, installed
 from rcp_kernel.app.server import Prepared, prepare
-from rcp_kernel.config.faults import FAULTY
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
 from rcp_kernel.config.positions import Place
-from rcp_kernel.config.survey import Finding, Survey
-from rcp_kernel.config.words import nearest
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_protocol.plain import is_map
+from rcpd.faults import FAULTY
+from rcpd.survey import Finding, Survey
+from rcpd.words import nearest
 
-__all__ = ["Diagnosis", "explained"]
+__all__ = ["Diagnosis", "explained", "first_of"]
 
 
 class Diagnosis:
     """What is wrong with a text, and what would be served of it."""
 
-    def __init__(self, text: str, source: str) -> None:
+    def __init__(self, text: str, source: str, *, show_values: bool = True) -> None:
         self._text = text
         self._source = source
-        self._survey = Survey(text)
+        self._survey = Survey(text, source, show_values=show_values)
         self._points = {group: installed(group) for group in GROUPS}
         if self._survey.readable:
             self._examine()
@@ -49,6 +49,11 @@ class Diagnosis:
     def findings(self) -> list[Finding]:
         """The faults by line."""
         return self._survey.findings
+
+    @property
+    def secrets(self) -> list[str]:
+        """What must not be shown, also of the files that it includes."""
+        return self._survey.secrets
 
     @property
     def full(self) -> bool:
@@ -183,6 +188,11 @@ def explained(error: StartupError, path: Path) -> str:
         findings = []
     if not findings:
         return str(error)
-    first = findings[0].text(str(path))
-    more = len(findings) - 1
-    return f"{first} ({more} more: `rcpd check {path}`)" if more else first
+    return first_of([one.text(str(path)) for one in findings], path)
+
+
+def first_of(faults: list[str], path: Path | None = None) -> str:
+    """Return the first of several faults, and how many more there are."""
+    more = len(faults) - 1
+    how = f": `rcpd check {path}`" if path else ""
+    return f"{faults[0]} ({more} more{how})" if more else faults[0]

@@ -13,7 +13,7 @@ import msgspec
 
 from rcp_kernel.app.server import Prepared
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS
-from rcp_kernel.config.variables import is_dear, secrets_of
+from rcp_kernel.config.variables import is_dear
 from rcp_protocol.plain import is_list, is_map
 from rcpd.diagnosis import Diagnosis
 from rcpd.exits import FAILED, fail
@@ -41,13 +41,14 @@ def config_command(config: Path) -> None:
         for one in found.findings:
             click.echo(one.text(str(config)), err=True)
         sys.exit(FAILED)
-    click.echo("\n".join(_toml(_hidden(effective(prepared), "", secrets_of(text)), "")))
+    click.echo("\n".join(_toml(_hidden(effective(prepared), "", found.secrets), "")))
 
 
 def effective(prepared: Prepared) -> dict[str, Any]:
     """Return everything that is in force, as in a file that says it all."""
     config = prepared.config
     found: dict[str, Any] = msgspec.to_builtins(config, enc_hook=str)
+    del found["include"]  # its files are part of the rest
     found["backends"] = [
         {
             **{key: getattr(backend, key) for key in KERNEL_KEYS},

@@ -6,8 +6,7 @@ The kernel's own messages show no values of such a file. Those of plugins do, in
 from __future__ import annotations
 
 import re
-
-from rcp_kernel.config.variables import secrets_of
+from collections.abc import Iterable
 
 __all__ = ["Hidden"]
 
@@ -18,10 +17,10 @@ _LONG = 8  # characters of what does not appear in a message by chance, as a par
 
 
 class Hidden:
-    """The secrets of a file: its values from the environment, and those that keys call secret."""
+    """The secrets of a file: values from the environment and other files, and those that keys call secret."""
 
-    def __init__(self, text: str) -> None:
-        secrets = [secret.casefold() for secret in secrets_of(text)]
+    def __init__(self, text: str, found: Iterable[str]) -> None:
+        secrets = [secret.casefold() for secret in found]
         rest = text.casefold()
         for secret in secrets:  # what the file shows elsewhere too is none
             rest = rest.replace(secret, " ", 1)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
+import msgspec
 import structlog
 
 from rcp_kernel.app.reload import needs_restart, prepare_reload
@@ -23,6 +24,7 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features.configuration import FileState
 from rcpd.configuration_file import RETRY, ConfigurationFile, Proposal
+from rcpd.diagnosis import Diagnosis, first_of
 from rcpd.hidden import Hidden
 from rcpd.reload import reload
 
@@ -84,7 +86,6 @@ class Probation:
         if self._file.on_probation:
             raise PreconditionFailed("another configuration is on probation", retry_after=5.0)
         source = str(self._file.path)
-        hidden = Hidden(text)
         try:
             fresh = parse(text, source, show_values=False)
             parts = needs_restart(self._running, fresh)
@@ -93,8 +94,8 @@ class Probation:
             else:
                 prepared = prepare_reload(self._running, fresh, source)
         except StartupError as error:
-            raise InvalidValue(hidden.reason(str(error), source)) from None
-        _check_plugins(prepared, source, hidden)
+            raise _refused(error, text, source) from None
+        _check_plugins(prepared, text, source)
         if parts and not restart:
             raise PreconditionFailed(
                 f"the configuration needs a restart: it changes {', '.join(parts)}",
@@ -227,8 +228,23 @@ def _not_yet(what: str) -> AdapterUnavailable:
     return AdapterUnavailable(f"the configuration is on probation, {what}", retry_after=0.5)
 
 
-def _check_plugins(prepared: Prepared, source: str, hidden: Hidden) -> None:
+def _refused(error: StartupError, text: str, source: str) -> InvalidValue:
+    """Return why a file is refused: as `rcpd check` says it, without values."""
+    found = Diagnosis(text, source, show_values=False)
+    hidden = Hidden(text, found.secrets)
+    faults = [
+        msgspec.structs.replace(one, message=hidden.reason(one.message, source))
+        for one in found.findings
+    ]
+    if not faults:
+        return InvalidValue(hidden.reason(str(error), source))
+    message = first_of([one.text(source) for one in faults])
+    return InvalidValue(message, details={"faults": msgspec.to_builtins(faults)})
+
+
+def _check_plugins(prepared: Prepared, text: str, source: str) -> None:
     for one in prepared.plugins.missing:
+        hidden = Hidden(text, Diagnosis(text, source).secrets)
         why = f"{source}: {one.group} '{one.name}' cannot be imported: {one.reason}"
         raise InvalidValue(
             hidden.reason(why, source),

@@ -10,6 +10,7 @@ from rcp_kernel.app.reload import apply, needs_restart, prepare_reload
 from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import load
 from rcp_kernel.errors import StartupError
+from rcpd.diagnosis import explained
 from rcpd.key_strength import log_weak_keys
 
 __all__ = ["reload"]
@@ -24,7 +25,7 @@ async def reload(server: Server, path: Path) -> bool:
         fresh = load(path)
         prepared = prepare_reload(running, fresh, str(path))
     except StartupError as error:
-        log.error("reload_refused", reason=str(error))
+        log.error("reload_refused", reason=explained(error, path))
         server.kernel.event_bus.note("reload", principal=None, outcome="refused")
         return False
     except Exception:

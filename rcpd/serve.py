@@ -29,6 +29,7 @@ from rcpd.memory import keep_freed_memory
 from rcpd.notify import notifying
 from rcpd.probation import Probation
 from rcpd.reload import reload
+from rcpd.turns import take_short_turns
 
 __all__ = ["leave", "loop_factory", "run"]
 
@@ -43,6 +44,7 @@ def run(
     `file` is what SIGHUP reloads; `source` names the configuration in messages.
     """
     keep_freed_memory()
+    take_short_turns()
     recent = configure(config.log.level, config.log.format)
     try:
         prepared = prepare(config, source)

@@ -18,6 +18,7 @@ import structlog
 
 from rcp_kernel.spi import (
     Backend,
+    FrameWatch,
     MotionState,
     Progress,
     RobotLease,
@@ -89,6 +90,21 @@ class ContainedBackend:
         except BaseException as error:
             raise _plugin_exit(error) from error
 
+    def frames_of(self, name: str) -> Sequence[str]:
+        """Ask for the frames that the robot's own gateway listed."""
+        with contained():
+            return self._backend.frames_of(name)
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Have the robot's own gateway send values in a frame."""
+        with contained():
+            return self._backend.watch_in_frame(name, watch)
+
+    async def read_in_frame(self, name: str, frame: str) -> Any:
+        """Ask the robot's own gateway for a value in a frame."""
+        with contained():
+            return await self._backend.read_in_frame(name, frame)
+
     async def write(self, name: str, value: Any) -> Any:
         """Write a value."""
         try:
@@ -111,6 +127,11 @@ class ContainedBackend:
             raise
         except BaseException as error:
             raise _plugin_exit(error) from error
+
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a dry run of what would be refused now."""
+        with contained():
+            self._backend.foresee(name, value)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Publish a value while entered."""

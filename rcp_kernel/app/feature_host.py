@@ -14,6 +14,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import Event, EventBus
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.features.delegation import Delegation
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
@@ -47,6 +48,7 @@ class GatewayFeatureHost:
         settings: Settings,
         sessions: SessionDirectory,
         control: Control,
+        delegation: Delegation,
         scopes: ScopeRights,
         shutdown: Shutdown,
         turns: Turns,
@@ -71,6 +73,7 @@ class GatewayFeatureHost:
         """Returns a service of another feature."""
         self.sessions = sessions
         self.control = control
+        self.delegation = delegation
         self.scopes = scopes
         self.loop = loop
         self.clock = clock

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
+from rcp_kernel.app.exposition import Exposition
 from rcp_kernel.app.features import ActiveFeature, Features
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
@@ -59,6 +60,7 @@ class Kernel:
     resume: SessionResume
     sessions: Sessions
     status: StatusReport
+    exposition: Exposition
     system: System
     features: Features
     admission: Admission

@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 import structlog
 
+from rcp_kernel.contract.caller import caller
+
 __all__ = ["Recent", "configure"]
 
 _KEPT = 100  # warnings that `/system/status` shows
@@ -63,6 +65,7 @@ def configure(level: str = "info", format_: Literal["auto", "console", "json"] =
         processors=[
             _name,
             structlog.processors.add_log_level,
+            _trace,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             recent,
             *last,
@@ -88,6 +91,17 @@ class _Named:
 
 def _name(logger: Any, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
     event.setdefault("logger", getattr(logger, "name", "rcp"))
+    return event
+
+
+def _trace(_logger: Any, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Name the trace and the command in whose context something is logged."""
+    now = caller()
+    if now is not None:
+        if now.command is not None:
+            event.setdefault("command", now.command)
+        if now.trace is not None:
+            event.setdefault("trace_id", now.trace.id)
     return event
 
 

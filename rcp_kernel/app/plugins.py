@@ -58,8 +58,12 @@ def installed(group: str) -> dict[str, EntryPoint]:
 
     :raises PluginError: two distributions offer the same name.
     """
+    return _by_name(group, entry_points(group=GROUPS[group]))
+
+
+def _by_name(group: str, points: Iterable[EntryPoint]) -> dict[str, EntryPoint]:
     found: dict[str, EntryPoint] = {}
-    for point in entry_points(group=GROUPS[group]):
+    for point in points:
         other = found.get(point.name)
         if other is not None and other.value != point.value:
             raise PluginError(
@@ -89,7 +93,14 @@ def published_profiles() -> dict[str, Profile]:
 
 def _lacking(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> str | None:
     """Return the first required module that is not installed; None if all are."""
-    return next((name for name in kind.needs if find_spec(name) is None), None)
+    return next((name for name in kind.needs if not _is_installed(name)), None)
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # not even the package that it is in
+        return False
 
 
 def obstacle(point: EntryPoint) -> str | None:
@@ -123,8 +134,9 @@ def _remedy(point: EntryPoint) -> str:
     if point.dist is None:
         return "install the distribution that offers it again"
     extras = point.dist.metadata.get_all("Provides-Extra") or ()
-    if point.name in extras:
-        return f"pip install '{point.dist.name}[{point.name}]'"
+    extra = point.name.replace("_", "-")  # as metadata spells it
+    if extra in extras:
+        return f"pip install '{point.dist.name}[{extra}]'"
     return f"pip install {point.dist.name}"
 
 
@@ -144,6 +156,9 @@ class Plugins:
         self.features: dict[str, FeatureKind] = {}
         self._manager = pluggy.PluginManager(hookspecs.PROJECT)
         self._manager.add_hookspecs(hookspecs)
+        found = entry_points()  # once: it reads the metadata of all distributions
+        self.points = {one: _by_name(one, found.select(group=GROUPS[one])) for one in GROUPS}
+        """The entry points of each group by name."""
         self._load("backends", {backend.use for backend in config.backends})
         self._load("transports", set(config.transports))
         self._load("plugins", set(config.plugins))
@@ -165,7 +180,7 @@ class Plugins:
     def _load_features(self, config: GatewayConfig) -> None:
         """Load the features; a built-in one need not be installed unless it is used."""
         wanted = set(config.active_features)
-        lost = (wanted & set(BUILTIN)) - set(installed("features"))
+        lost = (wanted & set(BUILTIN)) - set(self.points["features"])
         for name in sorted(lost):
             self.missing.append(Missing("features", name, "not installed", f"pip install {_OWN}"))
         self._load("features", wanted - lost)
@@ -209,7 +224,7 @@ class Plugins:
         return found
 
     def _load(self, group: str, wanted: Iterable[str]) -> None:
-        points = installed(group)
+        points = self.points[group]
         for name in sorted(wanted):
             point = points.get(name)
             if point is None:
@@ -231,7 +246,7 @@ class Plugins:
         kinds: Mapping[str, BackendKind | TransportKind | AdapterKind | FeatureKind],
     ) -> list[str]:
         """Note the kinds that lack a library, and return their names."""
-        points, found = installed(group), list[str]()
+        points, found = self.points[group], list[str]()
         for name, kind in kinds.items():
             module = _lacking(kind)
             if module is not None and (point := points.get(name)) is not None:

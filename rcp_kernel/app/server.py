@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Iterable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
@@ -15,7 +15,7 @@ from rcp_kernel.app.composition import compose
 from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
-from rcp_kernel.app.plugins import Missing, Plugins, installed
+from rcp_kernel.app.plugins import Missing, Plugins
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.client_api import ClientApi
@@ -159,7 +159,7 @@ async def running(
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)
         _report_missing(plugins.missing, status)
-        _report_unused(status)
+        _report_unused(status, plugins.points["plugins"])
         await _settled(kernel.supervisors, first - loop.time())
         await _open_all(
             stack, client_api, prepared.transports, plugins.transports, status.transports
@@ -204,10 +204,10 @@ def _report_missing(missing: list[Missing], status: StatusReport) -> None:
         log.warning("plugin_unavailable", plugin=one.name, reason=one.reason, remedy=one.remedy)
 
 
-def _report_unused(status: StatusReport) -> None:
+def _report_unused(status: StatusReport, points: Iterable[str]) -> None:
     """List the installed adapters that the configuration leaves out; they are not loaded."""
     used = {one["name"] for one in status.adapters}
-    for name in sorted(set(installed("plugins")) - used):
+    for name in sorted(set(points) - used):
         detail = f"not configured; to serve it, add [plugins.{name}] to the configuration"
         status.adapters.append({"name": name, "state": "off", "detail": detail})
 

@@ -1,16 +1,14 @@
-"""The health report: what `/system/status`, `/readyz` and `/metrics` say."""
+"""The health report: what `/system/status` and `/readyz` say."""
 
 from __future__ import annotations
 
 import asyncio
 import platform
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
-from operator import attrgetter
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import psutil
-from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
@@ -19,14 +17,12 @@ from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.metrics import Histogram, Metrics, RequestCounts, counter, gauge, histogram
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
 from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.spi import RobotLink
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.streams.subscription import Subscription
@@ -34,15 +30,9 @@ from rcp_kernel.tree.entry import StopGroup, is_system
 from rcp_kernel.tree.registry import Registry
 from rcp_store.store import Store
 
-__all__ = ["StatusReport"]
+__all__ = ["StatusReport", "conflated"]
 
 _LAG_PERIOD = 0.5  # s
-_PART = 50  # resources whose metrics are written per step
-_LINK_COUNTS: tuple[tuple[str, str, Callable[[RobotLink], int]], ...] = (
-    ("rcp_robot_link_sent_bytes", "Sent to the gateway of a robot.", attrgetter("sent")),
-    ("rcp_robot_link_received_bytes", "Received from it.", attrgetter("received")),
-    ("rcp_robot_links_lost", "Links with it that ended by a loss.", attrgetter("lost")),
-)
 
 
 class StatusReport:
@@ -61,10 +51,8 @@ class StatusReport:
         sessions: Sessions,
         outbound: Outbound,
         journal: CommandJournal,
-        counts: RequestCounts,
         features: Callable[[Rights | None], Iterable[StatusPart]],
         store: Store,
-        metrics: Callable[[], Iterable[Metric]],
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._supervisors = supervisors
@@ -76,22 +64,25 @@ class StatusReport:
         self._identities = identities
         self._sessions = sessions
         self._outbound = outbound
-        self._feature_metrics = metrics
         self._journal = journal
-        self._counts = counts
         self._features = features
         self._store = store
         self._loop = loop
         self.transports: list[dict[str, Any]] = []
         self.adapters: list[dict[str, Any]] = []
-        self.metrics = Metrics()
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._started = now()
-        self._lag = Histogram()
-        self._lag_last = 0.0
+        self._began = time.monotonic()
+        self.lag = 0.0
+        """How late the event loop was last, in s."""
         self._timer: asyncio.TimerHandle | None = None
         self._expected = 0.0
+
+    @property
+    def uptime(self) -> float:
+        """Seconds since the start."""
+        return time.monotonic() - self._began
 
     def start(self) -> None:
         """Begin to measure how late the event loop is."""
@@ -99,8 +90,7 @@ class StatusReport:
         self._timer = self._loop.call_at(self._expected, self._measure)
 
     def _measure(self) -> None:
-        self._lag_last = max(0.0, self._loop.time() - self._expected)
-        self._lag.observe(self._lag_last)
+        self.lag = max(0.0, self._loop.time() - self._expected)
         self.start()
 
     def stop(self) -> None:
@@ -143,7 +133,7 @@ class StatusReport:
         report = {
             "state": worst,
             "version": gateway_version(),
-            "uptime": round(time.monotonic() - self.metrics.started, 3),
+            "uptime": round(self.uptime, 3),
             "started": iso(self._started),
             "backends": robots,
             "transports": self.transports if every else [_part(one) for one in self.transports],
@@ -152,7 +142,7 @@ class StatusReport:
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
             "resources": self._count_resources(rights),
             "commands": self._count_commands(rights),
-            "queues": self._queues(tenants),
+            "queues": self.queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
         for part in sections:
@@ -189,7 +179,7 @@ class StatusReport:
                 "detail": self._shown(supervisor, rights, unit.detail),
             }
             for unit in supervisor.unready
-            if rights is None or self._sees(rights, unit)
+            if rights is None or self.sees(rights, unit)
         }
         if rights is None:
             return facts
@@ -198,7 +188,8 @@ class StatusReport:
             facts[key] = self._shown(supervisor, rights, facts[key])
         return facts
 
-    def _sees(self, rights: Rights, robot: StopGroup) -> bool:
+    def sees(self, rights: Rights, robot: StopGroup) -> bool:
+        """Return whether a principal may know of a robot."""
         if not robot.own:  # it was never reached
             return self._visibility.sees_whole(rights, robot.tenant)
         return any(rights.mask(entry.path) for entry in robot.own.values())
@@ -275,14 +266,15 @@ class StatusReport:
                 "open_files": process.num_fds() if hasattr(process, "num_fds") else 0,
             }
 
-    def _queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
+    def queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
+        """Return what waits for the clients of some tenants; `*` is all of them."""
         sessions = self._sessions_of(tenants)
         boxes = {s.id[:8]: s.connection.outbox for s in sessions if s.connection is not None}
         waiting = {id_: box.depth for id_, box in boxes.items()}
         if "*" in tenants:
-            dropped = sum(self._hub.dropped.values()) + _conflated(self._hub.subscriptions)
+            dropped = sum(self._hub.dropped.values()) + conflated(self._hub.subscriptions)
         else:
-            dropped = _conflated(sub for s in sessions for sub in s.subscriptions.values())
+            dropped = conflated(sub for s in sessions for sub in s.subscriptions.values())
         return {
             "depth": sum(waiting.values()),
             "high_water": max((box.high_water for box in boxes.values()), default=0),
@@ -290,169 +282,15 @@ class StatusReport:
             "by_session": {id_: depth for id_, depth in waiting.items() if depth},
         }
 
-    # -- Prometheus ----------------------------------------------------------------------------
 
-    def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
-        """Write the exposition for a principal, in steps."""
-        return self.metrics.exposition(self._families(rights))
-
-    def _families(self, rights: Rights) -> Iterable[Metric]:
-        commands = self._journal
-        facts = {"version": gateway_version(), "python": platform.python_version()}
-        yield gauge("rcp_build_info", "What runs here.", tuple(facts), [(list(facts.values()), 1)])
-        up = time.monotonic() - self.metrics.started
-        yield gauge("rcp_uptime_seconds", "Since the start.", (), [([], up)])
-        yield gauge(
-            "rcp_backend_up",
-            "Whether a backend is ready.",
-            ("backend", "tenant"),
-            [([s.name, s.tenant], float(s.backend is not None)) for s in self._supervisors],
-        )
-        yield from self._robot_families(rights)
-        yield counter(
-            "rcp_requests",
-            "Requests by their outcome.",
-            ("transport", "type", "code"),
-            [(list(key), count) for key, count in self._counts.outcomes.items()],
-        )
-        yield histogram(
-            "rcp_request_seconds", "From request to final reply.", (), [([], self._counts.seconds)]
-        )
-        yield counter(
-            "rcp_samples",
-            "Samples that a backend published.",
-            ("backend",),
-            [([s.name], s.samples) for s in self._supervisors],
-        )
-        yield counter("rcp_updates", "Updates sent.", ("transport",), self._updates())
-        dropped = {**self._hub.dropped}
-        dropped["conflated"] += _conflated(self._hub.subscriptions)
-        yield counter(
-            "rcp_dropped",
-            "Samples not delivered.",
-            ("reason",),
-            [([reason], count) for reason, count in dropped.items()],
-        )
-        yield from self._gauges()
-        outbound = self._outbound
-        yield counter(
-            "rcp_queue_full",
-            "What was done because too much waited for clients.",
-            ("action",),
-            [(["refused"], outbound.refused), (["closed"], outbound.cut)],
-        )
-        yield counter(
-            "rcp_commands",
-            "Commands by final status.",
-            ("status",),
-            _by_status(commands.counts),
-        )
-        yield histogram(
-            "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
-        )
-        yield from self._feature_metrics()
-        entries = list(self._registry.entries.values())
-        for begin in range(0, max(1, len(entries)), _PART):
-            part = entries[begin : begin + _PART]
-            yield gauge(
-                "rcp_resource_age_seconds",
-                "Age of the latest sample of paths with a deadline.",
-                ("path",),
-                [
-                    ([entry.path], entry.age)
-                    for entry in part
-                    if entry.deadline is not None
-                    and entry.age is not None
-                    and rights.mask(entry.path)
-                ],
-            )
-
-    def _robot_families(self, rights: Rights) -> Iterable[Metric]:
-        labels = ("backend", "tenant", "robot")
-        robots = [(s, unit) for s in self._supervisors for unit in s.robots]
-        links: list[tuple[list[str], RobotLink]] = []
-        for begin in range(0, max(1, len(robots)), _PART):
-            ups: list[tuple[list[str], float]] = []
-            for supervisor, unit in robots[begin : begin + _PART]:
-                if not self._sees(rights, unit):
-                    continue
-                values = [supervisor.name, supervisor.tenant, str(unit.robot)]
-                ups.append((values, float(_is_up(unit))))
-                if (link := _link_of(supervisor, unit)) is not None:
-                    links.append((values, link))
-            text = "Whether one of several robots of a backend is ready."
-            yield gauge("rcp_robot_up", text, labels, ups)
-        parts = [links[begin : begin + _PART] for begin in range(0, max(1, len(links)), _PART)]
-        for part in parts:
-            yield gauge(
-                "rcp_robot_link_latency_seconds",
-                "Last round trip to the gateway of a robot.",
-                labels,
-                [(values, one.latency) for values, one in part if one.latency is not None],
-            )
-        for name, text, count in _LINK_COUNTS:
-            for part in parts:
-                yield counter(name, text, labels, [(values, count(one)) for values, one in part])
-
-    def _gauges(self) -> Iterable[Metric]:
-        queues = self._queues(("*",))
-        for name, text, value in (
-            (
-                "rcp_store_degraded",
-                "Whether the store is damaged, gone, or cannot be written.",
-                (self._store.trouble or self._store.damage) is not None,
-            ),
-            ("rcp_sessions", "Sessions held.", len(self._sessions.known)),
-            ("rcp_subscriptions", "Subscriptions held.", len(self._hub.subscriptions)),
-            ("rcp_queue_depth", "Messages waiting for clients.", queues["depth"]),
-            (
-                "rcp_queue_bytes",
-                "Bytes waiting for clients, but for 64 KiB of each.",
-                self._outbound.total,
-            ),
-            ("rcp_event_loop_lag_seconds", "How late the event loop was.", self._lag_last),
-        ):
-            yield gauge(name, text, (), [([], float(value))])
-
-    def _updates(self) -> list[tuple[list[str], float]]:
-        sums = dict(self._sessions.updates)
-        for session in self._sessions.known.values():
-            if session.connection is not None:
-                name = session.transport
-                sums[name] = sums.get(name, 0) + session.connection.outbox.updates
-        return [([name], count) for name, count in sums.items()]
-
-
-def _link_of(supervisor: BackendSupervisor, unit: StopGroup) -> RobotLink | None:
-    """Return what the link with a robot's own gateway carries, if it has one and its backend can."""
-    backend = supervisor.backend
-    if backend is None or unit.robot is None or not supervisor.has_gateways:
-        return None
-    try:
-        return backend.robot_link(unit.robot)
-    except Exception as error:  # a bad one must not hide the metrics of all others
-        supervisor.fault(f"robot_link: {error!r}")
-        return None
-
-
-def _is_up(robot: StopGroup) -> bool:
-    return robot.availability in ("ready", "degraded")
-
-
-def _conflated(subscriptions: Iterable[Subscription]) -> int:
+def conflated(subscriptions: Iterable[Subscription]) -> int:
+    """Return how many samples subscriptions have skipped."""
     return sum(subscription.skipped for subscription in subscriptions)
 
 
 def _part(facts: dict[str, Any]) -> dict[str, Any]:
     """Return the facts of a transport or adapter without those of other tenants."""
     return {key: facts[key] for key in ("name", "state") if key in facts}
-
-
-def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], float]]:
-    sums: dict[str, int] = {}
-    for (_, status), count in counts.items():
-        sums[status] = sums.get(status, 0) + count
-    return [([status], count) for status, count in sums.items()]
 
 
 def _backend(facts: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Literal
@@ -105,6 +106,8 @@ class BackendSupervisor:
         """Seconds that the last call of the robot took."""
         self.samples = 0
         self.faults = 0
+        self.refusals = Counter[str]()
+        """How many were refused at the robots' side, by error code."""
         self.plans: dict[str, StopPlan] = {}
         """The mechanisms that stop its robots without the gateway, by name."""
         self.plans_changed = 0
@@ -336,6 +339,12 @@ class BackendSupervisor:
         unit = self.unit(robot)
         unit.own_leases = leases
         self._registry.leases_told(unit)
+
+    def refused(self, error: RcpError, *, count: int = 1) -> None:
+        """Report that somebody was refused at the robots' side."""
+        self.refusals[error.code] += count
+        log.warning("backend_refused", backend=self.name, reason=error.message, count=count)
+        self._events.refused(self.name, self.tenant, error, count)
 
     def is_latched(self, robot: str | None = None) -> bool:
         """Tell whether an e-stop holds a robot."""

@@ -16,6 +16,7 @@ BUILTIN: tuple[str, ...] = (
     "jwt",
     "leases",
     "motion_limits",
+    "places",
     "plans",
     "quotas",
     "tokens",

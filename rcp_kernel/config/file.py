@@ -1,7 +1,7 @@
 """The TOML configuration file, decoded strictly: errors name file, table and remedy.
 
 Each plugin's table is decoded as the type that the plugin declares, so that no plugin parses.
-`${NAME}` in a string is replaced from the environment, for secrets (`variables`).
+`${NAME}` in a string is replaced from the environment, for secrets (`variables`); `include` adds files.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rcp_kernel.config.identity import (
     check_grants,
     check_identity,
 )
+from rcp_kernel.config.includes import included, merge
 from rcp_kernel.config.limits import Limits
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
@@ -97,6 +98,8 @@ class StoreConfig(Table, frozen=True):
 class GatewayConfig(Table, frozen=True):
     """The whole file."""
 
+    include: tuple[str, ...] = ()
+    """Further files, relative to the folder of this one; `*` stands for any part of a name."""
     name: str = "rcp-gateway"
     tenants: dict[_Name, TenantConfig] = {}
     backends: tuple[BackendConfig, ...] = ()
@@ -204,11 +207,16 @@ def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
 
     :raises ConfigError: as `load` does.
     """
+    literal = _plain if show_values else Withheld
+    raw = _read(text, source, literal)
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{source}: not TOML: {error}") from None
-    raw = _with_secrets(raw, source, "", _plain if show_values else Withheld)
+        for part in included(raw, source):
+            merged = merge(raw, _read(part.text, part.source, literal), part.source)
+            if merged.conflicts:
+                at = ".".join(map(str, merged.conflicts[0]))
+                raise ConfigError(f"{at} of {part.source} is set in another file too")
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
     backends = raw.get("backends", [])
     if not is_list(backends):
         raise ConfigError(
@@ -225,6 +233,15 @@ def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
     config = decode_table(raw, GatewayConfig, f"{source}: ")
     _check(config, source)
     return config
+
+
+def _read(text: str, source: str, literal: Callable[[str], str]) -> dict[str, Any]:
+    """Read one file, with its variables replaced."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source}: not TOML: {error}") from None
+    return _with_secrets(raw, source, "", literal)
 
 
 TRANSPORTS = ("http", "ws", "sse", "asgi")
@@ -272,7 +289,7 @@ def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], s
         return node
 
     try:
-        text = substituted(node)
+        text = substituted(node, Path(source).parent)
     except ConfigError as error:
         raise ConfigError(f"{source}: {where} {error}") from None
     return literal(node) if text is node else text

@@ -1,4 +1,4 @@
-"""`${NAME}` and `${NAME:-default}` in the strings of a configuration, and what must not be shown."""
+"""`${NAME}`, `${NAME:-default}` and `${file:PATH}` in the strings of a configuration, and what must not be shown."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import os
 import re
 import tomllib
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+from rcp_kernel.config.reading import read_named
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
 
 __all__ = ["Secret", "Withheld", "is_dear", "secrets_of", "substituted"]
 
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^{}]*))?\}")
+_FILE = re.compile(r"\$\{file:((?:[^${}]|\$\{[A-Za-z_][A-Za-z0-9_]*\})+)\}")
+"""Its path may contain variables, such as systemd's `${CREDENTIALS_DIRECTORY}`."""
+_LARGEST = 65_536  # bytes
 _DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
 """Keys of tables, of the kernel or plugins, whose values are secrets by name."""
 
@@ -35,12 +40,29 @@ def is_dear(key: str) -> bool:
     return _DEAR.search(key) is not None
 
 
-def substituted(text: str) -> str:
+def substituted(text: str, folder: Path) -> str:
     """Replace the variables of a string; the result is a `Secret` if there are any.
 
-    :raises ConfigError: a variable is not set and has no default, or has no end.
-    """
+    The paths of files are relative to `folder`.
 
+    :raises ConfigError: a variable is not set and has no default, has no end, or a file cannot be read.
+    """
+    if "${" in _VARIABLE.sub("", _FILE.sub("", text)):
+        raise ConfigError(
+            "has a `${` that names no variable: write ${NAME}, ${NAME:-default} or ${file:PATH}, "
+            "NAME of letters, digits and `_`, and close it with `}`"
+        )
+    pieces: list[str] = []
+    end = 0
+    for found in _FILE.finditer(text):  # what a file contains is taken as it is
+        pieces += [_with_variables(text[end : found.start()]), _content(found[1], folder)]
+        end = found.end()
+    pieces.append(_with_variables(text[end:]))
+    fresh = "".join(pieces)
+    return text if fresh == text else Secret(fresh)
+
+
+def _with_variables(text: str) -> str:
     def found(match: re.Match[str]) -> str:
         value, default = os.environ.get(match[1]), match[2]
         if default is not None:
@@ -49,17 +71,19 @@ def substituted(text: str) -> str:
             raise ConfigError(f"uses the environment variable {match[1]}, which is not set")
         return value
 
-    if "${" in _VARIABLE.sub("", text):
-        raise ConfigError(
-            "has a `${` that names no variable: write ${NAME} or ${NAME:-default}, of letters, "
-            "digits and `_`, and close it with `}`"
-        )
-    fresh = _VARIABLE.sub(found, text)
-    return text if fresh == text else Secret(fresh)
+    return _VARIABLE.sub(found, text)
 
 
-def secrets_of(text: str) -> list[str]:
-    """List what must not be shown of a file: values from the environment, and what keys call secret."""
+def _content(name: str, folder: Path) -> str:
+    """Return the text of a file, without the newlines at its end."""
+    try:
+        return read_named(_with_variables(name), folder, _LARGEST).rstrip("\r\n")
+    except ConfigError as error:
+        raise ConfigError(f"uses the file '{name}', which cannot be read: {error}") from None
+
+
+def secrets_of(text: str, folder: Path) -> list[str]:
+    """List what must not be shown of a file: of the environment, of other files, and what keys call secret."""
     found: list[str] = []
 
     def note(node: Any, key: str) -> None:
@@ -71,6 +95,9 @@ def secrets_of(text: str) -> list[str]:
                 note(item, key)
         elif isinstance(node, str):
             found.extend(os.environ.get(one[1], "") for one in _VARIABLE.finditer(node))
+            for one in _FILE.finditer(node):
+                with suppress(ConfigError):
+                    found.append(_content(one[1], folder))
             if is_dear(key):
                 found.append(node)
 

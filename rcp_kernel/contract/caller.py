@@ -11,6 +11,7 @@ import msgspec
 
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.wire import Request
+from rcp_protocol.trace import Trace, traced
 from rcp_scheduling.timers import moment_of
 
 __all__ = ["Caller", "asked", "caller"]
@@ -29,6 +30,8 @@ class Caller(msgspec.Struct, frozen=True):
     """The gateway's id of the command; None for any other operation."""
     valid_for: float | None = None
     """Seconds for which a written value is to be valid, if the client said so."""
+    trace: Trace | None = None
+    """Where in a trace the operation is, for what is done for it elsewhere."""
 
     @property
     def key(self) -> str | None:
@@ -53,4 +56,5 @@ def caller() -> Caller | None:
         return None
     principal, request, slot, command = current
     key, until = request.idempotency_key, moment_of(slot)
-    return Caller(principal, key, until, command, request.valid_for)
+    trace = traced(request.custom, command)
+    return Caller(principal, key, until, command, request.valid_for, trace)

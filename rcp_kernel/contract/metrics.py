@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from bisect import bisect_left
 from collections.abc import Generator, Iterable
 from itertools import chain
@@ -121,7 +120,6 @@ class Metrics:
         PlatformCollector(registry=registry)
         GCCollector(registry=registry)
         self._registry = registry
-        self.started = time.monotonic()
 
     def exposition(self, families: Iterable[Metric]) -> Generator[None, None, bytes]:
         """Write the exposition, text format 0.0.4, in steps: one for each family.

@@ -7,21 +7,27 @@ from typing import Any
 
 import structlog
 
+from rcp_kernel.contract.caller import caller
 from rcp_kernel.errors import AdapterUnavailable, InternalError, RcpError
+from rcp_protocol.trace import Trace
 
 __all__ = ["attribute_error", "to_internal_error"]
 
 log = structlog.get_logger("rcp.gateway")
 
 
-def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
+def to_internal_error(
+    error: BaseException, *, trace: Trace | None = None, **facts: Any
+) -> RcpError:
     """Convert an unexpected exception to the error that a client may see, and log the rest."""
     if isinstance(error, RcpError):
         return error
     if isinstance(error, (ConnectionError, TimeoutError)):
         return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
     failure = InternalError("the gateway failed to handle the request; see its log")
-    failure.trace_id = secrets.token_hex(8)
+    now = caller()
+    trace = trace or (None if now is None else now.trace)
+    failure.trace_id = secrets.token_hex(16) if trace is None else trace.id
     log.error("request_crashed", trace_id=failure.trace_id, exc_info=error, **facts)
     return failure
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, Protocol
 
 from rcp_kernel.errors import UnknownPath
@@ -65,6 +66,10 @@ class ApprovalService(Protocol):
         """
         ...
 
+    def follow(self, id_: str, decided: Callable[[], None]) -> Callable[[], None]:
+        """Call `decided` once somebody has decided on an approval; return a function to stop."""
+        ...
+
 
 APPROVALS: ServiceKey[ApprovalService] = ServiceKey("approvals")
 
@@ -91,3 +96,7 @@ class NoApprovals:
     def answer(self, session: Session, id_: str, decision: Decision, reason: str | None) -> None:
         """Refuse: there are no approvals."""
         raise UnknownPath(f"there is no approval '{id_[:64]}'", remedy="Send the command again.")
+
+    def follow(self, id_: str, decided: Callable[[], None]) -> Callable[[], None]:
+        """Never call."""
+        return lambda: None

@@ -11,6 +11,7 @@ from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.features.delegation import Delegation
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.features.sessions import SessionDirectory
@@ -52,6 +53,11 @@ class FeatureHost(Protocol):
     @property
     def control(self) -> Control:
         """Control of robots: cancel, hand over, or bring to rest."""
+        ...
+
+    @property
+    def delegation(self) -> Delegation:
+        """Requests in the name of principals that may be absent."""
         ...
 
     @property

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from rcp_conditions import Condition, Ref
+from rcp_kernel.access.conditions import Placed
 from rcp_kernel.spi import StopPlan
 from rcp_kernel.tree.entry import Entry, Owner, StopGroup
 from rcp_kernel.tree.samples import Sample
@@ -20,15 +21,15 @@ class RobotConditions(Protocol):
         """Keep the values of these conditions published, instead of those of the previous call."""
         ...
 
-    def holds(self, condition: Condition, placed: Entry) -> bool | None:
-        """Return whether a condition holds for the robot of an entry; None if it is unknown."""
+    def holds(self, condition: Condition, placed: Placed) -> bool | None:
+        """Return whether a condition holds for a robot, or that of an entry; None: it is unknown."""
         ...
 
-    def values(self, refs: Iterable[Ref], placed: Entry) -> dict[Ref, Any]:
-        """Return the current values of names for the robot of an entry, if known."""
+    def values(self, refs: Iterable[Ref], placed: Placed) -> dict[Ref, Any]:
+        """Return the current values of names for a robot, if known."""
         ...
 
-    def resource(self, ref: Ref, placed: Entry) -> tuple[Entry, Ref] | None:
+    def resource(self, ref: Ref, placed: Placed) -> tuple[Entry, Ref] | None:
         """Resolve a name for a robot: the resource, and the field within it."""
         ...
 

@@ -194,9 +194,7 @@ class ExecuteHandler:
             prepared = self._prepared(action, session, request, prepared)
         self._admission.ask(call)
         if request.dry_run:
-            if prepared is not None:
-                return dry_run_reply(request, entry, dict(prepared.run.dry_run()))
-            return dry_run_reply(request, entry, {"execute": value, **self._dry_run(call)})
+            return self._would(call, prepared)
         if action is None or prepared is None:
             command = _command(call)
         else:
@@ -215,6 +213,18 @@ class ExecuteHandler:
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
         return None
+
+    def _would(self, call: Call, prepared: PreparedRun | None) -> Reply:
+        """Answer a dry run.
+
+        :raises RcpError: the backend knows that it would refuse the command.
+        """
+        request, entry = call.request, call.entry
+        if prepared is not None:
+            return dry_run_reply(request, entry, dict(prepared.run.dry_run()))
+        if entry.unit.link is not None:
+            entry.unit.link.foresee(entry.name, call.value)
+        return dry_run_reply(request, entry, {"execute": call.value, **self._dry_run(call)})
 
     @staticmethod
     def _prepared(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Generator, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from time import perf_counter
@@ -34,7 +34,7 @@ from rcp_kernel.requests.pattern_read import PatternRead
 from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.prompt_reply import PromptReply
 from rcp_kernel.sessions.session import Answer, Session
-from rcp_kernel.spi import Backend, has_watch
+from rcp_kernel.spi import Backend, Publication, has_watch
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.tree.samples import Sample, masked, project
@@ -214,19 +214,30 @@ class ReadHandler:
                 self._read_later(session, request, entry, answer, options)
                 return None
             return _reply(request, entry, self._in_frame(session, options, entry, sample), options)
-        timeout = self._inflight.deadline(request, entry)
+        fetched = self._fetch_for(session, options.frame, entry)
+        return self._fetch_later(session, request, answer, entry, fetched, options)
+
+    def _fetch_later(
+        self,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        entry: Entry,
+        fetched: Coroutine[Any, Any, Sample],
+        options: ReadOptions,
+    ) -> None:
+        """Answer when a value has been fetched."""
         self._inflight.later(
             session,
             request,
             answer,
-            self.fetch(entry),
+            fetched,
             lambda sample: _reply(
                 request, entry, self._in_frame(session, options, entry, sample), options
             ),
-            timeout,
+            self._inflight.deadline(request, entry),
             entry.path,
         )
-        return None
 
     def _entry(self, session: Session, request: Request, options: ReadOptions) -> Entry:
         entry = self._resolver.resolve(session, request.path, Operation.READ)
@@ -316,20 +327,34 @@ class ReadHandler:
             raise entry.unit.unavailable()
         started = perf_counter()
         try:
-            value = await backend.read(entry.name)
+            value = await _attributed(entry, backend.read(entry.name))
         except UnsupportedOperation:
             # A backend that has just opened may have declared the path anew.
             entry = self._registry.entries.get(entry.path, entry)
             if (sample := entry.latest) is not None and sample is not seen:
                 return sample
             return await _first(entry, backend)
-        except RcpError as error:
-            error.origin = error.origin or entry.owner.name
-            raise
-        except Exception as error:
-            raise attribute_error(error, entry.owner.name, entry.path) from error
         entry.owner.latency = perf_counter() - started
+        if isinstance(value, Publication):
+            return entry.publish(value.value, value.timestamp)
         return entry.publish(value, None)
+
+    def _fetch_for(
+        self, session: Session, frame: str | None, entry: Entry
+    ) -> Coroutine[Any, Any, Sample]:
+        """Read a value that is not at hand, in a frame if its robot has a gateway that converts."""
+        if frame is None or not entry.owner.has_gateways:
+            return self.fetch(entry)
+        return self._fetch_in_frame(session, entry, frame)
+
+    async def _fetch_in_frame(self, session: Session, entry: Entry, frame: str) -> Sample:
+        """Read a value in a frame from the robot's own gateway, which knows its transforms."""
+        self._frames.view(session, entry, frame).check()  # there, the hub's own rights may count
+        backend = entry.unit.link
+        if backend is None:
+            raise entry.unit.unavailable()
+        value: Any = await _attributed(entry, backend.read_in_frame(entry.name, frame))
+        return Sample(entry, value, value.timestamp, now(), value.seq, "encoded")
 
     def _read_many(
         self, session: Session, request: Request, answer: Answer, options: ReadOptions
@@ -343,7 +368,7 @@ class ReadHandler:
             entries,
             options.fields,
             at_hand=partial(_at_hand, options=options),
-            fetch=self.fetch,
+            fetch=partial(self._fetch_for, session, options.frame),
             shown=partial(self._in_frame, session, options),
             page=ObjectList(expected(session, request)),
             longest=room(self._settings.limits.message),
@@ -400,6 +425,8 @@ def _unsearchable(path: str) -> FilterUnsupported:
 def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
     if options.fresh or entry.latest is None or entry.unit.link is None:
         return None
+    if options.frame is not None and entry.owner.has_gateways:  # that gateway converts
+        return None
     if entry.live or entry.listeners:
         return entry.latest
     # An actuator's value is the last one commanded, which the gateway itself has.
@@ -452,6 +479,17 @@ def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions)
         timestamp=iso(now()),
         custom=request.custom,
     )
+
+
+async def _attributed(entry: Entry, reading: Awaitable[Any]) -> Any:
+    """Read from a backend, and name it in its errors."""
+    try:
+        return await reading
+    except RcpError as error:
+        error.origin = error.origin or entry.owner.name
+        raise
+    except Exception as error:
+        raise attribute_error(error, entry.owner.name, entry.path) from error
 
 
 class _Waiter:

@@ -22,6 +22,7 @@ from rcp_kernel.requests.request_events import RequestEvents
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request, failure
 from rcp_protocol.structure import LONG, check_structure
+from rcp_protocol.trace import trace_of
 from rcp_scheduling.turns import Turns
 
 __all__ = ["RequestRouter", "Route", "SteppedRoute"]
@@ -179,7 +180,8 @@ class RequestRouter:
 
         A frame that refers to the error would form a reference cycle for each refusal of a flood.
         """
-        refusal = to_internal_error(error, type=request.type, path=request.path)
+        trace = trace_of(request.custom)
+        refusal = to_internal_error(error, trace=trace, type=request.type, path=request.path)
         path = refusal.path or _full(request.path, session.tenant)
         reply = failure(refusal, request.type, request.id, path)
         reply.custom = request.custom

@@ -20,6 +20,7 @@ from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
     DuplicateRequest,
+    FilterUnsupported,
     PayloadTooLarge,
     QueueFull,
     RcpError,
@@ -36,7 +37,7 @@ from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.streams.framed import FrameView
+from rcp_kernel.streams.framed import FrameView, RemoteFramedPathSubscription
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import Links
 from rcp_kernel.streams.notices import notice
@@ -266,6 +267,12 @@ class SubscribeHandler:
         if options.frame is None:
             return entry.value_type
         view = self._frames.view(session, entry, options.frame)
+        if view.remote and options.history:
+            raise FilterUnsupported(
+                f"this gateway keeps no history of {entry.path} in other frames",
+                path=entry.path,
+                remedy="Omit `history`, or `frame`.",
+            )
         view.check()
         return view.value_type
 
@@ -313,6 +320,8 @@ class SubscribeHandler:
     ) -> None:
         if subscription.may(feed.entry):
             self._conditional.place(session, feed)
+            if isinstance(feed, RemoteFramedPathSubscription) and feed in feed.entry.framed:
+                feed.follow()  # as who it is now
             return
         self._hub.drop(feed)
         notice(

@@ -217,6 +217,11 @@ class Estop:
         keys, robots = self._meant(session, request.scope)
         if not request.reset:
             return keys, robots
+        if session.unattended:
+            raise Forbidden(
+                "an e-stop is reset by somebody who sees the robot, never by the gateway",
+                remedy="Reset it yourself, when it is safe.",
+            )
         known = self._settings.config.tenant_names
         touched = {robot.tenant for robot in robots}
         for key, tenant in keys.items():

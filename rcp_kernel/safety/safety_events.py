@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.paths import ESTOP
+from rcp_kernel.errors import RcpError
 from rcp_kernel.safety.safety import safe_value
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
@@ -32,6 +33,18 @@ class SafetyEvents:
             path=entry.path,
             outcome=outcome,
             value=None if outcome == "lapsed" else safe_value(entry),
+        )
+
+    def refused(self, backend: str, tenant: str, error: RcpError, count: int) -> None:
+        """Tell that somebody was refused at the robots' side of a backend."""
+        self._events.note(
+            "denial",
+            principal=None,
+            tenant=tenant,
+            transport=f"backend {backend}",
+            outcome=error.code,
+            message=error.message,
+            count=count,
         )
 
     def stop_step(self, unit: StopGroup, step: str, detail: str | None) -> None:

@@ -28,6 +28,7 @@ from rcp_kernel.spi import Progress
 from rcp_kernel.tree.entry import Entry, is_system
 from rcp_kernel.values import ANY, Encoding
 from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Request, Status
+from rcp_protocol.trace import Trace, traced
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Session
@@ -270,6 +271,12 @@ class Command(msgspec.Struct, eq=False, weakref=True):
         return out | (self.custom or {})
 
     @property
+    def trace(self) -> Trace:
+        """Its place in a trace, its own one if it came without."""
+        found = traced(self.custom, self.id)
+        return found or Trace(secrets.token_hex(16), secrets.token_hex(8))
+
+    @property
     def listed(self) -> Body:
         """What `plain` returns, to be written with others."""
         if self._listed is None:
@@ -307,7 +314,7 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
         return error
     if isinstance(error, (ConnectionError, TimeoutError)):
         return LinkLost(f"the link to the robot failed: {error or type(error).__name__}")
-    trace = secrets.token_hex(8)
+    trace = command.trace.id
     log.error(
         "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
     )

@@ -140,6 +140,7 @@ class Handshake:
         self, connection: Link, hello: Hello, session: Session | StoredSession | None
     ) -> None:
         if session is None:
+            connection.session.former = hello.session
             raise _gone()
         offered = (hello.resume_token, hello.token, hello.session)
         proof = next((t for t in offered if t is not None and _proves(t, session)), None)

@@ -113,6 +113,7 @@ class Session:
         "encoding",
         "endings",
         "expiry",
+        "former",
         "greeted",
         "id",
         "inflight",
@@ -132,6 +133,7 @@ class Session:
         "successor",
         "tenant",
         "transport",
+        "unattended",
     )
 
     def __init__(
@@ -172,6 +174,10 @@ class Session:
         """Whether the client knows the session's id, so that it can resume it."""
         self.one_way = False
         """Whether its connection accepts no requests (SSE)."""
+        self.former: str | None = None
+        """The session of another gateway that its client wanted to resume here."""
+        self.unattended = False
+        """Whether a feature acts in it for somebody who may be absent."""
         self.account: SessionAccount | None = None
         """Counts its requests, subscriptions and commands; None counts nothing."""
         self.missed: deque[tuple[Reply, int]] = deque()
@@ -196,9 +202,9 @@ class Session:
     def holders(self) -> tuple[str, ...]:
         """Whose holdings are the session's: its own, and those of its principal as a whole."""
         whole = f"{self.principal.proof}:{self.principal.name}"
-        # A person may come by several hubs, which tell their own sessions apart themselves.
-        as_person = self.shared or self.principal.via is not None
-        return (whole,) if as_person else (self.id, whole)
+        if (hub := self.principal.via) is not None:  # it tells its own sessions apart itself
+            return (f"{whole}@{hub}",)
+        return (whole,) if self.shared else (self.id, whole)
 
     @property
     def stateless(self) -> bool:

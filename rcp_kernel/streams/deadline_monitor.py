@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.shared_fanout import path_subscriptions_of
@@ -56,7 +57,9 @@ class DeadlineMonitor:
             self._sweep = self._loop.call_later(_SWEEP, self.poll)
 
     def tell(self, feed: PathSubscription) -> None:
-        """Notify one subscriber that a value is stale."""
+        """Notify one subscriber that a value is stale; one in a frame of the robot's is told why."""
+        if isinstance(feed, RemoteFramedPathSubscription):
+            return
         age = feed.entry.age
         notice(
             feed.outbox,
@@ -72,7 +75,8 @@ class DeadlineMonitor:
         limit = feed.subscription.options.qos.deadline
         if limit is None:
             return
-        age = feed.entry.age
+        # Its values in a frame of the robot's come on their own.
+        age = None if isinstance(feed, RemoteFramedPathSubscription) else feed.entry.age
         late = moment - feed.heard > limit and (age is None or age > limit)
         if late and not feed.missed:
             notice(

@@ -15,6 +15,7 @@ import structlog
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import has_watch
+from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
@@ -86,6 +87,9 @@ class DemandTracker:
             if (watch := self._watches.pop(entry.path, None)) is not None:
                 watch.want(entry, 0.0)
             self.retune(entry)
+            for feed in entry.framed:
+                if isinstance(feed, RemoteFramedPathSubscription):
+                    feed.follow()
 
     async def close(self) -> None:
         """Exit all watches."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from rcp_kernel.contract.pending import to_internal_error
@@ -14,7 +15,7 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType
 
-__all__ = ["FrameView", "FramedPathSubscription"]
+__all__ = ["FrameView", "FramedPathSubscription", "RemoteFramedPathSubscription"]
 
 
 class FrameView(Protocol):
@@ -36,6 +37,24 @@ class FrameView(Protocol):
         """Return a sample in the frame; the same one for all who ask for it.
 
         :raises RcpError: its value is invalid, or there is no transform for its time.
+        """
+        ...
+
+    @property
+    def remote(self) -> bool:
+        """Whether the robot's own gateway converts: see `follow`."""
+        ...
+
+    def follow(
+        self,
+        entry: Entry,
+        rate: float | None,
+        offer: Callable[[Sample], None],
+        missing: Callable[[str], None],
+    ) -> Callable[[], None]:
+        """Have the robot's own gateway send its values in the frame; return the end function.
+
+        `entry` is the resource as it is declared now. `missing` is told why there are none for now.
         """
         ...
 
@@ -75,5 +94,76 @@ class FramedPathSubscription(FilteredPathSubscription):
     def _tell(self, error: RcpError) -> None:
         if not self._told:
             self._told = True
-            facts = {"id": self.subscription.id, "path": self.entry.path, "message": error.message}
-            notice(self.outbox, "no_transform", **facts)
+            _tell_missing(self, error.message)
+
+
+class RemoteFramedPathSubscription(FilteredPathSubscription):
+    """A path in a frame that only the robot's own gateway knows: its values come converted."""
+
+    __slots__ = ("_end", "_last", "_returned", "_told", "_view")
+
+    def __init__(
+        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: FrameView
+    ) -> None:
+        super().__init__(subscription, entry, outbox)
+        self._view = view
+        self._end: Callable[[], None] | None = None
+        self._last: int | None = None
+        """Number of the last value received, or sent before it returned; None: of none."""
+        self._told: str | None = None
+        """Why values are missing, as the client knows."""
+        self._returned = False
+        """Whether the client has returned, and what it missed was not kept."""
+
+    def follow(self) -> None:
+        """Begin to receive values, or go on with the rights and the backend of now."""
+        before = self._end
+        if self.kept:
+            self._returned, self._last = True, self.sent
+        rate = self.subscription.options.rate
+        self._end = self._view.follow(self.entry, rate, self._receive, self._miss)
+        if before is not None:
+            before()
+
+    def unfollow(self) -> None:
+        """Receive none any more."""
+        self._told = self._last = None
+        if self._end is not None:
+            self._end()
+            self._end = None
+
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return nothing: earlier values are not kept in the frame."""
+        return None
+
+    def _receive(self, sample: Sample) -> None:
+        self.heard, self._told = self.entry.clock.monotonic(), None
+        last = self._last
+        if last is not None and sample.seq <= last:
+            return
+        self._last = sample.seq
+        if self._returned:
+            self._returned = False
+            self._tell_gap(sample.seq)
+        elif last is None and not self.subscription.options.initial:
+            super().admit(sample)  # the filters know it
+            return
+        self.offer(sample)
+
+    def _tell_gap(self, seq: int) -> None:
+        lost = seq - self.sent - 1
+        if lost > 0 and self.sent:  # nothing is known of another run of this gateway
+            path = self.entry.path
+            why = f"samples of {path} are not kept in other frames"
+            facts = {"lost": lost, "first": self.sent + 1, "last": seq - 1, "message": why}
+            notice(self.outbox, "gap", id=self.subscription.id, path=path, **facts)
+
+    def _miss(self, why: str) -> None:
+        if why != self._told:
+            self._told = why
+            _tell_missing(self, why)
+
+
+def _tell_missing(feed: FilteredPathSubscription, why: str) -> None:
+    facts = {"id": feed.subscription.id, "path": feed.entry.path, "message": why}
+    notice(feed.outbox, "no_transform", **facts)

@@ -9,6 +9,7 @@ from typing import Any
 from rcp_kernel.streams.deadline_monitor import DeadlineMonitor
 from rcp_kernel.streams.demand import AbsentListener, DemandTracker, absent_listener
 from rcp_kernel.streams.feeds import new_path_subscription
+from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbox import FlushScheduler
 from rcp_kernel.streams.path_subscription import PathSubscription
@@ -131,14 +132,19 @@ class Hub:
             self._unkeep(feed)
 
     def _keep(self, feed: PathSubscription) -> None:
-        """Keep the history of a path for a disconnected client."""
+        """Keep the history of a path for a disconnected client; there is none of other frames."""
+        if isinstance(feed, RemoteFramedPathSubscription):
+            return
         _keep_history(feed.entry, feed.subscription.options.rate)
         self.demand.retune(feed.entry)
 
     def relink(self, feed: PathSubscription) -> None:
         """Offer samples to a feed again."""
         entry = feed.entry
-        if isinstance(feed, SharedPathSubscription):
+        if isinstance(feed, RemoteFramedPathSubscription):
+            entry.framed += (feed,)
+            feed.follow()
+        elif isinstance(feed, SharedPathSubscription):
             join_fanout(feed, entry, self.flush_scheduler)
         else:
             entry.listeners.append(feed)
@@ -156,7 +162,8 @@ class Hub:
 
     def _left(self, entry: Entry) -> None:
         if not entry.listeners:
-            self.deadline_monitor.forget(entry)
+            if not entry.framed:
+                self.deadline_monitor.forget(entry)
             entry.size_ring()
         self.demand.retune(entry)
 
@@ -166,6 +173,11 @@ class Hub:
         if isinstance(feed, SharedPathSubscription):
             return leave_fanout(feed, feed.entry)
         entry = feed.entry
+        if isinstance(feed, RemoteFramedPathSubscription):
+            feed.unfollow()
+            known = feed in entry.framed
+            entry.framed = tuple(one for one in entry.framed if one is not feed)
+            return known
         if feed not in entry.listeners:
             return False
         # A new list, because a sample may just be being offered to the old one.
@@ -196,6 +208,8 @@ class Hub:
 
     def _unkeep(self, feed: PathSubscription) -> None:
         entry, absent = feed.entry, absent_listener(feed.entry)
+        if isinstance(feed, RemoteFramedPathSubscription):
+            return
         if absent is not None and absent.discard(feed.subscription.options.rate):
             if not absent:
                 entry.listeners.remove(absent)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 
 from rcp_kernel.streams.feeds import new_path_subscription
+from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbox import Outbox
@@ -189,8 +190,8 @@ class Links:
 
     def _replay(self, feed: PathSubscription, known: int) -> Work:
         ring = feed.entry.ring
-        if feed.entry.seq <= known:
-            return
+        if feed.entry.seq <= known or isinstance(feed, RemoteFramedPathSubscription):
+            return  # in another frame, it tells itself what is missing
         oldest = ring[0].seq if ring else feed.entry.seq + 1
         if oldest > known + 1:
             lost = oldest - known - 1

@@ -285,7 +285,7 @@ def leave_fanout(feed: SharedPathSubscription, entry: Entry) -> bool:
 
 def path_subscriptions_of(entry: Entry) -> Iterator[PathSubscription]:
     """Iterate over the feeds of an entry, in fan-outs or not."""
-    for listener in list(entry.listeners):
+    for listener in [*entry.listeners, *entry.framed]:
         if isinstance(listener, SharedFanout):
             yield from list(listener.members)
         elif isinstance(listener, PathSubscription):

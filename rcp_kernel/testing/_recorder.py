@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import (
     Anchor,
@@ -120,6 +121,11 @@ class Recorder:
 
     def own_leases(self, robot: str, leases: OwnLeases | None) -> None:
         """Do nothing: no robot has a gateway of its own."""
+
+    def refused(self, error: RcpError, *, count: int = 1) -> None:
+        """Pass on."""
+        self._check("refused")
+        self._host.refused(error, count=count)
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
         """Pass on."""

@@ -122,6 +122,7 @@ class Entry:
         "clock",
         "deadline",
         "feedback_type",
+        "framed",
         "input_type",
         "is_hold",
         "keeps_history",
@@ -194,6 +195,8 @@ class Entry:
         self.keeps_history = False
         """Whether its whole history is stored even without subscribers."""
         self.listeners: list[Listener] = []
+        self.framed: tuple[Listener, ...] = ()
+        """Those that the robot's own gateway sends values in other frames."""
         self.sustained = 0.0
         """Rate in Hz at which it is published regardless of subscribers."""
         self.written: float | None = None
@@ -269,7 +272,7 @@ class Entry:
         """Go on where an entry of the same path left off: number, samples and listeners."""
         self.seq, self.numbered = old.seq, old.numbered
         self.keeps_history = old.keeps_history
-        self.listeners = old.listeners
+        self.listeners, self.framed = old.listeners, old.framed
         self.sustained = old.sustained
         self.written = old.written
         if old.resource.value == self.resource.value:

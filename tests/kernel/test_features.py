@@ -15,7 +15,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared, world_of
-from rcp_kernel.app import plugins
+from offering import offer
 from rcp_kernel.app.features import active
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.features import BUILTIN
@@ -278,10 +278,7 @@ def offered(monkeypatch: pytest.MonkeyPatch, folder: Path, **sources: str) -> No
         (folder / f"{name}.py").write_text(text)
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.syspath_prepend(str(folder))
-    points = [EntryPoint(name, name, "rcp.features") for name in sources]
-    monkeypatch.setattr(
-        plugins, "entry_points", lambda group: points if group == "rcp.features" else []
-    )
+    offer(monkeypatch, [EntryPoint(name, name, "rcp.features") for name in sources])
 
 
 def test_a_built_in_feature_that_is_not_installed_is_missed_only_where_it_is_used(

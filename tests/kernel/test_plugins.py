@@ -12,6 +12,7 @@ import pluggy
 import pytest
 
 from configuration import backend, configuration, table
+from offering import offer
 from rcp_kernel import hookspecs
 from rcp_kernel.app import plugins
 from rcp_kernel.app.server import prepare, running
@@ -68,10 +69,7 @@ def installed_as(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, **sources: str
         (tmp_path / f"{name}.py").write_text(text)
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
-    points = [EntryPoint(name, name, "rcp.backends") for name in sources]
-    monkeypatch.setattr(
-        plugins, "entry_points", lambda group: points if group == "rcp.backends" else []
-    )
+    offer(monkeypatch, [EntryPoint(name, name, "rcp.backends") for name in sources])
 
 
 BACKEND = """

@@ -220,6 +220,7 @@ def prepared(
         transports={},
         adapters={},
         missing=[],
+        points={"plugins": {}},
         is_missing=lambda _group, _name: None,
     )
     tables = tuple(NoOptions() for _ in config.backends)

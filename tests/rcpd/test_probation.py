@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from structlog.testing import capture_logs
 
 from configuration import configuration, key, table
 from rcp_kernel.app.server import Server
@@ -22,6 +23,7 @@ from rcpd.cli import main
 from rcpd.configuration_file import ConfigurationFile
 from rcpd.hidden import Hidden
 from rcpd.probation import Probation
+from rcpd.reload import reload
 
 OLD = configuration(table("safety", guard_after=10.0))
 NEW = OLD + key("admin", ADMIN)
@@ -122,6 +124,34 @@ async def test_a_faulty_proposal_is_refused_with_the_place_but_without_the_value
         assert table.split("\n")[1].partition(" ")[0] in str(refused.value)
 
 
+FAULTY = OLD + "[limits]\nmesage = 3\nbatch = 0\n"
+
+
+async def test_a_proposal_is_refused_in_the_words_of_the_check(tmp_path: Path) -> None:
+    async with _gateway(tmp_path) as gateway:
+        with pytest.raises(InvalidValue) as refused:
+            gateway.propose(FAULTY)
+        line = FAULTY[: FAULTY.index("mesage")].count("\n") + 1
+        first = f"{gateway.path}:{line}: [limits] mesage: unknown key; did you mean `message`?"
+        assert str(refused.value).startswith(first)
+        assert str(refused.value).endswith("(1 more)")
+        found = (refused.value.details or {})["faults"]
+        assert [(one["line"], one["key"]) for one in found] == [
+            (line, "mesage"),
+            (line + 1, "batch"),
+        ]
+
+
+async def test_a_reload_is_refused_in_the_words_of_the_check(tmp_path: Path) -> None:
+    async with _gateway(tmp_path) as gateway:
+        gateway.path.write_text(FAULTY)
+        with capture_logs() as logs:
+            assert not await reload(gateway.server, gateway.path)
+        (refused,) = [one for one in logs if one["event"] == "reload_refused"]
+        assert ": [limits] mesage: unknown key; did you mean `message`?" in refused["reason"]
+        assert refused["reason"].endswith(f"(1 more: `rcpd check {gateway.path}`)")
+
+
 ZENOH = '[transports.zenoh]\ngateway = "r7"\ntenant = "alpha"\nconnect = ["{}"]\n'
 
 
@@ -132,7 +162,7 @@ async def test_what_a_plugin_says_of_a_proposal_shows_nothing_of_the_environment
     monkeypatch.setenv("SECRET", "Hunter2-S3cr3t")
     monkeypatch.setenv("PORT", "7")
     async with _gateway(tmp_path) as gateway:
-        with pytest.raises(InvalidValue, match="`rcpd check`") as refused:
+        with pytest.raises(InvalidValue, match=r"…|`rcpd check`") as refused:
             gateway.propose(OLD + ZENOH.format(endpoint), restart=True)
         assert not any(part in str(refused.value).lower() for part in ("hunter2", "s3cr3t"))
 
@@ -162,7 +192,7 @@ async def test_what_a_plugin_says_of_a_proposal_without_secrets_is_passed_on(
 def test_a_message_is_hidden_for_whole_words_of_a_secret_and_for_long_parts_of_one(
     secret: str, message: str, outcome: str
 ) -> None:
-    hidden = Hidden(f'[[keys]]\nname = "admin"\nsecret = "{secret}"\n')
+    hidden = Hidden(f'[[keys]]\nname = "admin"\nsecret = "{secret}"\n', [secret])
     reason = hidden.reason(message, "rcp.toml")
     assert reason == message if outcome == "shown" else "`rcpd check`" in reason
 

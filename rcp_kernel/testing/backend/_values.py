@@ -84,6 +84,7 @@ class ValueTests(BackendTests):
                 continue
             written = await robot.ask("write", resource.name, body=self.values(resource.name)[0])
             read = await robot.ask("read", resource.name)
+            assert read["status"] == written["status"] == "completed", (read, written)
             assert same(read["body"], written["body"]), (resource.name, read, written)
 
     async def test_what_is_out_of_range_is_refused_and_changes_nothing(self, robot: Robot) -> None:

@@ -149,7 +149,7 @@ class World:
 
         await eventually(is_ready, "the robot comes", ARRIVAL)
 
-    def limit(self, **limits: int) -> None:
+    def limit(self, **limits: float) -> None:
         """Change limits of the gateway while it runs, as a reload of its configuration does."""
         config = self.server.kernel.settings.config
         changed = msgspec.structs.replace(config.limits, **limits)

@@ -20,7 +20,11 @@ LONG = 4096  # characters of a text
 
 
 def _declare(world: World, count: int, type_: Any, value: Any) -> list[str]:
-    """Give the main robot many parameters; return their paths in order."""
+    """Give the main robot many parameters; return their paths in order.
+
+    The deadline, at which a page ends too, is far: on a busy machine 1000 values take seconds.
+    """
+    world.limit(deadline=BOUND)
     robot = world.robot()
     names = [f"param/many/p{number:04}" for number in range(count)]
     robot.host.declare(

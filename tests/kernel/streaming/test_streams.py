@@ -11,6 +11,7 @@ import pytest
 
 from kernel.world import Client, World
 from rcp_kernel.model import Resource
+from rcp_kernel.spi import Publication
 from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist, quantity
 
@@ -223,6 +224,12 @@ async def test_a_read_of_what_is_only_published_while_watched_gets_it(world: Wor
     reply = await world.client().ask(type="read", path="/sensor/lazy")
     assert reply["body"] == 7.0
     assert world.robot.left == [("sensor/lazy", None)]
+
+
+async def test_a_value_that_is_read_has_the_time_of_its_measurement(world: World) -> None:
+    world.robot.values["sensor/level"] = Publication("sensor/level", 3.0, 1_000_000_000)
+    reply = await world.client().ask(type="read", path=LEVEL, body={"fresh": True})
+    assert (reply["body"], reply["source_timestamp"]) == (3.0, "1970-01-01T00:00:01.000000000Z")
 
 
 async def test_a_value_that_does_not_fit_is_never_delivered(world: World) -> None:

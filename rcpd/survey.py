@@ -10,19 +10,20 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.config.faults import FAULTY, Collector, Fault, place_in
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, BackendConfig, GatewayConfig
 from rcp_kernel.config.identity import check_grants, check_identity
+from rcp_kernel.config.includes import included, merge
 from rcp_kernel.config.positions import Place, line_of, positions
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import check_groups
-from rcp_kernel.config.syntax import read_toml
 from rcp_kernel.config.variables import Secret, is_dear, secrets_of, substituted
-from rcp_kernel.config.words import nearest
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcpd.faults import FAULTY, Collector, Fault, place_in
+from rcpd.syntax import read_toml
+from rcpd.words import nearest
 
 __all__ = ["Finding", "Survey"]
 
@@ -43,32 +44,65 @@ class Finding(msgspec.Struct, frozen=True):
     """Without brackets; an element of a list by its `name`. Empty: the top level."""
     key: str | None
     message: str
+    file: str | None = None
+    """An included file; none: the file itself."""
 
     def text(self, source: str) -> str:
         """Return it as one line."""
         table = f"[{self.table}] " if self.table else ""
         key = f"{self.key}: " if self.key else ""
-        return f"{source}:{self.line}: {table}{key}{self.message}"
+        return f"{self.file or source}:{self.line}: {table}{key}{self.message}"
 
 
 class Survey:
     """The reading of one text: plugins' tables are read by whoever knows their types."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, source: str, *, show_values: bool = True) -> None:
+        self._source, self._show_values = source, show_values
         document = read_toml(text)
         self.readable = document.raw is not None
         """Whether more than the form could be read."""
         self.raw: dict[str, Any] = document.raw or {}
         self.collector = Collector(self._shown, _TOP)
-        self._secrets = [one for one in secrets_of(document.text) if _is_secret(one)]
+        self.secrets = secrets_of(document.text, Path(source).parent)
+        """What must not be shown of the file, and of those that it includes."""
         self._broken = bool(document.faults)
         self._lines = positions(document.text) if self.readable else {}
+        self._files: dict[Place, str] = {}
+        """The included files of nodes that are not of the file itself."""
         for line, message in document.faults:
             self.collector.add((), message, line=line)
+        self._include()
+        self._hidden = [one for one in self.secrets if _is_secret(one)]
         self.raw = self._resolved(self.raw, ())
         self.config = self._read()
         """What is left without the faults of the kernel's tables."""
         self._check()
+
+    def _include(self) -> None:
+        """Add the included files, each node with its file and line."""
+        with self.checking(("include",)):
+            for part in included(self.raw, self._source):
+                document = read_toml(part.text)
+                for line, message in document.faults:
+                    self.collector.add((), message, line=line, file=part.source)
+                self._broken = self._broken or bool(document.faults)
+                if document.raw is None:
+                    continue
+                self.secrets += secrets_of(document.text, Path(part.source).parent)
+                merged = merge(self.raw, document.raw, part.source)
+                lines = positions(document.text)
+                for place in merged.conflicts:
+                    self.collector.add(
+                        place,
+                        "is set in another file too: remove one of the two",
+                        line=line_of(place, lines),
+                        file=part.source,
+                    )
+                for place, line in lines.items():
+                    at = merged.place(place)
+                    if at not in self._lines:
+                        self._lines[at], self._files[at] = line, part.source
 
     @property
     def findings(self) -> list[Finding]:
@@ -79,10 +113,17 @@ class Survey:
                 one.line or line_of(one.place, self._lines),
                 *self._named(one.place),
                 self._without_secrets(one.message),
+                one.file or self._file(one.place),
             )
             for one in faults
         ]
-        return sorted(found, key=lambda one: one.line)
+        return sorted(found, key=lambda one: (one.file or "", one.line))
+
+    def _file(self, place: Place) -> str | None:
+        """Return the included file of a node, or of the nearest one around it that has a line."""
+        while place not in self._lines and place:
+            place = place[:-1]
+        return self._files.get(place)
 
     def _is_consequence(self, fault: Fault) -> bool:
         """Return whether something is missing only because of another fault."""
@@ -105,7 +146,7 @@ class Survey:
         return line_of(place, self._lines)
 
     def _without_secrets(self, message: str) -> str:
-        for secret in self._secrets:
+        for secret in self._hidden:
             message = message.replace(secret, "…")
         return message
 
@@ -141,7 +182,7 @@ class Survey:
         if isinstance(value, bool):
             return "true" if value else "false"
         text = repr(value)
-        return text if len(text) <= _SHOWN else "the value"
+        return text if self._show_values and len(text) <= _SHOWN else "the value"
 
     def _resolved(self, node: Any, place: Place) -> Any:
         """Replace the variables of all strings; one that cannot be is taken out."""
@@ -152,7 +193,7 @@ class Survey:
         if not isinstance(node, str):
             return node
         try:
-            return substituted(node)
+            return substituted(node, Path(self._file(place) or self._source).parent)
         except ConfigError as error:
             self.collector.add(place, str(error))
             return FAULTY

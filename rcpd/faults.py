@@ -9,9 +9,9 @@ from typing import Any, get_args, get_origin
 import msgspec
 
 from rcp_kernel.config.positions import Place
-from rcp_kernel.config.words import choices, expected, members, nearest, split_annotated
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
+from rcpd.words import choices, expected, members, nearest, split_annotated
 
 __all__ = ["FAULTY", "Collector", "Fault", "place_in"]
 
@@ -29,6 +29,8 @@ class Fault(msgspec.Struct, frozen=True):
     """The key that is not there and has to be."""
     line: int | None = None
     """Where the file has no node at the place: that of a fault of the form itself."""
+    file: str | None = None
+    """The included file of such a line."""
 
 
 class Collector:
@@ -46,10 +48,16 @@ class Collector:
         self._kept: dict[Place, list[int]] = {}
 
     def add(
-        self, place: Place, message: str, *, missing: str | None = None, line: int | None = None
+        self,
+        place: Place,
+        message: str,
+        *,
+        missing: str | None = None,
+        line: int | None = None,
+        file: str | None = None,
     ) -> None:
         """Note a fault, unless there is one at this place that says the same."""
-        fault = Fault(place, message, missing, line)
+        fault = Fault(place, message, missing, line, file)
         if fault in self.faults:
             return
         if len(self.faults) < self._most:

@@ -1,0 +1,69 @@
+"""The active features, connected to the parts that they extend."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from rcp_kernel.app.composition.access import Access
+from rcp_kernel.app.composition.base import Base
+from rcp_kernel.app.composition.records import Records
+from rcp_kernel.app.composition.safety import Safety
+from rcp_kernel.app.composition.sessions import Clients
+from rcp_kernel.app.composition.tree import Tree
+from rcp_kernel.app.feature_host import GatewayFeatureHost
+from rcp_kernel.app.features import ActiveFeature, Features, make
+from rcp_kernel.app.robots import GatewayRobots
+from rcp_kernel.features.services import FeatureServices
+from rcp_kernel.safety.control import Control
+from rcp_store.ledger import Ledger
+
+__all__ = ["compose_features"]
+
+
+def compose_features(
+    base: Base,
+    tree: Tree,
+    access: Access,
+    records: Records,
+    safety: Safety,
+    clients: Clients,
+    active: Sequence[ActiveFeature],
+) -> Features:
+    """Create the features, and add them to what they listen to and answer."""
+    services = FeatureServices()
+    host = partial(
+        GatewayFeatureHost,
+        robots=partial(
+            GatewayRobots,
+            hub=tree.hub,
+            conditions=access.conditions,
+            backends=tree.supervisors,
+        ),
+        changes=tree.changes,
+        store=records.store,
+        events=records.events,
+        ledger=Ledger(records.store),
+        visibility=tree.visibility,
+        settings=base.settings,
+        sessions=clients.sessions,
+        control=Control(safety.commands, safety.deadman),
+        delegation=clients.delegation,
+        scopes=tree.scopes,
+        shutdown=base.shutdown,
+        turns=base.turns,
+        services=services,
+        loop=base.loop,
+        clock=base.clock,
+    )
+    made = make(active, host)
+    services.ask(made)
+    records.events.listeners += made.event_listeners
+    records.journal.listeners += made.command_listeners
+    records.replies.demands += made.recorders
+    base.events.configure(made.observers)
+    access.identities.ask(made.authenticators)
+    clients.accounting.ask(made.accounting)
+    clients.sessions.on_end.append(made.session_ended)
+    clients.sessions.on_review.append(made.rights_changed)
+    return made

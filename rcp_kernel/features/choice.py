@@ -1,0 +1,26 @@
+"""Requests of features that do one of several things."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rcp_kernel.errors import BadRequest
+
+__all__ = ["chosen"]
+
+
+def chosen(request: msgspec.Struct, path: str) -> str:
+    """Return the name of the one field that a request gives.
+
+    :raises BadRequest: it gives none, or several.
+    """
+    names = request.__struct_fields__
+    given = [name for name in names if getattr(request, name) is not None]
+    if len(given) != 1:
+        *others, last = [f"`{name}`" for name in names]
+        raise BadRequest(
+            "a request does one thing",
+            path=path,
+            remedy=f"Give one of {', '.join(others)} and {last}.",
+        )
+    return given[0]
