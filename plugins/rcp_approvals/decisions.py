@@ -121,7 +121,7 @@ class Decisions:
             reason=reason,
             at=at,
         )
-        self._questions.changed()
+        self._questions.decided(question)
 
 
 def _check_open(question: Question) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import secrets
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 from rcp_approvals.config import ApprovalsConfig
@@ -36,6 +37,27 @@ class Questions:
         self._now = host.clock.now
         self.known: dict[str, Question] = {}
         """By id, oldest first."""
+
+        self._followers: dict[str, list[Callable[[], None]]] = {}
+
+    def follow(self, id_: str, decided: Callable[[], None]) -> Callable[[], None]:
+        """Call `decided` once there is a decision, as `ApprovalService.follow`."""
+        following = self._followers.setdefault(id_, [])
+        following.append(decided)
+
+        def stop() -> None:
+            if decided in following:
+                following.remove(decided)
+            if not following:
+                self._followers.pop(id_, None)
+
+        return stop
+
+    def decided(self, question: Question) -> None:
+        """Notify who follows an approval, and subscribers."""
+        self.changed()
+        for callback in self._followers.pop(question.state.approval, ()):
+            self._host.loop.call_soon(callback)
 
     def changed(self) -> None:
         """Notify subscribers that the list has changed."""

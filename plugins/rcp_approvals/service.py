@@ -18,3 +18,4 @@ class Approvals:
         self.open = guard.open
         self.close = guard.close
         self.answer = decisions.answer
+        self.follow = questions.follow

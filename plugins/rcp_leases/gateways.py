@@ -15,7 +15,7 @@ from rcp_kernel.features import Scope
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.spi import RobotLease, RobotLeaseRequest
 from rcp_kernel.tree.entry import StopGroup
-from rcp_leases.lease import Held, Lease
+from rcp_leases.lease import Held, Lease, Program
 
 __all__ = ["GatewayLeases", "Granted"]
 
@@ -77,6 +77,7 @@ class GatewayLeases:
         take: bool,
         reason: str | None,
         principal: str,
+        program: Program,
     ) -> Granted:
         """Acquire a lease at all robots, or at none of them.
 
@@ -85,7 +86,13 @@ class GatewayLeases:
         before = self._clock.now()
         wanted = {
             unit: RobotLeaseRequest(
-                do="acquire", scope=narrowed(scope, unit), ttl=ttl, take=take, reason=reason
+                do="acquire",
+                scope=narrowed(scope, unit),
+                ttl=ttl,
+                take=take,
+                reason=reason,
+                program=program.name,
+                former=program.former,
             )
             for unit in sorted(units, key=lambda unit: unit.name)
         }
@@ -113,7 +120,9 @@ class GatewayLeases:
             _background(asyncio.gather(*undo, return_exceptions=True))
             raise
 
-    async def extend(self, units: Iterable[StopGroup], lease: Lease, ttl: float) -> Granted:
+    async def extend(
+        self, units: Iterable[StopGroup], lease: Lease, ttl: float, program: Program
+    ) -> Granted:
         """Renew a lease at all robots of its scope; one that is new in there is asked for it.
 
         :raises LeaseHeld, LeaseLost, LeaseRequired: a robot's gateway holds it no longer.
@@ -123,10 +132,13 @@ class GatewayLeases:
         asked: dict[StopGroup, Coroutine[Any, Any, RobotLease]] = {}
         for unit in units:
             held, scope = lease.gateways.get(unit.name), narrowed(lease.scope, unit)
-            request = (
-                RobotLeaseRequest(do="acquire", scope=scope, ttl=ttl, reason=lease.reason)
-                if held is None
-                else RobotLeaseRequest(do="renew", scope=scope, lease=held.id, ttl=ttl)
+            request = RobotLeaseRequest(
+                do="acquire" if held is None else "renew",
+                scope=scope,
+                lease=None if held is None else held.id,
+                ttl=ttl,
+                reason=lease.reason if held is None else None,
+                program=program.name,
             )
             asked[unit] = unit.lease_own(request)
         return self._granted(await _all(asked), before)

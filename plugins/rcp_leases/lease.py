@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -9,8 +10,32 @@ from typing import Any, NamedTuple
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import LeaseHeld
 from rcp_kernel.features import Scope
+from rcp_kernel.sessions.session import Session
 
-__all__ = ["Held", "Lease", "refusal"]
+__all__ = ["Held", "Lease", "Program", "refusal"]
+
+
+class Program(NamedTuple):
+    """Which of a principal's programs asks, at a gateway between it and the robot's own."""
+
+    name: str | None
+    former: str | None = None
+    """Its name where it was before."""
+
+    @classmethod
+    def of(cls, session: Session) -> Program:
+        """Name the program whose session it is, without telling the id of the session."""
+        former = session.former
+        return cls(_digest(session.holder), None if former is None else _digest(former))
+
+    def of_person(self, session: Session) -> Program:
+        """Return the same among those of all persons who come by hubs, at the robot's gateway."""
+        person = f"{session.principal.proof}:{session.principal.name}"
+        return Program(*(None if one is None else _digest(f"{person} {one}") for one in self))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 class Held(NamedTuple):
@@ -38,6 +63,8 @@ class Lease:
     since: int
     expires: int
     reason: str | None = None
+    program: str | None = None
+    """The program of a person who came by a hub, which may go on with it at another hub."""
     gateways: dict[str, Held] = field(default_factory=dict[str, Held])
     """By the name of each robot (`StopGroup.name`) that has a gateway of its own."""
 

@@ -23,7 +23,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_leases.config import LeasesConfig
 from rcp_leases.gateways import GatewayLeases, Granted
-from rcp_leases.lease import Held, Lease, refusal
+from rcp_leases.lease import Held, Lease, Program, refusal
 from rcp_leases.losses import Loss, Losses
 from rcp_scheduling.turns import Work
 
@@ -180,6 +180,7 @@ class Leases:
         *,
         take: bool,
         granted: Granted | None = None,
+        program: Program | None = None,
     ) -> Lease:
         """Grant a session the lease on a scope that it may command, or renew the one it holds.
 
@@ -188,15 +189,15 @@ class Leases:
         :raises LeaseHeld: another session holds an overlapping lease and is not pre-empted.
         :raises BadRequest: a take-over has no reason.
         """
-        self.check_free(session, scope, reason, take=take)
+        self.check_free(session, scope, reason, take=take, program=program)
         by = session.principal.name
-        for rival in self.rivals(session, scope):
+        for rival in self.rivals(session, scope, program):
             self.lose(rival, by, reason or "")
         priority = session.rights.priority(scope.tenant)
-        lease = self.own(session, scope)
+        lease = self.own(session, scope) or self._followed(session, scope, program)
         if lease is None:
             lease = Lease(
-                id="l-" + secrets.token_hex(8),
+                id=_new_id(),
                 scope=scope,
                 key=session.holder,
                 holder=by,
@@ -208,13 +209,36 @@ class Leases:
             )
             self.held[lease.id] = lease
         lease.priority = priority
+        lease.program = None if program is None else program.name
         for key in session.holders:
             self._lost.forgive(key, scope)
         self._extend(session, lease, until, granted)
         self._note("acquire", lease, session, take=take, reason=reason)
         return lease
 
-    def check_free(self, session: Session, scope: Scope, reason: str | None, *, take: bool) -> None:
+    def _followed(self, session: Session, scope: Scope, program: Program | None) -> Lease | None:
+        """Return the lease that a person's program has acquired by another hub, now its own here.
+
+        It gets another id, so that the other hub learns that its own is over.
+        """
+        for lease in self.held.values():
+            if lease.scope.text == scope.text and _is_of(lease, program):
+                self._remove(lease)
+                self._host.control.hand_over(lease.key, scope.covers, session)
+                lease.id, lease.key = _new_id(), session.holder
+                self.held[lease.id] = lease
+                return lease
+        return None
+
+    def check_free(
+        self,
+        session: Session,
+        scope: Scope,
+        reason: str | None,
+        *,
+        take: bool,
+        program: Program | None = None,
+    ) -> None:
         """Check that a session could acquire the lease on a scope.
 
         :raises LeaseHeld, BadRequest: as `acquire` does.
@@ -224,7 +248,7 @@ class Leases:
                 "`take` needs a `reason`", remedy="Set `reason`; the previous holder is shown it."
             )
         priority = session.rights.priority(scope.tenant)
-        for rival in self.rivals(session, scope):
+        for rival in self.rivals(session, scope, program):
             if not take or priority <= rival.priority:
                 of = self._visible_scope(session, rival, scope)
                 raise refusal(rival, scope.text, self._now(), of=of)
@@ -234,11 +258,15 @@ class Leases:
         visible = self._host.scopes.sees(session.rights, rival.scope)
         return rival.scope.text if visible else scope.text
 
-    def rivals(self, session: Session, scope: Scope) -> list[Lease]:
-        """List the leases of other sessions that overlap a scope."""
+    def rivals(self, session: Session, scope: Scope, program: Program | None = None) -> list[Lease]:
+        """List the leases of other sessions, and other programs, that overlap a scope."""
         for lease in [held for held in self.held.values() if held.expires <= self._now()]:
             self._expire(lease)
-        others = (lease for lease in self.held.values() if lease.key != session.holder)
+        others = (
+            lease
+            for lease in self.held.values()
+            if lease.key != session.holder and not _is_of(lease, program)
+        )
         return [lease for lease in others if lease.scope.overlaps(scope)]
 
     def own(self, session: Session, scope: Scope) -> Lease | None:
@@ -322,10 +350,13 @@ class Leases:
 
     # -- expiry and loss -----------------------------------------------------------------------
 
-    def lose(self, lease: Lease, by: str, reason: str, *, stop: bool = True) -> None:
+    def lose(
+        self, lease: Lease, by: str, reason: str, *, stop: bool = True, ends: bool = True
+    ) -> None:
         """Revoke a lease and cancel the commands that its holder gave under it.
 
-        `stop` brings the robots to rest; pass False if they are being halted anyway.
+        `stop` brings the robots to rest; pass False if they are being halted anyway. Without `ends`,
+        nothing ends but the lease.
         """
         if lease.id not in self.held:
             return
@@ -335,8 +366,9 @@ class Leases:
         self._refresh()
         covers = self._revoked_paths(lease)
         control, scope = self._host.control, lease.scope
-        control.withdraw(lease.key, covers, lambda path: LeaseLost(loss.message, path=path))
-        if stop:
+        if ends:
+            control.withdraw(lease.key, covers, lambda path: LeaseLost(loss.message, path=path))
+        if ends and stop:
             entries = self._host.scopes.entries(scope)
             control.bring_to_rest(entry for entry in entries if covers(entry.path))
         facts = {"lease": lease.id, "scope": scope.text, "by": by, "reason": reason}
@@ -425,7 +457,9 @@ class Leases:
             return
         others = (one for one in own.leases if Scope(one.scope).overlaps(lease.scope))
         taker = next((one.holder for one in others), "its own gateway")
-        self.lose(lease, taker, f"{unit.name} is no longer under it")
+        # A person who goes on at another hub has taken along what runs; from anybody else, the
+        # robot's gateway has taken it.
+        self.lose(lease, taker, f"{unit.name} is no longer under it", ends=taker != lease.holder)
 
     # -- bookkeeping ---------------------------------------------------------------------------
 
@@ -460,3 +494,11 @@ class Leases:
             holder=lease.holder,
             **facts,
         )
+
+
+def _is_of(lease: Lease, program: Program | None) -> bool:
+    return program is not None and lease.program is not None and lease.program in program
+
+
+def _new_id() -> str:
+    return "l-" + secrets.token_hex(8)

@@ -30,7 +30,7 @@ from rcp_kernel.tree.entry import StopGroup
 from rcp_kernel.types import Time
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
-from rcp_leases.lease import Held, Lease
+from rcp_leases.lease import Held, Lease, Program
 from rcp_leases.leases import COMMANDING, Leases
 
 __all__ = ["PATH", "LeaseRequest", "LeaseRequests", "LeaseState", "releases"]
@@ -54,6 +54,10 @@ class LeaseRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     to: Annotated[str, Meta(max_length=128)] | None = None
     """The recipient of a hand-over: a principal's name, or the beginning of a session's id."""
     reason: Annotated[str, Meta(max_length=500)] | None = None
+    program: Annotated[str, Meta(max_length=64)] | None = None
+    """For hubs: which of the person's programs asks."""
+    former: Annotated[str, Meta(max_length=64)] | None = None
+    """For hubs: what that program was called at the hub where it was before."""
 
 
 class LeaseState(msgspec.Struct, frozen=True):
@@ -136,8 +140,8 @@ class LeaseRequests:
             heir = self._heir(session, request.to, lease.scope)
             return None if dry_run else self._hand_over(session, lease, heir)
         if request.do == "renew":
-            ttl = self._ttl(request)
-            return None if dry_run else self._renew(session, lease, ttl)
+            ttl, program = self._ttl(request), self._program(session, request)
+            return None if dry_run else self._renew(session, lease, ttl, program)
         return None if dry_run else self._release(session, lease)
 
     def _acquire(
@@ -155,20 +159,33 @@ class LeaseRequests:
         if self._host.closing:
             raise AdapterUnavailable("the gateway is closing")
         units = leases.gateways.units(scope)
+        program = self._program(session, request)
         if dry_run or units:
-            leases.check_free(session, scope, request.reason, take=take)
+            leases.check_free(session, scope, request.reason, take=take, program=program)
         if dry_run:
             return None
         if units:
             return self._acquire_there(session, request, scope, ttl, units)
-        return _state(leases.acquire(session, scope, self._until(ttl), request.reason, take=take))
+        return _state(
+            leases.acquire(
+                session, scope, self._until(ttl), request.reason, take=take, program=program
+            )
+        )
+
+    def _program(self, session: Session, request: LeaseRequest) -> Program | None:
+        """Return the program of a person who came by a hub, if the hub has said it."""
+        if session.principal.via is None or request.program is None:
+            return None
+        return Program(request.program, request.former).of_person(session)
 
     def _renew(
-        self, session: Session, lease: Lease, ttl: float
+        self, session: Session, lease: Lease, ttl: float, program: Program | None
     ) -> LeaseState | Coroutine[Any, Any, LeaseState]:
         units = self._leases.gateways.units(lease.scope)
         if units:
             return self._renew_there(session, lease, ttl, units)
+        if program is not None:
+            lease.program = program.name
         self._leases.renew(session, lease, self._until(ttl))
         return _state(lease)
 
@@ -213,6 +230,7 @@ class LeaseRequests:
                 take=take,
                 reason=request.reason,
                 principal=session.principal.name,
+                program=Program.of(session),
             )
             try:
                 if not self._host.sessions.holding(session.holder):
@@ -234,7 +252,7 @@ class LeaseRequests:
             self._still(session, lease)
             with leases.asking(lease):
                 try:
-                    granted = await leases.gateways.extend(units, lease, ttl)
+                    granted = await leases.gateways.extend(units, lease, ttl, Program.of(session))
                 except (LeaseHeld, LeaseLost, LeaseRequired) as error:
                     by = (error.details or {}).get("holder") or (error.details or {}).get("by")
                     leases.lose(lease, by or "its own gateway", error.message)
