@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from rcp_fleet.config import FleetConfig
 from rcp_fleet.gateway import RemoteGateway
 from rcp_fleet.link import FleetLinks
 from rcp_fleet.link_names import LinkNames
+from rcp_fleet.refusals import Refusals
 from rcp_fleet.revocations import Revocations
 from rcp_fleet.stops import RobotStop
 from rcp_fleet.types import RobotTypes
@@ -29,6 +30,7 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.spi import (
     BaseBackend,
+    FrameWatch,
     Host,
     MotionState,
     Progress,
@@ -94,6 +96,22 @@ class FleetBackend(BaseBackend):
     async def read(self, name: str) -> Any:
         """Read at the robot's gateway."""
         return await self._of(name).read(name)
+
+    async def read_in_frame(self, name: str, frame: str) -> Any:
+        """Read at the robot's gateway, which converts the value."""
+        return await self._of(name).read_in_frame(name, frame)
+
+    def frames_of(self, name: str) -> Sequence[str]:
+        """Return what the robot's gateway listed, a while ago at most; nothing before it is here."""
+        gateway = self.gateways.get(name.split("/", 2)[1])
+        return () if gateway is None else gateway.frames_of(name)
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Subscribe at the robot's gateway as the person who wants the values."""
+        robot = name.split("/", 2)[1]
+        # After a reload, the subscriber may be here before the robot.
+        gateway = self.gateways.get(robot) or self._add(robot) or self._gateway(robot)
+        return gateway.watch_in_frame(name, watch)
 
     async def write(self, name: str, value: Any) -> Any:
         """Write at the robot's gateway."""
@@ -220,13 +238,16 @@ async def open_gateways(config: FleetConfig, host: Host) -> AsyncGenerator[Fleet
         backend = FleetBackend(config, links, host, signer, revocations)
         tokens = partial(session.liveliness().declare_subscriber, alive(host.tenant), history=True)
         repeating = loop.create_task(_repeat(revocations), name="fleet revocations")
+        served = {*config.robots, *config.hubs, *config.routers}
+        refusals = nullcontext() if access is None else Refusals(host, session, served).reported()
         try:
-            async with links.receiving():
-                try:
-                    async with received(tokens, backend.token):
-                        yield backend
-                finally:
-                    await backend.close()
+            with refusals:
+                async with links.receiving():
+                    try:
+                        async with received(tokens, backend.token):
+                            yield backend
+                    finally:
+                        await backend.close()
         finally:
             repeating.cancel()
 

@@ -12,8 +12,9 @@ import structlog
 
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.errors import ConnectionLost
-from rcp_client.messages import Notice, ResourceInfo
+from rcp_client.messages import Notice, Reply, ResourceInfo
 from rcp_fleet.config import FleetConfig
+from rcp_fleet.frames import FrameLists, FrameStreams
 from rcp_fleet.leases import RobotLeases
 from rcp_fleet.link import FleetLinks
 from rcp_fleet.link_status import LinkStatus
@@ -34,9 +35,16 @@ from rcp_fleet.types import RobotTypes
 from rcp_fleet.values import RobotFeed, RobotNumbers, RobotValue
 from rcp_hubs.signer import HubSigner
 from rcp_kernel.clock import parse_time
-from rcp_kernel.errors import AdapterUnavailable, DeadlineExceeded, RcpError
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeadlineExceeded,
+    FilterUnsupported,
+    RcpError,
+    UnknownPath,
+)
 from rcp_kernel.spi import (
     Caller,
+    FrameWatch,
     Host,
     Principal,
     Progress,
@@ -45,12 +53,14 @@ from rcp_kernel.spi import (
     caller,
 )
 from rcp_kernel.wire import VERSION
+from rcp_protocol.trace import Trace, current_trace
 
 __all__ = ["RemoteGateway"]
 
 log = structlog.get_logger("rcp.fleet")
 _LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
 _SHORTEST = 0.001  # s: a deadline must lie ahead
+_AWAY = "its gateway cannot be reached"
 
 
 class _Stream:
@@ -84,22 +94,26 @@ class RemoteGateway:
         """Whether its resources are declared and it can be reached."""
         self._reached = asyncio.Event()
         """Set while it is."""
+        self._why = _AWAY
+        """Why it was not, when last it was not."""
         self._returned = asyncio.get_running_loop().create_future()
         """Done when a new link has been made, and then another one."""
         self._paths: dict[str, str] = {}
         self._numbers = RobotNumbers()
         self._streams: dict[tuple[str, float | None], _Stream] = {}
-        self._sessions = GatewaySessions(config, links, host.tenant, name, signer)
-        self._client = self._sessions.own
-        self.link = LinkStatus(host, name, self._sessions.statistics)
+        self.sessions = GatewaySessions(config, links, host.tenant, name, signer)
+        self._client = self.sessions.own
+        self._frame_lists = FrameLists(name, self._list, turns=types.turns)
+        self._frame_streams = FrameStreams(self.sessions, self._numbers, self._path_when_reached)
+        self.link = LinkStatus(host, name, self.sessions.statistics)
         self.stops = RobotStop(self._client, config.hub, host, name)
-        self._leases = RobotLeases(self._sessions, host, name)
+        self._leases = RobotLeases(self.sessions, host, name)
         self._client.channel.listeners.append(self._heard)
         self._opening = asyncio.create_task(self._open(), name=f"fleet {name}")
 
     def alive(self, *, here: bool) -> None:
         """Note that the gateway's token has appeared or gone."""
-        self._sessions.alive(here=here)
+        self.sessions.alive(here=here)
 
     def _heard(self, notice: Notice) -> None:
         if notice.code == "refused":
@@ -111,8 +125,10 @@ class RemoteGateway:
         self._review()
 
     def _refused(self, reason: str) -> None:
+        self._why = reason
         self._host.report(reason, down=True, robot=self.name)
         self.link.down(reason)
+        self._frame_streams.missing(reason)
 
     def _mismatch(self) -> str | None:
         """Say why the gateway and this hub do not understand each other, if so."""
@@ -199,11 +215,15 @@ class RemoteGateway:
     async def _discover(self) -> list[ResourceInfo]:
         while True:
             try:
-                found = await self._types.discover(self._client, "/tenant/**")
+                found = await self._list()
+                self._frame_lists.note(found)
                 return found + await self._types.discover(self._client, CONFIGURATION)
             except RcpError as error:
                 log.info("fleet_discovery_failed", gateway=self.name, reason=error.message)
             await asyncio.sleep(_LONGEST_PAUSE)
+
+    async def _list(self) -> list[ResourceInfo]:
+        return await self._types.discover(self._client, "/tenant/**")
 
     async def _follow_facts(self, path: str) -> AsyncIterator[object]:
         """Describe the robot as its gateway's inventory does, if it has one."""
@@ -226,7 +246,7 @@ class RemoteGateway:
         if not ready:
             self._reached.clear()
             if mismatch is not None or changed:
-                self._refused(mismatch or "its gateway cannot be reached")
+                self._refused(mismatch or _AWAY)
             return
         if not changed:
             return
@@ -244,18 +264,51 @@ class RemoteGateway:
         """Read from the gateway, as the person who asked; what the hub itself knows, here."""
         if name == self.link.name:
             return self.link.value()
-        path, asked = self._path(name), caller()
-        async with self._sessions.acting(_who(asked)) as client:
-            reply = await client.sample(path, deadline=_left(asked))
+        reply = await self._sample(name, None)
         if reply.seq is None or reply.source_timestamp is None:
             return reply.body
-        data, time = msgspec.msgpack.encode(reply.body), parse_time(reply.source_timestamp)
-        return RobotValue(data, self._numbers.of(name, reply.seq, time), time)
+        return self._value(name, reply, reply.source_timestamp)
+
+    async def read_in_frame(self, name: str, frame: str) -> RobotValue:
+        """Read a value in a frame, as the gateway converts it for the person who asked.
+
+        :raises FilterUnsupported: it is the hub's own, or has none.
+        """
+        if name == self.link.name:
+            raise FilterUnsupported(f"{name} has no frame", remedy="Omit `frame`.")
+        reply = await self._sample(name, frame)
+        return self._value(name, reply, reply.source_timestamp or reply.timestamp or "")
+
+    def frames_of(self, name: str) -> tuple[str, ...]:
+        """Return the frames to and from which the gateway converts."""
+        return self._frame_lists.of(name, ready=self.ready)
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Subscribe in a frame, as the person who wants it; return the end function."""
+        if not self.ready:  # no change will tell this one
+            watch.missing(self._why)
+        return self._frame_streams.begin(name, watch)
+
+    async def _path_when_reached(self, name: str) -> str:
+        await self._reached.wait()
+        if name not in self._paths:
+            raise UnknownPath(f"'{name}' is not there any more")
+        return self._paths[name]
+
+    async def _sample(self, name: str, frame: str | None) -> Reply:
+        path, asked = self._path(name), caller()
+        async with self.sessions.acting(_who(asked)) as client:
+            return await client.sample(path, frame=frame, deadline=_left(asked))
+
+    def _value(self, name: str, reply: Reply, timestamp: str) -> RobotValue:
+        data, time = msgspec.msgpack.encode(reply.body), parse_time(timestamp)
+        return RobotValue(data, self._numbers.of(name, reply.seq or 0, time), time)
 
     async def write(self, name: str, value: Any) -> Any:
         """Write as the person who asked, and return the value in force."""
         path, asked = self._path(name), caller()
-        async with self._sessions.acting(_who(asked)) as client:
+        current_trace.set(_trace(asked))
+        async with self.sessions.acting(_who(asked)) as client:
             return await client.write(
                 path,
                 value,
@@ -267,7 +320,8 @@ class RemoteGateway:
     async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Write several values as one, and return those in force."""
         names, asked = {self._path(name): name for name in values}, caller()
-        async with self._sessions.acting(_who(asked)) as client:
+        current_trace.set(_trace(asked))
+        async with self.sessions.acting(_who(asked)) as client:
             written = await client.write_all(
                 {path: values[name] for path, name in names.items()},
                 valid_for=None if asked is None else asked.valid_for,
@@ -284,10 +338,11 @@ class RemoteGateway:
                 progress(one.body, fraction=one.progress)
 
         asked = caller()
+        current_trace.set(_trace(asked))
         while True:  # until the kernel ends it at its deadline; its key keeps it from running twice
             await self._reached.wait()
             try:
-                async with self._sessions.acting(_who(asked)) as client:
+                async with self.sessions.acting(_who(asked)) as client:
                     begun = client.start(
                         self._paths[name],
                         value,
@@ -304,8 +359,8 @@ class RemoteGateway:
     async def reset_estop(self) -> None:
         """Ask the gateway, as the person who asked, to reset its e-stop; it may refuse."""
         if not self.ready:
-            raise AdapterUnavailable("its gateway cannot be reached")
-        async with self._sessions.acting(_who(caller())) as client:
+            raise AdapterUnavailable(_AWAY)
+        async with self.sessions.acting(_who(caller())) as client:
             await client.estop(reset=True)
 
     async def lease(self, request: RobotLeaseRequest) -> RobotLease:
@@ -363,7 +418,9 @@ class RemoteGateway:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        await self._sessions.close()
+        await self._frame_lists.close()
+        await self._frame_streams.close()
+        await self.sessions.close()
 
 
 async def _followed(begun: Coroutine[Any, Any, CommandHandle]) -> Any:
@@ -395,6 +452,10 @@ def _who(asked: Caller | None) -> Principal | None:
 
 def _key(asked: Caller | None) -> str | None:
     return None if asked is None else asked.key
+
+
+def _trace(asked: Caller | None) -> Trace | None:
+    return None if asked is None else asked.trace
 
 
 def _left(asked: Caller | None) -> float | None:

@@ -10,13 +10,14 @@ from rcp_client.messages import Notice
 from rcp_fleet.resources import LEASES
 from rcp_fleet.sessions import GatewaySessions
 from rcp_kernel.clock import parse_time
-from rcp_kernel.errors import AdapterUnavailable, LeaseHeld, RcpError
+from rcp_kernel.errors import AdapterUnavailable, InvalidValue, LeaseHeld, RcpError
 from rcp_kernel.model import BRANCHES
 from rcp_kernel.spi import Caller, Host, OwnLeases, RobotLease, RobotLeaseRequest
 
 __all__ = ["RobotLeases", "hub_scope", "robot_scope"]
 
 _RELEASE = 5.0  # s for a release, whatever is left of the request that has failed
+_PROGRAMS = ("program", "former")
 _TENANT, _BRANCH = 3, 4  # parts of a path up to there, the empty one before the first `/` included
 
 
@@ -40,10 +41,13 @@ class RobotLeases:
 
     def __init__(self, sessions: GatewaySessions, host: Host, robot: str) -> None:
         self._sessions, self._host, self._robot = sessions, host, robot
+        self._knows_programs = True
+        """Whether its gateway keeps the programs of a person apart, as far as is known."""
         sessions.own.channel.listeners.append(self._heard)
 
     def _heard(self, notice: Notice) -> None:
         if notice.code == "disconnected":
+            self._knows_programs = True  # it may be replaced meanwhile
             self._host.own_leases(self._robot, None)
 
     async def follow(self, path: str) -> AsyncIterator[object]:
@@ -70,7 +74,8 @@ class RobotLeases:
             body["lease"] = request.lease
         else:
             body["scope"] = robot_scope(request.scope, self._robot)
-        for name in ("ttl", "reason"):
+        programs = _PROGRAMS if self._knows_programs else ()
+        for name in ("ttl", "reason", *programs):
             if (value := getattr(request, name)) is not None:
                 body[name] = value
         if request.take:
@@ -89,6 +94,12 @@ class RobotLeases:
             envelope["deadline"] = wait
         try:
             reply = await client.channel.ask(envelope)
+        except InvalidValue as error:  # one of an earlier version
+            if "program" not in body or "program" not in error.message:
+                raise
+            self._knows_programs = False
+            rest = {key: item for key, item in body.items() if key not in _PROGRAMS}
+            return await self._send(client, rest, wait)
         except LeaseHeld as error:
             raise self._held(error) from error
         except RcpError as error:

@@ -13,7 +13,7 @@ import zenoh
 from rcp_client.carrier import Carrier, Lost, Received
 from rcp_client.messages import Codec
 from rcp_fleet.link_names import LinkNames
-from rcp_fleet.values import decoded
+from rcp_fleet.values import RobotFeed, undecoded_update
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.inbox import received
@@ -37,13 +37,13 @@ class FleetLink(Carrier):
         token: str,
         silence: float,
         statistics: LinkStatistics,
-        is_feed: Callable[[str | None], bool],
+        feed_of: Callable[[str | None], RobotFeed | None],
         codec: Codec,
         received: Received,
         lost: Lost,
     ) -> None:
         self._codec, self._received, self._lost = codec, received, lost
-        self._statistics, self._is_feed = statistics, is_feed
+        self._statistics, self._feed_of = statistics, feed_of
         self.segment_size: int | None = None
         self.longest = _LONGEST
         self._why = "the link was closed"
@@ -88,7 +88,12 @@ class FleetLink(Carrier):
             self.close(f"the gateway sent a message of {message.size} bytes")
             return
         data = message.data
-        self._received(decoded(self._codec, data, self._is_feed), data)
+        if (update := undecoded_update(data)) is not None:
+            feed = self._feed_of(update.id)
+            if feed is not None:  # nearly always: the rest of the session is left out of it
+                feed.take(update)
+                return
+        self._received(self._codec.decode(data), data)
 
     def close(self, why: str = "the hub closed the link") -> None:
         """End the link."""
@@ -134,7 +139,7 @@ class FleetLinks:
         self,
         gateway: str,
         statistics: LinkStatistics,
-        is_feed: Callable[[str | None], bool],
+        feed_of: Callable[[str | None], RobotFeed | None],
         codec: Codec,
         received: Received,
         lost: Lost,
@@ -158,7 +163,7 @@ class FleetLinks:
             keys.token,
             self._silence,
             statistics,
-            is_feed,
+            feed_of,
             codec,
             received,
             ended,

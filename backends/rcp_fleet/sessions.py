@@ -48,6 +48,9 @@ class GatewaySessions:
         self.statistics = LinkStatistics({})
         """Of all links with the gateway."""
         self._persons: dict[tuple[str, str, tuple[str, ...]], _PersonSession] = {}
+        """Those that take new users."""
+        self.held: set[_PersonSession] = set()
+        """All that are not closed."""
         self.own = self._client(
             config.token
             if signer is None
@@ -60,8 +63,9 @@ class GatewaySessions:
         return f"{self._tenant}/{self._gateway}"
 
     def _client(self, token: str | Callable[[], str] | None) -> Client:
-        def is_feed(id_: str | None) -> bool:
-            return isinstance(client.channel.subscriptions.get(id_ or ""), RobotFeed)
+        def feed_of(id_: str | None) -> RobotFeed | None:
+            found = client.channel.subscriptions.get(id_ or "")
+            return found if isinstance(found, RobotFeed) else None
 
         client = Client(
             Settings(
@@ -72,7 +76,7 @@ class GatewaySessions:
                 longest_pause=_LONGEST_PAUSE,
                 client=f"hub {self._config.hub}",
                 persistent=True,
-                dial=partial(self._dial, is_feed),
+                dial=partial(self._dial, feed_of),
             )
         )
         return client
@@ -88,7 +92,7 @@ class GatewaySessions:
 
     async def _dial(
         self,
-        is_feed: Callable[[str | None], bool],
+        feed_of: Callable[[str | None], RobotFeed | None],
         codec: Codec,
         received: Received,
         lost: Lost,
@@ -99,7 +103,7 @@ class GatewaySessions:
             self._links.discard(link)  # pyright: ignore[reportArgumentType] - made below
             lost(link)
 
-        link = self._fleet.open(self._gateway, self.statistics, is_feed, codec, received, ended)
+        link = self._fleet.open(self._gateway, self.statistics, feed_of, codec, received, ended)
         self._links.add(link)
         return link
 
@@ -121,8 +125,9 @@ class GatewaySessions:
                 self._signer.token, self._audience, principal.name, principal.proof, roles
             )
             gone = partial(self._persons.pop, key, None)
-            held = _PersonSession(self._client(token), self._config.idle, gone)
+            held = _PersonSession(self._client(token), self._config.idle, gone, self.held.discard)
             self._persons[key] = held
+            self.held.add(held)
         async with held.used() as client:
             yield client
 
@@ -139,15 +144,22 @@ class GatewaySessions:
 
     async def close(self) -> None:
         """Close all sessions; what robots do goes on as their own gateways decide."""
-        persons = [held.close() for held in list(self._persons.values())]
+        persons = [held.close() for held in list(self.held)]
         await asyncio.gather(self.own.channel.close(), *persons)
 
 
 class _PersonSession:
     """A session with its users; without any, it closes after a while."""
 
-    def __init__(self, client: Client, idle: float, gone: Callable[[], object]) -> None:
-        self._client, self._idle, self._gone = client, idle, gone
+    def __init__(
+        self,
+        client: Client,
+        idle: float,
+        gone: Callable[[], object],
+        closed: Callable[[_PersonSession], object],
+    ) -> None:
+        """`gone` is called when it takes no new users any more, `closed` when it is closed."""
+        self._client, self._idle, self._gone, self._closed = client, idle, gone, closed
         self._users = 0
         self._over = False
         self._timer: asyncio.TimerHandle | None = None
@@ -165,15 +177,20 @@ class _PersonSession:
         if not self._over:
             self._over = True
             self._gone()
+            self._stay()
             self._rest()
+
+    def _stay(self) -> None:
+        """Do not close for want of users yet."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
     @asynccontextmanager
     async def used(self) -> AsyncGenerator[Client]:
         """Open the session if needed, and keep it open while entered."""
         self._users += 1
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._stay()
         try:
             try:
                 await asyncio.shield(self._opening)
@@ -196,13 +213,18 @@ class _PersonSession:
             self._timer = asyncio.get_running_loop().call_later(wait, self._end)
 
     def _end(self) -> None:
+        self.close()
         self._leave()
-        self._closing = asyncio.create_task(self.close(), name="fleet person")
 
-    async def close(self) -> None:
-        """Close the session."""
-        if self._timer is not None:
-            self._timer.cancel()
+    def close(self) -> asyncio.Task[None]:
+        """Close the session; return the task that does."""
+        if self._closing is None:
+            self._closing = asyncio.create_task(self._close(), name="fleet person")
+        return self._closing
+
+    async def _close(self) -> None:
+        self._stay()
         self._opening.cancel()
         await asyncio.gather(self._opening, return_exceptions=True)
         await self._client.channel.close()
+        self._closed(self)

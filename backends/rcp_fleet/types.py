@@ -14,6 +14,8 @@ from rcp_kernel.values import value_type
 
 __all__ = ["RobotTypes"]
 
+_AT_ONCE = 4  # gateways asked again at once
+
 
 class RobotTypes:
     """Types by the id of their schema, which has its digest."""
@@ -22,6 +24,8 @@ class RobotTypes:
         self._known: dict[str, Any] = {}
         self._fetching = asyncio.Lock()
         """Robots of one kind come in numbers: the first one's schemas serve all."""
+        self.turns = asyncio.Semaphore(_AT_ONCE)
+        """Taken by what asks gateways once more for what is not urgent."""
 
     async def discover(self, client: Client, pattern: str) -> list[ResourceInfo]:
         """List the resources of a gateway, and learn the types that are new."""

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import msgspec
 
 from rcp_client.channel import Channel
-from rcp_client.messages import Codec, Message
+from rcp_client.messages import Message
 from rcp_client.subscription import Subscription
 from rcp_kernel.clock import parse_time
 from rcp_kernel.values import Encoding
 
-__all__ = ["RobotFeed", "RobotNumbers", "RobotValue", "decoded"]
+__all__ = ["RobotFeed", "RobotNumbers", "RobotValue", "undecoded_update"]
 
 _UPDATE = b"\xa4type\xa6update"
 _BURST = 8  # samples published at once
@@ -59,10 +59,12 @@ class RobotFeed(Subscription):
         path: str,
         rate: float | None,
         publish: Callable[[bytes, int, int], None],
+        *,
+        frame: str | None = None,
     ) -> None:
         # A burst on an idle link is passed on whole; on a slow one only events are.
         qos = {"reliability": "reliable"} if "/event/" in path else {"depth": _BURST}
-        super().__init__(channel, (path,), {"rate": rate, "qos": qos})
+        super().__init__(channel, (path,), {"rate": rate, "qos": qos, "frame": frame})
         self._publish = publish
 
     def take(self, message: Message) -> None:
@@ -83,9 +85,6 @@ class _Undecoded(Message, kw_only=True):
 _undecoded = msgspec.msgpack.Decoder(_Undecoded)
 
 
-def decoded(codec: Codec, data: bytes, is_feed: Callable[[str | None], bool]) -> Message:
-    """Decode a message of a robot's gateway, but not the value in an update of a feed."""
-    if not data.startswith(_UPDATE, 1):
-        return codec.decode(data)
-    message = _undecoded.decode(data)
-    return message if is_feed(message.id) else codec.decode(data)
+def undecoded_update(data: bytes) -> Message | None:
+    """Decode an update of a robot's gateway, but not the value in it; None: it is none."""
+    return _undecoded.decode(data) if data.startswith(_UPDATE, 1) else None

@@ -3,24 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 from weakref import WeakValueDictionary
 
 from rcp_frames.config import EARTH, FramesConfig
 from rcp_frames.demand import PoseDemand
-from rcp_frames.goal_schema import with_earth
+from rcp_frames.goal_schema import widened
 from rcp_frames.goals import goal_frame, in_robot_frame, own_frame
 from rcp_frames.moves import Move
-from rcp_frames.robot import Moment, RobotFrames, Sight, no_transform, pose_path, tree_poses
+from rcp_frames.named import PLACES, named_goal
+from rcp_frames.remote import RemoteStreams, RemoteView, names_frame
+from rcp_frames.robot import (
+    Moment,
+    RobotFrames,
+    Sight,
+    no_transform,
+    pose_path,
+    remote_poses,
+    tree_poses,
+)
 from rcp_frames.shapes import Shape, shape_of
-from rcp_kernel.access.acl import Rights
-from rcp_kernel.errors import FilterUnsupported, RcpError
+from rcp_kernel.access.acl import Rights, reach
+from rcp_kernel.errors import FilterUnsupported, RcpError, UnsupportedOperation
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import Anchor
+from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
+from rcp_kernel.values import ANY
 from rcp_kernel.wire import Request
 
 __all__ = ["Frames"]
@@ -36,11 +49,17 @@ class Frames:
         self.config = config
         self._entries = host.robots.entries
         self._now = host.clock.now
+        self._service = host.service
         self._demand = PoseDemand(host.robots, host.loop)
-        self.close = self._demand.close
+        self._remote = RemoteStreams(host.clock.now)
         self._conversions: WeakValueDictionary[tuple[Entry, str, Sight], _Conversion] = (
             WeakValueDictionary()
         )
+
+    def close(self) -> None:
+        """End what it receives."""
+        self._demand.close()
+        self._remote.close()
 
     def configure(self, config: FramesConfig) -> None:
         """Apply another configuration, to running subscriptions too."""
@@ -49,13 +68,18 @@ class Frames:
 
     def converts(self, entry: Entry) -> bool:
         """Return whether a resource's values name their frame."""
+        if entry.owner.has_gateways:
+            return names_frame(entry.value_type)
         return entry.tenant is not None and shape_of(entry.resource.value) is not None
 
-    def view(self, session: Session, entry: Entry, frame: str) -> _View:
+    def view(self, session: Session, entry: Entry, frame: str) -> FrameView:
         """Return a resource's values in a frame.
 
         :raises FilterUnsupported: its values name no frame.
         """
+        if entry.owner.has_gateways and names_frame(entry.value_type):
+            locates = partial(self._locates, session)
+            return RemoteView(self._remote, session, entry, frame, locates)
         shape = shape_of(entry.resource.value) if entry.tenant is not None else None
         if shape is None:
             raise FilterUnsupported(
@@ -84,12 +108,28 @@ class Frames:
             return None
         robot = self._robot(entry, self._sight(session.rights, entry))
         moment = Moment(None, self._now())
-        return in_robot_frame(request, entry, own, robot, moment, self.config)
+        label = f"input of {entry.label}"
+        find = self._service(PLACES)
+        named = (
+            None
+            if find is None or entry.tenant is None
+            else named_goal(find, session, request, entry.tenant, label)
+        )
+        if named is None:
+            goal = in_robot_frame(request, entry, own, robot, moment, self.config)
+            return None if goal is None else entry.input_type.convert(goal, label)
+        goal = in_robot_frame(named.request, entry, own, robot, moment, self.config)
+        if goal is None:
+            goal = named.request.decode_body(ANY, label)
+        there = named.beside(goal, own_frame(entry, own, robot), robot, moment)
+        return entry.input_type.convert(there, label)
 
     def known(self, rights: Rights, entry: Entry) -> list[str]:
         """Return the frames of a resource, for a principal."""
         if entry.tenant is None:
             return []
+        if entry.owner.has_gateways:
+            return self._remote_frames(rights, entry)
         robot = self._robot(entry, self._sight(rights, entry))
         default = goal_frame(entry.resource.input)
         if default is not None:
@@ -104,13 +144,22 @@ class Frames:
                 return []
         return robot.known(source)
 
+    def _remote_frames(self, rights: Rights, entry: Entry) -> list[str]:
+        """Return what the robot's own gateway listed, to those who may know where the robot is."""
+        backend = entry.owner.backend
+        found = () if backend is None else backend.frames_of(entry.name)
+        seen = found and all(self._may_locate(rights, path) for path in remote_poses(entry))
+        return list(found) if seen else []
+
     def command_schema(
         self, entry: Entry, frames: list[str], schema: dict[str, Any]
     ) -> dict[str, Any] | None:
-        """Return the schema of a goal that may be a place on the earth; None: it may not."""
-        if goal_frame(entry.resource.input) is None or EARTH not in frames:
+        """Return the schema of a goal that may be on the earth or at a place; None: neither."""
+        if entry.owner.has_gateways:  # whether there are places, its gateway knows
+            return widened(schema, earth=EARTH in frames, places=False)
+        if goal_frame(entry.resource.input) is None:
             return None
-        return with_earth(schema)
+        return widened(schema, earth=EARTH in frames, places=self._service(PLACES) is not None)
 
     def _robot(self, entry: Entry, sight: Sight) -> RobotFrames:
         request = self._demand.request
@@ -123,6 +172,15 @@ class Frames:
         others = tree_poses(entry)
         return Sight.ALL if all(self._may_locate(rights, path) for path in others) else Sight.OWN
 
+    def _locates(self, session: Session, entry: Entry, *, ever: bool = False) -> bool:
+        """Return whether a session may know where a robot with its own gateway is; `ever`: at times."""
+        may = self._could_locate if ever else self._may_locate
+        return all(may(session.rights, path) for path in remote_poses(entry))
+
+    @staticmethod
+    def _could_locate(rights: Rights, path: str) -> bool:
+        return bool(reach(rights.compute_mask(path)) & _SEES)
+
     def _may_locate(self, rights: Rights, path: str) -> bool:
         """Return whether a principal may learn where a robot is: whoever may read its pose."""
         pose = self._entries.get(path)
@@ -133,6 +191,8 @@ class Frames:
 
 class _View:
     """A resource's values in a frame, as far as a session may know the robot's place."""
+
+    remote = False
 
     def __init__(
         self, frames: Frames, session: Session, entry: Entry, shape: Shape, frame: str
@@ -158,6 +218,16 @@ class _View:
     def convert(self, sample: Sample) -> Sample:
         """Return a sample in the frame; raises as `RobotFrames.transform`."""
         return self._conversion().convert(sample)
+
+    def follow(
+        self,
+        entry: Entry,
+        rate: float | None,
+        offer: Callable[[Sample], None],
+        missing: Callable[[str], None],
+    ) -> Callable[[], None]:
+        """Refuse: this gateway converts."""
+        raise UnsupportedOperation(f"{entry.path} is converted here")
 
 
 class _Conversion:

@@ -90,7 +90,7 @@ def in_robot_frame(
     moment: Moment,
     config: FramesConfig,
 ) -> Any:
-    """Return the goal of a request in the robot's own frame; None: leave it to the robot.
+    """Return the goal of a request in the robot's own frame, as plain data; None: it is so already.
 
     :raises RcpError: it cannot be converted, and the robot does not take it as it is.
     """
@@ -110,7 +110,7 @@ def in_robot_frame(
         raise no_transform(own, frame, known)
     plain = request.decode_body(ANY, label)
     moved = _from_earth if frame == EARTH else _from_local
-    return entry.input_type.convert({**plain, **moved(request, own, frame, robot, moment)}, label)
+    return {**plain, **moved(request, own, frame, robot, moment)}
 
 
 def _from_earth(

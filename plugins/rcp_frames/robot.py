@@ -23,6 +23,7 @@ __all__ = [
     "Sight",
     "no_transform",
     "pose_path",
+    "remote_poses",
     "robot_of",
     "tree_poses",
 ]
@@ -77,6 +78,16 @@ def tree_poses(entry: Entry) -> list[str]:
     names = (one.robot for one in entry.owner.units if one.robot is not None)
     tenant = entry.tenant or ""
     return [full_path(tenant, entry.robot, f"sensor/{name}/pose") for name in names]
+
+
+def remote_poses(entry: Entry) -> list[str]:
+    """Return the paths of the poses of all robots that the own gateway of an entry's robot has.
+
+    Which of them share transforms, only that gateway knows.
+    """
+    own = entry.unit.own.items()
+    told = [one.path for name, one in own if name.startswith("sensor/") and name.endswith("/pose")]
+    return list(dict.fromkeys((pose_path(entry), *told)))
 
 
 def _beside(entry: Entry, name: str) -> str:

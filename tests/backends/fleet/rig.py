@@ -7,7 +7,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 from configuration import backend, configuration, key, table
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
-from rcp_kernel.testing import OPERATOR, Client, Served, eventually, serve
+from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, serve
 
 __all__ = [
     "SIM",
@@ -24,6 +24,7 @@ __all__ = [
     "free_port",
     "hub_at",
     "process_of",
+    "recorded",
     "robot_at",
     "serving",
 ]
@@ -62,13 +63,15 @@ async def serving(text: str, *kinds: BackendKind) -> AsyncGenerator[Served]:
 
 
 @asynccontextmanager
-async def process_of(file: Path, text: str) -> AsyncGenerator[asyncio.subprocess.Process]:
+async def process_of(
+    file: Path, text: str, environment: Mapping[str, str] | None = None
+) -> AsyncGenerator[asyncio.subprocess.Process]:
     """Run a gateway as a process of its own."""
     file.write_text(text)  # noqa: ASYNC240 - a few lines
     rcpd = Path(sys.executable).with_name("rcpd")
     nobody = asyncio.subprocess.DEVNULL
     process = await asyncio.create_subprocess_exec(
-        rcpd, "serve", file, stdout=nobody, stderr=nobody
+        rcpd, "serve", file, stdout=nobody, stderr=nobody, env={**os.environ, **(environment or {})}
     )
     try:
         yield process
@@ -102,3 +105,17 @@ async def appears(client: Client, path: str) -> dict[str, Any]:
 
     await eventually(there, f"{path} is there", _BOUND)
     return found[path]
+
+
+async def recorded(served: Served, test: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """Return the first record of a gateway's audit log that passes a test."""
+    admin = served.client(ADMIN)
+    id_ = await admin.subscribe("/system/audit", history=100, qos={"depth": 100})
+
+    def holds(message: dict[str, Any]) -> bool:
+        body = message.get("body")
+        return message.get("id") == id_ and isinstance(body, dict) and test(body)
+
+    found = await admin.until(holds, _BOUND)
+    await admin.close()
+    return found["body"]

@@ -33,7 +33,8 @@ COPTER = backend("drone", use="mavlink", links=["sim:copter"], twin={"warmup": 2
 ROBOTS = pytest.mark.parametrize("robot", [SIM, MOTORS, COPTER], ids=["sim", "can", "mavlink"])
 LOCAL = ("path", "backend", "state", "meta")
 """What is true at one place only: where it is, who serves it there, and what has been seen of it."""
-NOT_PASSED = ("frames", "native")
+NOT_PASSED = ("frames", "native", "command_schema")
+"""What a gateway tells of itself: the frames and places that it converts goals from."""
 _LINK = "/tenant/alpha/sensor/r7/link"
 
 

@@ -16,8 +16,10 @@ from backends.fleet.cart import Cart
 from backends.fleet.rig import appears, process_of, serving
 from backends.fleet.test_two_hubs import Pair, opened
 from configuration import key
+from plugins.client.heard import Heard
 from rcp_fleet.leases import hub_scope, robot_scope
 from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
+from transports.cable import Cable
 
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s, on any machine
@@ -178,17 +180,59 @@ async def test_a_lease_is_handed_over_at_the_robot(tmp_path: Path) -> None:
         assert (await ann.final(running, _BOUND))["status"] == "completed"
 
 
-async def test_a_person_keeps_the_lease_at_the_other_hub(tmp_path: Path) -> None:
+async def _moved(client: Client, former: str) -> None:
+    """Let a client say where it was before, as one does that has lost its hub."""
+    gone = await client.request("hello", body={"session": former})
+    assert gone["error"]["code"] == "gap", gone
+    assert (await client.request("hello"))["status"] == "completed"
+
+
+async def test_a_program_keeps_its_lease_at_the_other_hub(tmp_path: Path) -> None:
     async with _site(tmp_path) as site:
         first, second = await site.client("h1", OPERATOR), await site.client("h2", OPERATOR)
+        former = (await first.request("hello"))["body"]["session"]
         assert (await _lease(first, "acquire", ttl=30))["status"] == "completed"
         running = await first.send(type="execute", path=_GO, body=1.0)
         await asyncio.wait_for(site.cart.started.get(), _BOUND)
+        await _moved(second, former)
         assert (await _lease(second, "acquire", ttl=30))["status"] == "completed"
+        lost = await first.until(lambda m: m.get("code") == "lease_lost", _BOUND)
+        assert lost["by"] == "ann"
+        assert (await _lease(first, "renew"))["error"]["code"] == "lease_lost"
         site.cart.release.set()
         assert (await first.final(running, _BOUND))["status"] == "completed"
+        assert site.cart.stopped.empty()  # what ran goes on
         done = await second.request("execute", _GO, body=2.0, within=_BOUND)
         assert done["status"] == "completed", done
+        refused = await first.request("execute", _GO, body=3.0, within=_BOUND)
+        assert refused["error"]["code"] == "lease_lost", refused
+        await _moved(first, (await second.request("hello"))["body"]["session"])
+        assert (await _lease(first, "acquire"))["status"] == "completed"  # and back
+
+
+async def test_two_programs_of_a_person_at_two_hubs_exclude_each_other(tmp_path: Path) -> None:
+    async with _site(tmp_path) as site:
+        first, second = await site.client("h1", OPERATOR), await site.client("h2", OPERATOR)
+        third = await site.client("h1", OPERATOR)
+        assert (await _lease(first, "acquire", ttl=30))["status"] == "completed"
+        site.cart.release.set()
+        for other in (second, third):
+            refused = await _lease(other, "acquire")
+            assert refused["error"]["code"] == "lease_held", refused
+            refused = await other.request("execute", _GO, body=1.0, within=_BOUND)
+            assert refused["error"]["code"] == "lease_held", refused
+            assert refused["error"]["details"]["holder"] == "ann"
+        assert site.cart.ran == []
+        assert (await first.request("execute", _GO, body=1.0, within=_BOUND))[
+            "status"
+        ] == "completed"
+        await _moved(second, "s-of-nobody")
+        assert (await _lease(second, "acquire"))["error"]["code"] == "lease_held"
+        assert (await _lease(first, "renew", ttl=30))["status"] == "completed"
+        assert (await _lease(first, "release"))["status"] == "completed"
+        assert (await _lease(second, "acquire", ttl=30))["status"] == "completed"
+        refused = await first.request("execute", _GO, body=2.0, within=_BOUND)
+        assert refused["error"]["code"] == "lease_held", refused
 
 
 async def test_a_stop_by_one_hub_ends_the_leases_of_both(tmp_path: Path) -> None:
@@ -263,6 +307,52 @@ async def test_a_cut_longer_than_a_lease_ends_it_at_both_ends(tmp_path: Path) ->
         await _shows(ann)
 
 
+@pytest.mark.parametrize("when", ["before it arrives", "before it is answered"])
+async def test_a_lease_that_is_cut_while_it_is_acquired_is_held_at_both_ends_or_at_none(
+    tmp_path: Path, when: str
+) -> None:
+    pair = Pair(tmp_path)
+    async with AsyncExitStack() as stack:
+        enter = stack.enter_async_context
+        hub = await enter(serving(pair.hub("h1") + _PEOPLE))
+        cable = await enter(Cable(pair.ports["h1"]).laid())
+        text = pair.robot("r7", "h1").replace(f":{pair.ports['h1']}", f":{cable.port}")
+        robot = await enter(serving(text + _PEOPLE, scripted(Cart)))
+        ann, local = hub.client(OPERATOR), robot.client(_BOB)
+        stack.push_async_callback(ann.close)
+        stack.push_async_callback(local.close)
+        await appears(ann, _GO)
+        assert (await _lease(ann, "acquire", ttl=30))["status"] == "completed"
+        assert (await _lease(ann, "release"))["status"] == "completed"
+        arrives = when == "before it is answered"
+        if arrives:
+            cable.slow(2_000)
+        else:
+            cable.freeze()
+        asked = asyncio.create_task(_lease(ann, "acquire", ttl=30))
+
+        async def held_up() -> bool:
+            return cable.held > 0
+
+        if arrives:
+            await _shows(local, (_TENANT, "ann"))  # and the hub does not know it
+        else:
+            await eventually(held_up, "the request is held up", _BOUND)
+            assert await _leases(local) == []
+        cable.mend()
+        cable.cut()
+        reply = await asked
+        if reply["status"] == "completed":
+            await _shows(local, (_TENANT, "ann"))
+            refused = await _lease(local, "acquire", _TENANT)
+            assert refused["error"]["code"] == "lease_held", refused
+            assert (await _lease(ann, "release"))["status"] == "completed"
+        else:
+            assert reply["error"]["retryable"], reply
+        await _shows(local)
+        assert (await _lease(local, "acquire", _TENANT))["status"] == "completed"
+
+
 async def test_a_hub_that_is_started_again_goes_on_with_a_lease_that_the_robot_still_holds(
     tmp_path: Path,
 ) -> None:
@@ -302,6 +392,39 @@ async def test_the_python_client_holds_a_lease_through_a_hub(tmp_path: Path) -> 
             for number in range(30):  # longer than it lasts without being renewed
                 assert await person.execute(_GO, float(number)) == number
                 await asyncio.sleep(0.05)
+            assert await _leases(local) == [(_TENANT, "ann")]
+        await _shows(local)
+
+
+async def test_the_python_client_keeps_its_lease_when_its_hub_is_killed(tmp_path: Path) -> None:
+    pair, heard = Pair(tmp_path), Heard()
+    async with AsyncExitStack() as stack:
+        robot = await stack.enter_async_context(serving(pair.robot(), scripted(Cart)))
+        cart: Any = robot.life.backend
+        local = robot.client(ADMIN)
+        stack.push_async_callback(local.close)
+        first = process_of(tmp_path / "h1.toml", pair.hub("h1", listens=True))
+        hub = await stack.enter_async_context(first)
+        person = await opened(stack, pair.urls, 1, heard)
+        second = process_of(tmp_path / "h2.toml", pair.hub("h2", listens=True))
+        await stack.enter_async_context(second)
+        await opened(stack, pair.urls.split(",")[1], 1)
+        async with person.lease(_ROBOT, ttl=40.0) as lease:
+            before = lease.facts["lease"]
+            running = asyncio.create_task(person.execute(_GO, 1.0))
+            await asyncio.wait_for(cart.started.get(), _BOUND)
+            hub.kill()
+            await heard.until("reconnected")
+
+            async def kept() -> bool:
+                return lease.facts["lease"] != before
+
+            await eventually(kept, "the lease is the program's at the other hub", _BOUND)
+            cart.release.set()
+            assert await asyncio.wait_for(running, _BOUND) == 1.0
+            assert await person.execute(_GO, 2.0) == 2.0
+            assert cart.stopped.empty()
+            lease.check()
             assert await _leases(local) == [(_TENANT, "ann")]
         await _shows(local)
 

@@ -72,7 +72,7 @@ class _Hub:
 
     async def _dial(self, codec: Codec, received: Received, lost: Lost) -> FleetLink:
         self.opened += 1
-        return self._links.open("r7", LinkStatistics({}), lambda _: False, codec, received, lost)
+        return self._links.open("r7", LinkStatistics({}), lambda _: None, codec, received, lost)
 
     def client(self, timeout: float = _BOUND) -> Client:
         """Return a client that speaks over them."""

@@ -13,7 +13,15 @@ from structlog.testing import capture_logs
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, catalogue, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import (
+    appears,
+    catalogue,
+    free_port,
+    hub_at,
+    process_of,
+    robot_at,
+    serving,
+)
 from configuration import backend, key, listener
 from plugins.client.rcpctl import BIN, BOUND
 from rcp_kernel.contract.version import gateway_version
@@ -306,3 +314,38 @@ async def test_rcpctl_lists_the_robots_with_problems_first(tmp_path: Path) -> No
             [last, "down", version, "1"],
             [first, "ready", version, "1"],
         ]
+
+
+_WRONG_CLOCK = """
+import time
+_time, _time_ns = time.time, time.time_ns
+time.time = lambda: _time() + 90.0
+time.time_ns = lambda: _time_ns() + 90_000_000_000
+"""
+
+
+async def test_a_robot_whose_clock_is_wrong_shows_by_how_much(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(_WRONG_CLOCK)
+    port = free_port()
+    async with (
+        serving(hub_at(port)) as hub,
+        serving(robot_at(port, gateway="r8")),
+        process_of(tmp_path / "r7.toml", robot_at(port), {"PYTHONPATH": str(tmp_path)}),
+    ):
+        client = hub.client(OPERATOR)
+        other = _LINK.replace("r7", "r8")
+        await appears(client, _POSE)
+        await appears(client, other)
+
+        async def measured() -> bool:
+            told = [await link(client), await link(client, other)]
+            return all("clock_offset" in one for one in told)
+
+        await eventually(measured, "both clocks have been compared", _LONG)
+        wrong, right = await link(client), await link(client, other)
+        assert abs(wrong["clock_offset"] - 90.0) <= wrong["clock_bound"] + 0.1, wrong
+        assert abs(right["clock_offset"]) <= right["clock_bound"] + 0.1, right
+        assert wrong["state"] == "ready"  # nothing else depends on it: leases, deadlines
+        done = await client.request("write", "/tenant/alpha/param/r7/speed_limit", body=0.5)
+        assert done["status"] == "completed", done
+        await client.close()

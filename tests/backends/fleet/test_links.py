@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at, robot_at
+from click.testing import CliRunner
+
+from backends.fleet.rig import (
+    appears,
+    catalogue,
+    free_port,
+    hub_at,
+    process_of,
+    recorded,
+    robot_at,
+)
 from certs import Authority, Signed
-from rcp_fleet.access import access_rules
+from configuration import key, table
 from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
-from rcp_kernel.testing import OPERATOR, Served, eventually, serve
+from rcp_kernel.testing import ADMIN, OPERATOR, Served, eventually, serve
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.tls import TlsConfig
+from rcpd.audit import audit
 
 pytestmark = pytest.mark.anyio
 _POSE = "/tenant/alpha/sensor/r7/pose"
@@ -45,7 +58,7 @@ def _secured(text: str, tls: TlsConfig, scheme: str, more: str = "") -> str:
 
 def _hub(port: int, authority: Authority, robots: str, scheme: str = "tls") -> str:
     tls = _files(authority, authority.server())
-    return _secured(hub_at(port), tls, scheme, f"robots = {robots}\n")
+    return _secured(hub_at(port) + key("admin", ADMIN), tls, scheme, f"robots = {robots}\n")
 
 
 @asynccontextmanager
@@ -69,15 +82,16 @@ async def test_a_robot_with_its_certificate_is_served(tmp_path: Path, scheme: st
 
 
 @pytest.mark.parametrize(
-    ("wrong", "record"),
+    ("scheme", "wrong", "said"),
     [
-        ("another CA", "invalid peer certificate: UnknownIssuer"),
-        ("expired", "invalid peer certificate: certificate expired"),
-        ("no certificate", "peer sent no certificates"),
+        ("tls", "another CA", "invalid peer certificate: UnknownIssuer"),
+        ("quic", "another CA", "invalid peer certificate: UnknownIssuer"),
+        ("tls", "expired", "invalid peer certificate: certificate expired"),
+        ("tls", "no certificate", "peer sent no certificates"),
     ],
 )
 async def test_a_wrong_certificate_does_not_get_in_and_is_on_record(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], wrong: str, record: str
+    tmp_path: Path, scheme: str, wrong: str, said: str
 ) -> None:
     authority, port = Authority(tmp_path), free_port()
     signed = {
@@ -86,75 +100,125 @@ async def test_a_wrong_certificate_does_not_get_in_and_is_on_record(
         "no certificate": lambda: authority.sign("r7"),
     }[wrong]()
     config = configuration(
-        "client", connect=[f"tls/127.0.0.1:{port}"], tls=_files(authority, signed)
+        "client", connect=[f"{scheme}/127.0.0.1:{port}"], tls=_files(authority, signed)
     )
     if wrong == "no certificate":
         for name in ("connect_certificate", "connect_private_key"):
             config.insert_json5(f"transport/link/tls/{name}", "null")
         config.insert_json5("transport/link/tls/enable_mtls", "false")
-    async with _serving(_hub(port, authority, '["r7"]')):
+    async with _serving(_hub(port, authority, '["r7"]', scheme)) as hub:
         with pytest.raises(NotReady):
             async with opened(config, patient=False):
                 pass
-        told: list[str] = []
-
-        async def recorded() -> bool:
-            told.append(capfd.readouterr().out)
-            return record in "".join(told)
-
-        await eventually(recorded, f"{record!r} is said", _BOUND)
+        record = await recorded(hub, lambda one: said in one.get("message", ""))
+        assert record["what"] == "denial"
+        assert record["outcome"] == "unauthenticated"
+        assert record["tenant"] == "alpha"
+        assert _refused(hub) == {"unauthenticated": 1}
 
 
-async def test_one_robot_cannot_speak_as_another_nor_hear_it(tmp_path: Path) -> None:
+def _denials(store: Path) -> list[dict[str, Any]]:
+    arguments = ["export", "--store", str(store), "--what", "denial"]
+    done = CliRunner().invoke(audit, arguments)
+    assert done.exit_code == 0, done.output
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def _refused(hub: Served) -> dict[str, int]:
+    (supervisor,) = hub.server.supervisors
+    return dict(supervisor.refusals)
+
+
+async def test_a_certificate_of_an_unknown_robot_is_on_record_with_its_name(tmp_path: Path) -> None:
     authority, port = Authority(tmp_path), free_port()
-    endpoint, loop = f"tls/127.0.0.1:{port}", asyncio.get_running_loop()
-    router = configuration(
-        "router",
-        listen=[endpoint],
-        tls=_files(authority, authority.server()),
-        access=access_rules("alpha", ["r7", "r8"], []),
-    )
-    heard: list[str] = []
-    spied: list[str] = []
-    thief = configuration("client", connect=[endpoint], tls=_files(authority, authority.sign("r8")))
-    robot = configuration("client", connect=[endpoint], tls=_files(authority, authority.sign("r7")))
+    tls = _files(authority, authority.sign("r9"))
+    config = configuration("client", connect=[f"tls/127.0.0.1:{port}"], tls=tls)
     async with (
-        opened(router, patient=False) as hub,
-        opened(robot, patient=False) as r7,
+        _serving(_hub(port, authority, '["r7"]')) as hub,
+        opened(config, patient=False) as r9,
+    ):
+        token = r9.liveliness().declare_token("rcp/alpha/r9/alive")
+        record = await recorded(hub, lambda one: "'r9'" in one.get("message", ""))
+        assert record["outcome"] == "forbidden"
+        assert "tls/127.0.0.1:" in record["message"]
+        token.undeclare()
+
+
+async def test_one_robot_cannot_speak_as_another_nor_hear_it_and_is_on_record(
+    tmp_path: Path,
+) -> None:
+    authority, port = Authority(tmp_path), free_port()
+    thief = configuration(
+        "client",
+        connect=[f"tls/127.0.0.1:{port}"],
+        tls=_files(authority, authority.sign("r8")),
+    )
+    robot = _secured(robot_at(port), _files(authority, authority.sign("r7")), "tls")
+    loop, heard, store = asyncio.get_running_loop(), list[str](), tmp_path / "hub.db"
+    text = _hub(port, authority, '["r7", "r8"]') + table("store", path=str(store))
+    async with (
+        _serving(text) as hub,
+        _serving(robot),
         opened(thief, patient=False) as r8,
     ):
-        note = on_loop(loop, lambda sample: heard.append(str(sample.key_expr)))
-        spy = on_loop(loop, lambda sample: spied.append(str(sample.key_expr)))
-        own = on_loop(loop, lambda sample: spied.append(f"own {sample.key_expr}"))
-        asked = on_loop(loop, lambda sample: heard.append(f"r7 {sample.key_expr}"))
+        client = hub.client(OPERATOR)
+        await appears(client, _POSE)
+        assert _refused(hub) == {}  # what is allowed leaves no record
+        spy = on_loop(loop, lambda sample: heard.append(str(sample.key_expr)))
         kept = [
-            hub.declare_subscriber("rcp/alpha/*/out/**", note),
-            hub.liveliness().declare_subscriber("rcp/alpha/*/alive", note),
-            r7.declare_subscriber("rcp/alpha/r7/in/*/*", asked),
             r8.declare_subscriber("rcp/alpha/r7/in/*/*", spy),
-            r8.declare_subscriber("rcp/alpha/r8/in/*/*", own),
+            r8.declare_subscriber("rcp/alpha/r8/in/*/*", spy),
             r8.liveliness().declare_token("rcp/alpha/r9/alive"),
             r8.liveliness().declare_token("rcp/alpha/r8/alive"),
         ]
-        r8.put("rcp/alpha/r7/out/h1/link", b"forged")
+        record = await recorded(hub, lambda one: one["what"] == "denial")
+        assert record["outcome"] == "forbidden"
+        assert "one of r7, r8" in record["message"]
 
-        async def arrived() -> bool:
-            hub.put("rcp/alpha/r7/in/h1/link", b"secret")
-            hub.put("rcp/alpha/r8/in/h1/link", b"for r8")
-            r8.put("rcp/alpha/r8/out/h1/link", b"its own")
-            wanted = {
-                "rcp/alpha/r8/out/h1/link",
-                "rcp/alpha/r8/alive",
-                "r7 rcp/alpha/r7/in/h1/link",
-            }
-            return wanted <= set(heard) and "own rcp/alpha/r8/in/h1/link" in spied
+        async def greeted() -> bool:
+            await client.request("write", "/tenant/alpha/param/r7/speed_limit", body=0.5)
+            return any("/r8/in/" in key for key in heard)
 
-        await eventually(arrived, "what is allowed arrives", _BOUND)
-        assert "rcp/alpha/r7/out/h1/link" not in heard
-        assert "rcp/alpha/r9/alive" not in heard
-        assert "rcp/alpha/r7/in/h1/link" not in spied
+        await eventually(greeted, "the hub speaks to r8", _BOUND)
+        assert not any("/r7/in/" in key for key in heard)
+        assert not await catalogue(client, "/tenant/alpha/sensor/r9/**")
+
+        many = 500
+        before = sum(_refused(hub).values())
+        for _ in range(many):
+            r8.put("rcp/alpha/r7/out/h1/link", b"forged")
+
+        async def counted() -> bool:
+            return sum(_refused(hub).values()) >= before + many
+
+        await eventually(counted, "each of them is counted", _BOUND)
+        records = [one for one in _denials(store) if one["outcome"] == "forbidden"]
+        assert len(records) < many / 20
         for one in kept:
             one.undeclare()
+        await client.close()
+
+
+async def test_a_forger_is_named_if_zenoh_writes_what_it_forbids(tmp_path: Path) -> None:
+    authority, port = Authority(tmp_path), free_port()
+    forged = "rcp/alpha/r7/out/h1/link"
+    store = tmp_path / "hub.db"
+    text = _hub(port, authority, '["r7", "r8"]') + table("store", path=str(store))
+    thief = configuration(
+        "client",
+        connect=[f"tls/127.0.0.1:{port}"],
+        tls=_files(authority, authority.sign("r8")),
+    )
+    environment = {"RUST_LOG": "zenoh::net::routing::interceptor=trace"}
+    process = process_of(tmp_path / "hub.toml", text, environment)
+    async with process, opened(thief, patient=True) as r8:
+
+        async def named() -> bool:
+            r8.put(forged, b"forged")
+            said = f"the rules of the router forbid 'r8' to put on {forged}"
+            return any(one["message"] == said for one in _denials(store))
+
+        await eventually(named, "the record names r8", _BOUND)
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,14 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at, robot_at
+from backends.fleet.rig import appears, free_port, hub_at, recorded, robot_at
 from hubkeys import HubKey
+from rcp_client.messages import Notice
 from rcp_kernel.app.reload import apply
 from rcp_kernel.app.server import prepare
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import parse
+from rcp_kernel.spi import Principal
 from rcp_kernel.testing import (
     ADMIN,
     OPERATOR,
@@ -33,6 +35,7 @@ _BOUND = 60.0  # s, on any machine
 _POSE, _LIMIT = "/tenant/alpha/sensor/r7/pose", "/tenant/alpha/param/r7/speed_limit"
 _MOVE = "/tenant/alpha/action/r7/move_to"
 _ROOT = f'[[keys]]\nname = "root"\nrole = "admin"\nkey = "{ADMIN}"\n'
+_ANN = Principal("ann", (("alpha", ("operator",)),), "key")
 _BEN = f'[[keys]]\nname = "ben"\nrole = "viewer"\nkey = "{VIEWER}"\n'
 
 
@@ -81,18 +84,7 @@ async def _fleet(
 
 async def _record(robot: Served, **wanted: Any) -> dict[str, Any]:
     """Return the record of the robot's audit log that has these facts."""
-    admin = robot.client(ADMIN)
-    id_ = await admin.subscribe("/system/audit", history=100)
-
-    def holds(message: dict[str, Any]) -> bool:
-        body = message.get("body")
-        return (
-            message.get("id") == id_ and isinstance(body, dict) and wanted.items() <= body.items()
-        )
-
-    found = await admin.until(holds, _BOUND)
-    await admin.close()
-    return found["body"]
+    return await recorded(robot, lambda record: wanted.items() <= record.items())
 
 
 async def test_a_person_acts_in_a_session_of_their_own_and_is_on_record(tmp_path: Path) -> None:
@@ -273,3 +265,79 @@ async def test_a_link_has_the_links_of_persons_too(tmp_path: Path) -> None:
             return robots_end == (link["sent"], link["received"])
 
         await eventually(equal, "both ends have counted the same bytes on both links", _BOUND)
+
+
+async def test_values_in_a_frame_come_in_the_session_of_the_person_who_wants_them(
+    tmp_path: Path,
+) -> None:
+    async with _fleet(tmp_path) as fleet:  # the robot lets this hub assert operators only
+        mine = await fleet.ann.subscribe(_POSE, frame="base_link")
+        assert (await fleet.ann.update(mine, _BOUND))["body"]["frame_id"] == "base_link"
+        assert fleet.persons() == {"h1", "ann"}
+        ben = fleet.hub.client(VIEWER)
+        theirs = await ben.subscribe(_POSE, frame="base_link")
+        told = await ben.notice("no_transform", _BOUND)
+        assert told["id"] == theirs
+        assert "viewer" in told["message"], told
+        plain = await ben.subscribe(_POSE)  # which the hub sees for itself, and shows to viewers
+        assert (await ben.update(plain, _BOUND))["body"]["frame_id"] == "map"
+        await ben.close()
+
+
+def _sessions(hub: Served) -> Any:
+    """Return those of a hub with the robot's gateway."""
+    backend: Any = hub.supervisor.backend
+    return backend.gateways["r7"].sessions
+
+
+async def test_a_stream_in_a_frame_leaves_the_session_of_a_person_whom_the_robot_refuses(
+    tmp_path: Path,
+) -> None:
+    key, port = HubKey(), free_port()
+    trusting = parse(robot_at(port) + _ROOT + key.table(), "test")
+    wary = parse(robot_at(port) + _ROOT + key.table('["viewer"]'), "test")
+    async with serve(parse(_hub(port, _key_file(tmp_path, key)), "test")) as hub:
+        ann = hub.client(OPERATOR)
+        async with serve(trusting):
+            await appears(ann, _POSE)
+            id_ = await ann.subscribe(_POSE, frame="base_link")
+            await ann.update(id_, _BOUND)
+        sessions = _sessions(hub)
+        (before,) = sessions.held
+        async with serve(wary):
+            await ann.until(lambda one: "assert the role" in str(one.get("message")), _BOUND)
+
+            async def closed() -> bool:
+                return before not in sessions.held
+
+            await eventually(closed, "it does not try again and again", _BOUND)
+        ann.inbox.clear()
+        async with serve(trusting):
+            assert (await ann.update(id_, _BOUND))["body"]["frame_id"] == "base_link"
+        await ann.close()
+
+
+async def test_a_session_that_is_refused_while_nobody_uses_it_is_closed_at_once(
+    tmp_path: Path,
+) -> None:
+    async with _fleet(tmp_path, of_hub="idle = 3600") as fleet:
+        sessions = _sessions(fleet.hub)
+        async with sessions.acting(_ANN) as client:
+            pass
+        client.channel.tell(Notice(code="refused", message="not any more"))
+
+        async def closed() -> bool:
+            return not sessions.held
+
+        await eventually(closed, "the session is closed", _BOUND)
+        assert (await fleet.ann.request("write", _LIMIT, body=0.6))["status"] == "completed"
+
+
+async def test_a_session_that_takes_no_new_users_is_closed_with_the_others(tmp_path: Path) -> None:
+    async with _fleet(tmp_path) as fleet:
+        sessions = _sessions(fleet.hub)
+        async with sessions.acting(_ANN) as client:
+            client.channel.tell(Notice(code="refused", message="not any more"))
+            await sessions.close()
+            assert not client.connected
+            assert sessions.held == set()

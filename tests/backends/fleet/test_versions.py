@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import AsyncExitStack
 from typing import Any
 
+import msgspec
 import pytest
 
 pytest.importorskip("zenoh")
@@ -13,6 +14,7 @@ from backends.fleet.recording import FOLDER, RecordedGateway, exchanges
 from backends.fleet.rig import SIM, appears, free_port, hub_at, robot_at, serving
 from configuration import configuration, key, role, rule, table
 from rcp_kernel.testing import ADMIN, OPERATOR, Client, eventually
+from rcp_kernel.values import value_type
 
 pytestmark = pytest.mark.anyio
 _POSE, _LINK = "/tenant/alpha/sensor/r7/pose", "/tenant/alpha/sensor/r7/link"
@@ -65,6 +67,34 @@ async def test_a_gateway_without_what_later_ones_offer_is_used_and_what_it_lacks
             await _lacks(client)
             shown = (await client.request("read", "/system/robots"))["body"]
             assert [one["path"] for one in shown] == ["/tenant/alpha/r7"]
+        await client.close()
+
+
+class _FirstRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A request for a lease as the first gateways knew it."""
+
+    do: str
+    scope: str | None = None
+    lease: str | None = None
+    ttl: float | None = None
+    take: bool = False
+    to: str | None = None
+    reason: str | None = None
+
+
+async def test_a_gateway_that_does_not_know_programs_grants_leases(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    port = free_port()
+    async with serving(hub_at(port)) as hub, serving(robot_at(port)) as robot:
+        entry = robot.server.kernel.registry.entries["/system/leases"]
+        monkeypatch.setattr(entry, "input_type", value_type(_FirstRequest))
+        client = hub.client(OPERATOR)
+        await appears(client, _POSE)
+        for do in ("acquire", "renew", "release"):
+            asked = {"do": do, "scope": "/tenant/alpha/r7"}
+            reply = await client.request("execute", "/system/leases", body=asked, within=_BOUND)
+            assert reply["status"] == "completed", reply
         await client.close()
 
 

@@ -85,8 +85,10 @@ async def test_openapi_shows_that_a_goal_may_be_a_place_on_the_earth(url: str) -
     name = name.removeprefix("#/components/schemas/")
     assert re.fullmatch(r"[A-Za-z0-9._-]+", name)
     position = found["components"]["schemas"][name]["properties"]["position"]
-    assert {"x", "y", "z", "latitude", "longitude", "altitude"} == position["properties"].keys()
-    assert position["oneOf"] == [{"required": ["x", "y"]}, {"required": ["latitude", "longitude"]}]
+    on_earth = {"latitude", "longitude", "altitude"}
+    assert position["properties"].keys() == {"x", "y", "z", "place", "distance"} | on_earth
+    forms = [one["required"] for one in position["oneOf"]]
+    assert forms == [["x", "y"], ["latitude", "longitude"], ["place"]]
 
 
 @pytest.mark.parametrize("words", [("read", POSE), ("watch", POSE, "--count", "1")])
