@@ -14,9 +14,11 @@ from rcp_ros_messages.message_type import (
     full_name,
     message_text,
     message_type,
+    parse_all,
     short_name,
     zero,
 )
+from rcp_ros_messages.refusal import refused_response
 from rcp_ros_messages.source import Source, time_of
 
 __all__ = [
@@ -34,6 +36,8 @@ __all__ = [
     "full_name",
     "message_text",
     "message_type",
+    "parse_all",
+    "refused_response",
     "short_name",
     "time_of",
     "zero",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from copy import deepcopy
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ __all__ = [
     "message_text",
     "message_type",
     "parse",
+    "parse_all",
     "short_name",
     "zero",
 ]
@@ -39,7 +41,11 @@ PRIMITIVES: dict[str, Any] = {
     "string": "",
 }
 """The primitive types, with the value of a field that nobody has set."""
-_LINE = re.compile(r"^(?P<type>[\w/]+)(?:\[(?P<length>\d*)\])?\s+(?P<name>\w+)(?:=(?P<value>.*))?$")
+_LINE = re.compile(
+    r"^(?P<type>[\w/]+)(?:<=\d+)?(?:\[(?P<length>\d*|<=\d+)\])?\s+(?P<name>\w+)"
+    r"(?:\s*=\s*(?P<value>.*)|\s.*)?$"
+)
+"""A field, maybe with a default, or a constant; a bound counts as none."""
 _RULE = "=" * 80
 
 
@@ -89,7 +95,7 @@ def parse(name: str, text: str) -> MessageType:
     """Read a definition."""
     fields: list[Field] = []
     constants: list[Constant] = []
-    for line in filter(None, text.split("\n")):
+    for line in filter(None, map(_without_comment, text.split("\n"))):
         found = _LINE.match(line)
         if found is None:
             raise ValueError(f"{name}: cannot read {line!r}")
@@ -101,9 +107,32 @@ def parse(name: str, text: str) -> MessageType:
         if found["value"] is not None:
             constants.append(Constant(found["name"], type_, found["value"]))
         else:
-            length = None if found["length"] is None else int(found["length"] or 0)
+            length = None if found["length"] is None else _length(found["length"])
             fields.append(Field(found["name"], type_, length))
     return MessageType(name, tuple(fields), tuple(constants))
+
+
+def _without_comment(line: str) -> str:
+    return line.partition("#")[0].strip()
+
+
+def _length(text: str) -> int:
+    return int(text) if text.isdecimal() else 0
+
+
+@lru_cache(maxsize=256)
+def parse_all(name: str, text: str) -> Mapping[str, MessageType]:
+    """Read a definition with those of the types that it contains, by full name; the first is its own.
+
+    :raises ValueError: it cannot be read.
+    """
+    first, *others = re.split(r"^={40,}$", text, flags=re.MULTILINE)
+    found = {full_name(name): parse(full_name(name), first)}
+    for other in others:
+        head, _, rest = other.strip().partition("\n")
+        inner = full_name(head.removeprefix("MSG:").strip())
+        found[inner] = parse(inner, rest)
+    return found
 
 
 @lru_cache(maxsize=256)

@@ -11,6 +11,7 @@ from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_ros2.backend import Ros2Backend, open_ros2
 from rcp_ros2.config import Mapping, Qos, Ros2Config
+from rcp_ros2.environment import check_environment
 from rcp_ros2.topics import PROFILE
 
 __all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2", "rcp_backends"]
@@ -19,4 +20,4 @@ __all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2"
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Register the ROS 2 backend."""
-    return [BackendKind("ros2", Ros2Config, open_ros2, "ROS 2 robots.")]
+    return [BackendKind("ros2", Ros2Config, open_ros2, "ROS 2 robots.", check=check_environment)]

@@ -42,7 +42,8 @@ class Run(Binding):
     def __init__(self, shared: Shared, name: str, mapping: Mapping, action: Any) -> None:
         self.action = action
         self.client: Any = None
-        self._input = inward(action.Goal, mapping.unit) if fields_of(action.Goal) else None
+        fields = fields_of(action.Goal)
+        self._input = inward(action.Goal, mapping.unit, nan=mapping.nan) if fields else None
         self._fill = filler(action.Goal)
         self._goals: set[Goal] = set()
         self._node = ""

@@ -20,7 +20,7 @@ from rcp_kernel.errors import (
     InvalidValue,
     PayloadTooLarge,
 )
-from rcp_kernel.model import Resource
+from rcp_kernel.model import READS, Resource
 from rcp_kernel.spi import Progress
 from rcp_ros2.binding import Binding, Offer, Shared, common
 from rcp_ros2.config import Assets as AssetsConfig
@@ -175,7 +175,7 @@ class Fetching(Binding):
         self._follows = False
         self._key = f"{mapping.target} assets"
         text = f"Return a mesh or texture of a package that {mapping.target} refers to"
-        facts = common(name, mapping, text, topic=mapping.topic)
+        facts = common(name, mapping, text, topic=mapping.topic, **READS)
         super().__init__(shared, Resource(input=Fetch, output=Asset, **facts), mapping)
 
     def _follow(self) -> None:

@@ -11,15 +11,16 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
 from rcp_kernel.errors import AdapterUnavailable, InvalidValue
-from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog, unfenced
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Publication, Watchdog, unfenced
 from rcp_ros2.binding import Binding, Shared
 from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
-from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import Graph, GraphWatch
+from rcp_ros2.offers import GraphOffers
 from rcp_ros2.parameters import Setting
 from rcp_ros2.ros import contained, open_ros
 from rcp_ros2.stops import Stops
+from rcp_ros2.texts import Texts
 
 __all__ = ["Ros2Backend", "open_ros2"]
 
@@ -33,6 +34,7 @@ class Ros2Backend(BaseBackend):
         self.catalog = catalog
         self.stops = stops
         self.on_loss = on_loss
+        self._offers = GraphOffers(catalog.shared) if catalog.shared.config.offers else None
 
     def _binding(self, name: str) -> Binding:
         binding = self.catalog.bindings.get(name)
@@ -41,8 +43,9 @@ class Ros2Backend(BaseBackend):
         return binding
 
     async def read(self, name: str) -> Any:
-        """Return the current value."""
-        return await self._binding(name).read()
+        """Return the current value, with its time if its message has one."""
+        value, stamp = await self._binding(name).measured()
+        return value if stamp is None else Publication(name, value, stamp)
 
     async def write(self, name: str, value: Any) -> Any:
         """Publish a command, or set a parameter."""
@@ -72,6 +75,8 @@ class Ros2Backend(BaseBackend):
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Call a service, or run an action."""
+        if self._offers is not None and self._offers.has(name):
+            return await self._offers.execute(name, value, progress)
         return await self._binding(name).execute(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
@@ -141,34 +146,34 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
     :raises ConfigError: rclpy is missing.
     :raises NotReady: ROS 2 did not start, or failed later.
     """
-    for name, text in config.types.items():
-        define_text(name, text)
+    texts = Texts(config.types, config.interfaces)
     began = time.monotonic()
-    async with open_ros(config, host) as ros:
-        shared = Shared(ros, config, host)
-        catalog = Catalog(shared)
-        stops = Stops(shared, catalog)
+    with texts.used():
+        async with open_ros(config, host) as ros:
+            shared = Shared(ros, config, host)
+            catalog = Catalog(shared, texts)
+            stops = Stops(shared, catalog)
 
-        def update(graph: Graph) -> None:
-            catalog.update(graph)
-            stops.update(graph)
+            def update(graph: Graph) -> None:
+                catalog.update(graph)
+                stops.update(graph)
 
-        watch = GraphWatch(ros, catalog.matters, update)
-        watch.on_poll.extend(
-            (shared.subscriptions.refresh, shared.pulses.poll, lambda: _poll(shared))
-        )
-        host.discovering(active=True)
-        await catalog.place_mapped()
-        await ros.call(watch.start)
-        with unfenced():
-            following = asyncio.create_task(stops.follow(), name="ros2 stops")
-        try:
-            await _settle(catalog, min(config.grace, _SETTLE - (time.monotonic() - began)))
-            yield Ros2Backend(catalog, stops, config.on_loss)
-        finally:
-            following.cancel()
-            await stops.close()
-            await catalog.close()
+            watch = GraphWatch(ros, catalog.matters, update)
+            watch.on_poll.extend(
+                (shared.subscriptions.refresh, shared.pulses.poll, lambda: _poll(shared))
+            )
+            host.discovering(active=True)
+            await catalog.place_mapped()
+            await ros.call(watch.start)
+            with unfenced():
+                following = asyncio.create_task(stops.follow(), name="ros2 stops")
+            try:
+                await _settle(catalog, min(config.grace, _SETTLE - (time.monotonic() - began)))
+                yield Ros2Backend(catalog, stops, config.on_loss)
+            finally:
+                following.cancel()
+                await stops.close()
+                await catalog.close()
 
 
 async def _settle(catalog: Catalog, limit: float) -> None:

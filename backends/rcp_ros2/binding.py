@@ -64,6 +64,10 @@ class Binding:
         """Return the current value."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be read")
 
+    async def measured(self) -> tuple[Any, int | None]:
+        """Return the current value and its source time in ns, None for the time of receipt."""
+        return await self.read(), None
+
     async def write(self, value: Any) -> Any:
         """Write a value."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be written")

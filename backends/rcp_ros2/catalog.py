@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from collections.abc import Set as AbstractSet
 from functools import partial
 from typing import Any
@@ -29,16 +29,18 @@ from rcp_ros2.facts import Facts
 from rcp_ros2.goals import Goals, goals_of
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
-from rcp_ros2.learning import learn
+from rcp_ros2.learning import Learning, is_installed
 from rcp_ros2.lifecycle import Lifecycles
 from rcp_ros2.log import Log
 from rcp_ros2.names import is_internal_parameter, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.pictures import Pictures
 from rcp_ros2.profiles import Profiles
+from rcp_ros2.reduced import Reduced
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
 from rcp_ros2.standard import SpeedLimit
+from rcp_ros2.texts import Texts
 from rcp_ros2.transforms import Transforms
 from rcp_ros2.view import GraphView
 from rcp_ros2.wanted import Wanted, type_of
@@ -58,9 +60,10 @@ _AT_ONCE = 4  # nodes queried concurrently
 class Catalog:
     """The bindings of a backend, synchronized with the graph."""
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: Shared, texts: Texts) -> None:
         config = shared.config
         self.shared = shared
+        self._learning = Learning(shared, texts)
         self._exposes = bool(config.expose or config.robots or not config.map)
         """Whether the paths depend on the graph."""
         self.bindings: dict[str, Binding] = {}
@@ -221,11 +224,11 @@ class Catalog:
             else:
                 binding = await self._made(name, mapping, type_)
         except MissingType as error:
-            if mapping.topic is not None:  # a node that appears later may provide the type
-                self._later[name] = time.monotonic() + (_SOON if self.shared.settling else _AGAIN)
-                type_ = ""
-                if isinstance(self.bindings.get(name), Absent):
-                    return
+            # A node that appears later may provide the type, or have another version of it.
+            self._later[name] = time.monotonic() + (_SOON if self.shared.settling else _AGAIN)
+            type_ = ""
+            if isinstance(self.bindings.get(name), Absent):
+                return
             log.warning("ros_type_missing", resource=name, detail=str(error))
             binding = self._absent(name, mapping, str(error), error.remedy)
         except ConfigError as error:
@@ -242,20 +245,37 @@ class Catalog:
         self._made_of[name] = mapping
 
     async def _made(self, name: str, mapping: Mapping, type_: str) -> Binding:
-        ros = self.shared.ros
+        make = partial(self._make, name, mapping, type_)
+        return await self._learned(name, mapping, type_, make)
+
+    async def _learned(
+        self, name: str, mapping: Mapping, type_: str, make: Callable[[], Binding]
+    ) -> Binding:
+        """Create a binding, of a type that is learned first if it is not installed."""
+        ros, noun = self.shared.ros, mapping.noun
+        group = {"service": "srv", "action": "action"}.get(noun)
+        of_goals = kind_of(name) is Kind.SENSOR  # those of an action have a type of their own
+        if type_ and group and not of_goals and not await ros.call(is_installed, type_, group):
+            await self._learning.interface(noun, mapping.target, type_)
         try:
-            return await ros.call(self._make, name, mapping, type_)
+            return await ros.call(make)
         except MissingType:
-            if mapping.topic is None or not await learn(self.shared, mapping.target, type_):
+            topic = mapping.topic
+            if topic is None or not type_ or not await self._learning.topic(topic, type_):
                 raise
-            return await ros.call(self._make, name, mapping, type_)
+            return await ros.call(make)
 
     async def _bring(self, name: str, offer: Offer) -> None:
         try:
-            binding = await self.shared.ros.call(offer.make)
+            type_ = type_of(offer.mapping, self.shared.graph)
+            binding = await self._learned(name, offer.mapping, type_ or "", offer.make)
         except MissingType as error:
+            self._later[name] = time.monotonic() + _AGAIN
             self.shared.trouble(name, f"{name} is not available: {error}. {error.remedy}")
-            binding = self._absent(name, offer.mapping, str(error), error.remedy)
+            if not isinstance(self.bindings.get(name), Absent):
+                self._place(name, self._absent(name, offer.mapping, str(error), error.remedy))
+            return
+        self.shared.trouble(name, None)
         self._keys[name] = offer.key
         self._types.pop(name, None)
         self._place(name, binding)
@@ -272,7 +292,8 @@ class Catalog:
             case "topic":
                 cls = load(type_)
                 if kind is not Kind.ACTUATOR:
-                    return Observed.of(self.shared, name, mapping, cls)
+                    sensor = Reduced if mapping.crop or mapping.decimate else Observed
+                    return sensor.of(self.shared, name, mapping, cls)
                 return Commanded(self.shared, name, mapping, cls)
             case "service":
                 return Called(self.shared, name, mapping, load(type_, "srv"))

@@ -17,7 +17,7 @@ from typing import Any
 from rcp_ros2.idl import WIDTHS, Primitive, Ref, Sequence, Text, Type, fields_of, full_name
 from rcp_ros2.types import bare, is_bytes, outward
 
-__all__ = ["Codec", "Malformed", "Value"]
+__all__ = ["Codec", "Malformed", "Value", "is_stamped"]
 
 Decoder = Callable[[bytes], Any]
 _ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
@@ -35,9 +35,9 @@ class Codec:
         self.name = full_name(cls)
         self.type = outward(cls, path, unit)
         self._whole = outward(cls, None, unit)
-        self._cls = cls
+        self.cls = cls
         self._path = path.split(".") if path else None
-        self._stamped = _is_stamped(cls)
+        self._stamped = is_stamped(cls)
         self._decoders: dict[bytes, Decoder] = {}
 
     def decode(self, data: bytes) -> Any:
@@ -67,7 +67,7 @@ class Codec:
         order = _ORDERS.get(header)
         if order is None:
             raise Malformed(f"encapsulation {header.hex() or 'missing'} of {self.name} is not CDR")
-        made = _Module(order).compile(self._cls, self._whole, self._path)
+        made = _Module(order).compile(self.cls, self._whole, self._path)
         self._decoders[header] = made
         return made
 
@@ -86,7 +86,8 @@ class Value:
         return self._codec.decode(self.data)
 
 
-def _is_stamped(cls: Any) -> bool:
+def is_stamped(cls: Any) -> bool:
+    """Return whether a message begins with a header."""
     fields = fields_of(cls)
     first = fields[0].type if fields else None
     return isinstance(first, Ref) and full_name(first.cls) == "std_msgs/msg/Header"

@@ -32,7 +32,7 @@ RobotPattern = Annotated[str, Meta(pattern=r"^(/[A-Za-z0-9_*]+)+$", max_length=2
 TypeName = Annotated[
     str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/(msg|srv|action))?/[A-Za-z][A-Za-z0-9_]*$")
 ]
-MessageName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$")]
+FullName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9]*$")]
 FieldPath = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$")]
 Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
 
@@ -72,7 +72,10 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """UCUM unit of numbers without a known unit: a parameter, a custom message.
     ROS message definitions contain no units."""
     frame: str | None = None
-    """`frame_id` in the schema of a value without a header: a `pose.pose`, a velocity."""
+    """`frame_id` in the schema of a value without a header: a `pose.pose`, a velocity; and of a command
+    that has a header and gives none."""
+    nan: bool = False
+    """Whether numbers of a command may be NaN or infinite: "leave it as it is", to a PX4."""
     qos: Qos = Qos()
     description: str | None = None
     deadline: Seconds | None = None
@@ -104,7 +107,24 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     profile: bool = False
     """Offer it as the resource of this name that profiles have, with their type: `sensor/pose`, …."""
 
+    crop: Annotated[tuple[float, ...], Meta(min_length=4, max_length=6)] | None = None
+    """What of a map (x and y of two corners, in m) or of a point cloud (x, y, z) is kept, in the frame
+    of the message."""
+    decimate: Annotated[int, Meta(ge=2, le=1000)] | None = None
+    """Keep each n-th point of a cloud, or one cell for n x n of a map: the highest, so that no
+    obstacle is lost."""
+    rate: Annotated[float, Meta(gt=0, le=1000, extra_json_schema={"unit": "Hz"})] | None = None
+    """Maximum rate of a sensor, whoever subscribes."""
+
     def __post_init__(self) -> None:
+        if (self.crop or self.decimate) and (self.field is not None or self.profile):
+            raise ValueError(
+                "`crop` and `decimate` are for whole messages: omit `field` and `profile`"
+            )
+        half = len(self.crop or ()) // 2
+        low, high = (self.crop or ())[:half], (self.crop or ())[half:]
+        if len(low) != len(high) or any(a >= b for a, b in zip(low, high, strict=True)):
+            raise ValueError("`crop` is the lowest corner, then the highest one: 4 or 6 numbers")
         if self.feedback_timeout is not None and self.feedback is None:
             raise ValueError("`feedback_timeout` requires `feedback`")
         words = ("topic", "service", "action", "parameter", "parameters")
@@ -255,6 +275,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """None uses ROS_DOMAIN_ID, or 0."""
     node: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = "rcp_gateway"
     """Name of the gateway's own node."""
+    enclave: Annotated[str, Meta(pattern=r"^(/[A-Za-z0-9_]+)+$")] | None = None
+    """SROS 2 enclave of the gateway's node; None uses that of the environment."""
     namespace: RosName = "/"
     """Namespace of the gateway's node; paths of names in it omit it."""
     robots: tuple[RobotPattern, ...] = ()
@@ -270,8 +292,10 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Names to exclude from `expose`."""
     map: dict[str, Mapping] = {}
     limits: Limits | None = None
-    types: dict[MessageName, str] = {}
-    """The `.msg` text of types that are not installed."""
+    types: dict[FullName, str] = {}
+    """The text of messages, services and actions that are not installed."""
+    interfaces: tuple[str, ...] = ()
+    """Folders with packages that are not installed, as in `/opt/ros/<distro>/share`."""
     diagnostics: Diagnostics = Diagnostics()
     log: Log = Log()
     jpeg: Jpeg = Jpeg()
@@ -282,6 +306,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Behaviour after a node with a running goal or command is lost and returns."""
     graph: bool = False
     """Provide the graph itself as `sensor/ros/graph`."""
+    offers: bool = False
+    """Let clients offer services and actions on the graph, by `action/ros/offer`."""
     use_sim_time: bool = False
     """Use `/clock` as the robot's time."""
     timeout: Seconds = 5.0
@@ -310,11 +336,20 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
             together = kind is Kind.SERVICE and bool(mapping.parameters)
             if not together and (mapping.parameters or mapping.noun not in _FITS[kind]):
                 raise ValueError(f"{path!r} is a {kind} and cannot be a {mapping.noun}")
+            reduces = mapping.crop or mapping.decimate or mapping.rate
+            if reduces and (kind is not Kind.SENSOR or mapping.topic is None):
+                raise ValueError(
+                    f"{path!r}: `crop`, `decimate` and `rate` are for sensors that are topics"
+                )
             if mapping.feedback is not None and kind not in (Kind.ACTUATOR, Kind.ACTION):
                 raise ValueError(f"{path!r}: `feedback` is for actuators and actions")
             if mapping.profile and (
                 mapping.field is not None or not may_be(path.removeprefix("/"))
             ):
                 raise ValueError(f"{path!r}: no profile's resource can be made of this mapping")
+            if mapping.nan and kind not in (Kind.ACTUATOR, Kind.ACTION, Kind.SERVICE):
+                raise ValueError(f"{path!r}: `nan` is for actuators, actions and services")
+            if mapping.nan and mapping.profile:
+                raise ValueError(f"{path!r}: a profile's resource has no `nan`")
             if mapping.field is not None and kind not in (Kind.SENSOR, Kind.EVENT):
                 raise ValueError(f"{path!r}: `field` is for sensors and events")

@@ -1,6 +1,6 @@
-"""Message types created at run time from their `.msg` text or a node's type description.
+"""Types created at run time from their text or a node's type description.
 
-Objects of such types have no serialization code: `writer.py` encodes published values, and
+Objects of such types have no serialization code: `writer.py` encodes their values, and
 `support.py` provides the type support that rclpy requires.
 """
 
@@ -8,30 +8,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 from rcp_ros2.comments import remember
-from rcp_ros2.idl import WIDTHS, Field, MissingType, Primitive, Ref, Sequence, Text, Type, load
-from rcp_ros2.idl import define as define_class
-from rcp_ros2.support import IDS, forge
+from rcp_ros2.idl import WIDTHS, MissingType, Sequence, Text, Type
+from rcp_ros2.made import Part, define_action, define_message, define_service
+from rcp_ros2.support import IDS
+from rcp_ros2.well_known import VERSIONS
 
 __all__ = [
-    "SPEED_LIMIT",
     "TF_MESSAGE",
     "BadText",
     "define_described",
     "define_text",
-    "is_made",
     "parse",
 ]
 
-SPEED_LIMIT = "nav2_msgs/msg/SpeedLimit"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 _LINE = re.compile(
     r"(?P<base>[A-Za-z]\w*(?:/\w+){0,2})(?:<=(?P<limit>\d+))?"
     r"(?:\[(?P<upto><=)?(?P<size>\d*)\](?P<array>))?\s+(?P<name>[A-Za-z]\w*)(?P<rest>.*)\Z"
 )
-_WORD = re.compile(r"(?:[A-Za-z]\w*/msg/)?[A-Za-z]\w*\Z")
+_RULE = re.compile(r"^---.*$", re.MULTILINE)
+_ENDINGS = {
+    "msg": ("",),
+    "srv": ("_Request", "_Response"),
+    "action": ("_Goal", "_Result", "_Feedback"),
+}
+"""The messages whose texts follow each other in one text."""
 _NEXT = re.compile(r"^={10,}\s*\n\s*MSG:\s*(\S+)\s*\n", re.MULTILINE)
 _OLD = {"byte": "octet", "char": "uint8", "Header": "std_msgs/msg/Header"}
 _NAMES = {id_: name for name, id_ in IDS.items()}
@@ -44,27 +48,22 @@ class BadText(ValueError):
     """The text is not a valid message definition."""
 
 
-class Part(NamedTuple):
-    """A field whose type may not be loaded yet."""
-
-    name: str
-    base: str
-    """A primitive, or the full name of another message."""
-    shape: Callable[[Type], Type]
-    """Builds the field's type from the base type."""
-
-
-def is_made(cls: Any) -> bool:
-    """Return whether a class was created at run time."""
-    return isinstance(cls, _Made)
-
-
 def parse(name: str, text: str) -> dict[str, list[Part]]:
-    """Parse the text of a message with the texts it refers to, as `gendeps` writes them.
+    """Parse the text of a message, service or action with the texts it refers to, as `gendeps` writes them.
 
     :raises BadText: a line is not valid in a `.msg` file.
     """
-    return {key: _parsed(key, body) for key, body in _texts(name, text).items()}
+    found: dict[str, list[Part]] = {}
+    for key, body in _texts(name, text).items():
+        endings = _ENDINGS[key.split("/")[1]]
+        bodies = _RULE.split(body)
+        if len(bodies) != len(endings):
+            raise BadText(
+                f"the text of {key} has {len(bodies)} parts, of {len(endings)}, between lines of ---"
+            )
+        for ending, part in zip(endings, bodies, strict=True):
+            found[f"{key}{ending}"] = _parsed(key, part)
+    return found
 
 
 def _texts(name: str, text: str) -> dict[str, str]:
@@ -73,13 +72,21 @@ def _texts(name: str, text: str) -> dict[str, str]:
 
 
 def define_text(name: str, text: str) -> None:
-    """Define the type `pkg/msg/Name`; an installed type takes precedence.
+    """Define the message, service or action `pkg/msg/Name`; an installed type takes precedence.
 
     :raises BadText: as for `parse`.
     """
+    for key, parts in parse(name, text).items():
+        define_message(key, parts)
     for key, body in _texts(name, text).items():
-        _define(key, _parsed(key, body))
         remember(key, body)
+    match name.split("/")[1]:
+        case "srv":
+            define_service(name)
+        case "action":
+            define_action(name)
+        case _:
+            pass
 
 
 def define_described(description: Any, sources: Iterable[Any] = ()) -> None:
@@ -89,39 +96,9 @@ def define_described(description: Any, sources: Iterable[Any] = ()) -> None:
     """
     for one in (description.type_description, *description.referenced_type_descriptions):
         parts = [_described(f) for f in one.fields if f.name != _DUMMY]
-        _define(one.type_name, parts)
+        define_message(one.type_name, parts)
     for source in sources:
         remember(source.type_name, source.raw_file_contents)
-
-
-def _define(name: str, parts: list[Part]) -> None:
-    bad = next((word for word in (name, *(p.name for p in parts)) if not _WORD.match(word)), None)
-    if bad is not None:  # nodes are not trusted
-        raise MissingType(name, f"{bad[:80]!r} is not a valid name")
-    package, _, leaf = name.split("/")
-    kind = type(f"Metaclass_{leaf}", (_Made,), {})  # a metaclass per type holds its support
-    define_class(kind(leaf, (), {"__module__": f"{package}.msg", "parts": parts}))
-
-
-class _Made(type):
-    """The metaclass of classes created at run time, where rclpy looks for the type support."""
-
-    parts: list[Part]
-    _TYPE_SUPPORT: Any = None
-    _CREATE_ROS_MESSAGE = _CONVERT_FROM_PY = _CONVERT_TO_PY = _DESTROY_ROS_MESSAGE = ""
-
-    def prepare(cls) -> None:
-        """Create the type support that rclpy requires, once."""
-        if cls._TYPE_SUPPORT is None:
-            type(cls)._TYPE_SUPPORT = forge(cls, cls.described())  # noqa: SLF001 - its own
-
-    def described(cls) -> tuple[Field, ...]:
-        """Return the fields; the types they refer to are loaded on demand."""
-        return tuple(Field(name, shape(_base(base))) for name, base, shape in cls.parts)
-
-
-def _base(text: str) -> Type:
-    return Primitive(text) if text in WIDTHS else Ref(load(text))
 
 
 def _full(name: str) -> str:
@@ -185,5 +162,6 @@ def _described(field: Any) -> Part:
     raise MissingType(field.name, f"unsupported field type {type_.type_id}")
 
 
-define_text(TF_MESSAGE, "geometry_msgs/TransformStamped[] transforms")
-define_text(SPEED_LIMIT, "std_msgs/Header header\nbool percentage\nfloat64 speed_limit")
+for _name, _versions in VERSIONS.items():
+    if "/msg/" in _name:
+        define_text(_name, _versions[0])

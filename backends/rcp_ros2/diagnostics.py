@@ -13,15 +13,17 @@ import msgspec
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.model import Resource
 from rcp_ros2.binding import Binding, Offer, Shared, common
-from rcp_ros2.config import Mapping
+from rcp_ros2.config import Mapping, Ros2Config
 from rcp_ros2.graph import Graph
-from rcp_ros2.names import legal
+from rcp_ros2.names import absolute, legal
 
 __all__ = ["ARRAY", "Diagnostics"]
 
 ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 Level = Literal["ok", "warn", "error", "stale"]
 _LEVELS: tuple[Level, ...] = ("ok", "warn", "error", "stale")
+_USUAL = ("diagnostics", "diagnostics_agg")
+"""The names that these topics have by convention."""
 _NO_HARDWARE = ("", "none")
 _MOST = 1000  # statuses per topic; names that change with every message would fill the tree
 
@@ -62,12 +64,15 @@ class Diagnostics:
         self._shared = shared
         self._exposes = exposes
         self._boards: dict[str, _Board] = {}
+        self._named = _named(shared.config)
 
     def find(self, graph: Graph) -> dict[str, Offer]:
         """Return an event for each topic and a sensor for each of its statuses."""
         found: dict[str, Offer] = {}
-        for topic, type_ in graph.topics.items():
-            if type_ == ARRAY and topic not in self._boards and self._exposes(topic):
+        topics = {name for name, type_ in graph.topics.items() if type_ == ARRAY}
+        topics |= self._named - graph.topics.keys()
+        for topic in sorted(topics - self._boards.keys()):
+            if self._exposes(topic):
                 self._boards[topic] = _Board(self._shared, topic)
         for board in self._boards.values():
             board.sweep()
@@ -79,6 +84,14 @@ class Diagnostics:
         boards = (b for t, b in self._boards.items() if t.rpartition("/")[0] == space)
         ids = (s.diagnosis.hardware_id for board in boards for s in board.statuses.values())
         return frozenset(id_ for id_ in ids if id_.lower() not in _NO_HARDWARE)
+
+
+def _named(config: Ros2Config) -> frozenset[str]:
+    """Return the topics that are named, not matched: they are offered before anybody publishes them."""
+    if config.robots:  # not before a robot is there
+        return frozenset()
+    names = (absolute(name, config.namespace) for name in config.expose if "*" not in name)
+    return frozenset(name for name in names if name.rpartition("/")[2] in _USUAL)
 
 
 class _Board:

@@ -6,8 +6,13 @@ derived from this one description, so that they agree.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import re
+from collections.abc import Callable, Iterator
 from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 __all__ = [
@@ -23,7 +28,9 @@ __all__ = [
     "fields_of",
     "full_name",
     "is_defined",
+    "is_known",
     "load",
+    "looking_in",
 ]
 
 WIDTHS = {
@@ -45,7 +52,10 @@ WIDTHS = {
 _SPELLINGS = {"boolean": "bool", "float": "float32", "double": "float64", "char": "uint8"}
 
 
+_NAME = re.compile(r"[a-z][a-z0-9_]*(/(msg|srv|action))?/[A-Z][A-Za-z0-9_]*")
+"""A package, the kind of interface, a type, or a part of one (`SetBool_Request`)."""
 _defined: dict[str, Any] = {}
+_sources: list[Callable[[str], bool]] = []
 
 
 class MissingType(Exception):
@@ -55,8 +65,9 @@ class MissingType(Exception):
         package = name.partition("/")[0]
         super().__init__(f"the type {name} is not installed: {why}")
         self.remedy = (
-            f"Install it (`pip install ros-{package.replace('_', '-')}`), or source the workspace "
-            "that contains it before starting the gateway."
+            f"Install it (`pip install ros-{package.replace('_', '-')}`), source the workspace that "
+            "contains it before starting the gateway, or give its text in `types` or its folder in "
+            "`interfaces`."
         )
 
 
@@ -99,17 +110,36 @@ class Field(NamedTuple):
     type: Type
 
 
+def _has_interfaces(package: str) -> bool:
+    """Return whether a package was generated from interfaces, without importing it."""
+    spec = find_spec(package)
+    places = () if spec is None else spec.submodule_search_locations or ()
+    return any(
+        next(Path(place).glob(f"{package}_s__rosidl_typesupport_c*"), None) for place in places
+    )
+
+
 def load(name: str, group: str = "msg") -> Any:
     """Import the class of `pkg/msg/Name` (or `pkg/Name`).
 
+    Names come from other nodes and from clients: nothing is imported that is no package of
+    interfaces.
+
     :raises MissingType: there is no such package, or no such type in it.
     """
+    if _NAME.fullmatch(name) is None:
+        raise MissingType(name, "it is not the name of a type")
     package, *middle, leaf = name.split("/")
     where = middle[0] if middle else group
-    known = _defined.get(f"{package}/{where}/{leaf}")
+    full = f"{package}/{where}/{leaf}"
     try:
+        if not _has_interfaces(package):
+            raise ModuleNotFoundError(f"No module named '{package}' with interfaces of ROS 2")
         found: Any = getattr(importlib.import_module(f"{package}.{where}"), leaf)
     except (ImportError, AttributeError) as error:
+        known = _defined.get(full)
+        if known is None and any(source(full) for source in _sources):
+            known = _defined.get(full)
         if known is not None:
             known.prepare()
             return known
@@ -127,6 +157,21 @@ def define(cls: Any) -> None:
     `MissingType` if that is impossible.
     """
     _defined[full_name(cls)] = cls
+
+
+@contextlib.contextmanager
+def looking_in(source: Callable[[str], bool]) -> Iterator[None]:
+    """Ask a source for types while entered: it defines one by its full name, and returns whether it could."""
+    _sources.append(source)
+    try:
+        yield
+    finally:
+        _sources.remove(source)
+
+
+def is_known(name: str) -> bool:
+    """Return whether `define` was given a class of this name."""
+    return name in _defined
 
 
 def is_defined(cls: Any) -> bool:

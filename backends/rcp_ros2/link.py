@@ -42,6 +42,7 @@ class RosLink:
         self._reported = False
         self._complaints: dict[str, str | None] = {}
         self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
+        ros.on_close.append(self.subscriptions.release)
         self.pulses = Pulses(ros, self.complain)
         self.ticks = Ticks()
         """The times of `/clock`, if it is used."""

@@ -6,9 +6,11 @@ write them. The original text is used where it is known, because it has the cons
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any
+
+import msgspec
 
 from rcp_kernel.model import NativeType
 from rcp_ros2.cdr import Codec
@@ -32,8 +34,18 @@ def native_type(cls: Any, *, written: bool = False) -> NativeType:
         schema_encoding="ros2msg",
         schema=message_text(cls),
         decode=None if written else Codec(cls).decode,
-        encode=writer(cls) if written else None,
+        encode=_encoder(cls) if written else None,
     )
+
+
+def _encoder(cls: Any) -> Callable[[Any], bytes]:
+    """Return what encodes a result, also as plain data: so it is in an error."""
+    write, type_ = writer(cls), Codec(cls).type
+
+    def encode(value: Any) -> bytes:
+        return write(msgspec.convert(value, type_) if isinstance(value, dict) else value)
+
+    return encode
 
 
 def message_text(cls: Any) -> str:

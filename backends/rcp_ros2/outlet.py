@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from typing import Any, Literal
 
 from rcp_kernel.errors import AdapterUnavailable
+from rcp_ros2.cdr import is_stamped
 from rcp_ros2.config import Qos
+from rcp_ros2.idl import fields_of
 from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
 from rcp_ros2.qos import Profile, for_publisher, unreached_subscribers
 
 __all__ = ["Hearing", "Outlet"]
 
+_STAMP = slice(4, 12)
+"""Where serialized messages that begin with a header have its stamp."""
 Hearing = Literal["heard", "nobody", "silent"]
 """Who receives what is sent; `silent` means nodes that responded before and no longer do."""
 
@@ -20,12 +25,10 @@ Hearing = Literal["heard", "nobody", "silent"]
 class Outlet:
     """One publisher; recreated if a subscriber requests latched values."""
 
-    def __init__(
-        self, link: RosLink, topic: str, cls: Any, wanted: Qos, *, stamped: bool = False
-    ) -> None:
-        """With `stamped`, each message gets the time at which it is sent, repeated ones too."""
+    def __init__(self, link: RosLink, topic: str, cls: Any, wanted: Qos) -> None:
         self._node = lambda: link.ros.node
-        self._stamped = stamped
+        fields = fields_of(cls) if is_stamped(cls) else ()
+        self._header = fields[0].name if fields else None
         self._stamp = link.stamp
         self._pulses = link.pulses
         self._complain = link.complain
@@ -81,10 +84,32 @@ class Outlet:
         assert self._publisher is not None
         hearing = self._hearing()
         if hearing == "heard" or anyhow:
-            if self._stamped:
-                message.header.stamp = self._stamp()
-            self._publisher.publish(message)
+            self._publish(message)
         return hearing
+
+    def _publish(self, message: Any) -> None:
+        """Publish a message; one without a stamp gets the time, and repeated another one each time."""
+        if self._header is None:
+            self._publisher.publish(message)
+        elif isinstance(message, bytes):
+            self._publisher.publish(self._stamped(message))
+        else:
+            header = getattr(message, self._header)
+            given = header.stamp
+            if given.sec == given.nanosec == 0:
+                header.stamp = self._stamp()
+            self._publisher.publish(message)
+            header.stamp = given
+
+    def _stamped(self, data: bytes) -> bytes:
+        if any(data[_STAMP]):
+            return data
+        now, order = self._stamp(), "<" if data[1] else ">"
+        return (
+            data[: _STAMP.start]
+            + struct.pack(f"{order}iI", now.sec, now.nanosec)
+            + data[_STAMP.stop :]
+        )
 
     @property
     def nodes(self) -> frozenset[str]:

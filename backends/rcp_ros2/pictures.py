@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import threading
 from collections.abc import Mapping as Bindings
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -18,6 +15,7 @@ from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
 from rcp_ros2.jpeg import compress, is_here, wrapped
 from rcp_ros2.native import native_type
+from rcp_ros2.newest import Newest
 from rcp_ros2.sensors import Observed
 from rcp_ros2.topics import Tap
 
@@ -56,11 +54,9 @@ class Picture(Binding):
 
     def __init__(self, shared: Shared, source: Observed) -> None:
         self._source = source
-        self._pool = ThreadPoolExecutor(1, "ros2 jpeg")
+        self._newest = Newest("ros2 jpeg", self._put)
         self._codec = Codec(load(_COMPRESSED))
         self._lock = threading.Lock()
-        self._next: Value | None = None
-        self._busy = False
         self._wanted = False
         self._rate = shared.config.jpeg.rate
         of = source.resource
@@ -81,54 +77,39 @@ class Picture(Binding):
         self._wanted = True
         period = 1 / min(rate, self._rate)
         codec = self._source.codec
-        self._source.tap(Tap(self.resource.name, codec, taker=self._take, period=period))
+        self._source.tap(Tap(self.resource.name, codec, taker=self._newest.take, period=period))
 
     def unwatched(self) -> None:
         """End the subscription."""
         self._source.untap(self.resource.name)
         with self._lock:  # an image being encoded must not report a problem after this
             self._wanted = False
-            self._next = None
+            self._newest.clear()
             self.shared.complain(self.resource.name, None)
 
     def close(self) -> None:
         """End the subscription and the thread."""
         self.unwatched()
-        self._pool.shutdown(wait=False)
+        self._newest.close()
 
     async def read(self) -> Any:
-        """Return a JPEG of the next image.
+        """Return a JPEG of the next image; raises as `measured`."""
+        return (await self.measured())[0]
+
+    async def measured(self) -> tuple[Any, int | None]:
+        """Return a JPEG of the next image, with the time of the image.
 
         :raises AdapterUnavailable: no node publishes the topic.
         :raises DeviceTimeout: no image arrived in time.
         :raises DeviceRejected: the image encoding is not supported.
         """
         image = await self._source.following()
-        loop = asyncio.get_running_loop()
-        made = await loop.run_in_executor(self._pool, self._made, image)
-        return made.decode()
+        made = await self._newest.apart(self._made, image)
+        return made.decode(), self._codec.stamp(made.data)
 
     def _made(self, image: Value) -> Value:
         jpeg = compress(image.decode(), self.shared.config.jpeg.quality)
         return Value(wrapped(image.data, jpeg), self._codec)
-
-    def _take(self, image: Value) -> None:
-        with self._lock:
-            self._next = image
-            if self._busy:
-                return
-            self._busy = True
-        with contextlib.suppress(RuntimeError):  # closed: nobody waits for it
-            self._pool.submit(self._work)
-
-    def _work(self) -> None:
-        while True:
-            with self._lock:
-                image, self._next = self._next, None
-                if image is None:
-                    self._busy = False
-                    return
-            self._put(image)
 
     def _put(self, image: Value) -> None:
         name = self.resource.name

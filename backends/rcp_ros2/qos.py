@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from rcp_ros2.config import Qos
 
 __all__ = [
+    "EVER",
     "Profile",
     "Terms",
     "clash",
@@ -18,7 +19,7 @@ __all__ = [
 ]
 
 _DEPTH = 10
-_EVER = 2**63 - 1  # ns, the infinity of rclpy
+EVER = 2**63 - 1  # ns, the infinity of rclpy
 
 
 class Profile(NamedTuple):
@@ -29,12 +30,12 @@ class Profile(NamedTuple):
     """Transient local: late joiners get the last values."""
     depth: int = _DEPTH
     """Length of the queue; 0 keeps all."""
-    deadline: int = _EVER
+    deadline: int = EVER
     """Maximum time between two messages, ns."""
-    lifespan: int = _EVER
+    lifespan: int = EVER
     """Lifespan of a message, ns."""
     manual: bool = False
-    lease: int = _EVER
+    lease: int = EVER
 
     def to_ros(self) -> Any:
         """Convert it to an rclpy profile."""
@@ -54,7 +55,7 @@ class Profile(NamedTuple):
                 ("lifespan", self.lifespan),
                 ("liveliness_lease_duration", self.lease),
             )
-            if value < _EVER
+            if value < EVER
         }
         if self.manual:
             more["liveliness"] = LivelinessPolicy.MANUAL_BY_TOPIC
@@ -98,9 +99,9 @@ def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
     matched = Profile(
         reliable=True,
         latched=any(request.latched for request in requested),
-        deadline=min((request.deadline for request in requested), default=_EVER),
+        deadline=min((request.deadline for request in requested), default=EVER),
         manual=any(request.manual for request in requested),
-        lease=min((request.lease for request in requested), default=_EVER),
+        lease=min((request.lease for request in requested), default=EVER),
     )
     return _override(wanted, matched)
 
@@ -146,11 +147,11 @@ class Terms(NamedTuple):
     node: str
     reliable: bool
     latched: bool
-    deadline: int = _EVER
+    deadline: int = EVER
     """Maximum time between two messages, ns."""
     manual: bool = False
     """Whether the node has to assert its liveliness per topic."""
-    lease: int = _EVER
+    lease: int = EVER
     """Liveliness lease duration, ns."""
 
     @classmethod
@@ -160,9 +161,9 @@ class Terms(NamedTuple):
         return cls(
             f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}",
             *_offers(endpoint),
-            profile.deadline.nanoseconds or _EVER,
+            profile.deadline.nanoseconds or EVER,
             profile.liveliness.name == "MANUAL_BY_TOPIC",
-            profile.liveliness_lease_duration.nanoseconds or _EVER,
+            profile.liveliness_lease_duration.nanoseconds or EVER,
         )
 
 
@@ -199,4 +200,4 @@ def mismatches(offer: Terms, request: Terms) -> list[str]:
 
 
 def _every(span: int) -> str:
-    return "none" if span >= _EVER else f"{span / 1e9:g} s"
+    return "none" if span >= EVER else f"{span / 1e9:g} s"

@@ -20,6 +20,7 @@ from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout, No
 from rcp_kernel.spi import Host
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.middleware import check_middleware
+from rcp_ros2.shared_memory import remove_half_made
 
 __all__ = ["Ros", "Ticket", "contained", "one_argument", "open_ros"]
 
@@ -94,6 +95,8 @@ class Ros:
         self.died: str | None = None
         self.ended = asyncio.Event()
         """Set when the thread has ended, intentionally or not."""
+        self.on_close: list[Callable[[], None]] = []
+        """Called in the thread before the node is destroyed, for what would keep it."""
         self._context: Any = None
         self._executor: Any = None
         self._stop: Any = None
@@ -189,12 +192,15 @@ class Ros:
 
     def _open(self) -> None:
         check_middleware()
+        remove_half_made()
         import rclpy
         from rclpy.context import Context
         from rclpy.task import Future
 
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=self.config.domain_id)
+        enclave = self.config.enclave
+        arguments = [] if enclave is None else ["--ros-args", "--enclave", enclave]
+        rclpy.init(args=arguments, context=self._context, domain_id=self.config.domain_id)
         self.node = rclpy.create_node(
             self.config.node,
             context=self._context,
@@ -210,6 +216,8 @@ class Ros:
     def _close(self) -> None:
         if self._executor is not None and self.node is not None:
             _try(self._executor.remove_node, self.node)
+        for release in self.on_close:
+            _try(release)
         if self.node is not None:
             _try(self.node.destroy_node)
         if self._executor is not None:

@@ -9,16 +9,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import msgspec
+from msgspec import structs
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_ros2.binding import Binding, Shared, common
-from rcp_ros2.cdr import Codec, Value
+from rcp_ros2.cdr import Codec, Value, is_stamped
 from rcp_ros2.comments import comments_of, first_sentence
 from rcp_ros2.config import Mapping
-from rcp_ros2.definitions import is_made
 from rcp_ros2.filler import filler
-from rcp_ros2.idl import full_name
+from rcp_ros2.idl import fields_of, full_name
+from rcp_ros2.made import is_made
 from rcp_ros2.native import native_type
 from rcp_ros2.outlet import Hearing, Outlet
 from rcp_ros2.rest import Rest
@@ -87,8 +88,12 @@ class Observed(Binding):
 
     def watched(self, rate: float) -> None:
         """Subscribe, or change the rate."""
-        period = 0.0 if rate == math.inf else 1 / rate
-        self.tap(Tap(self.resource.name, self.codec, period=period))
+        self.tap(Tap(self.resource.name, self.codec, period=self.period(rate)))
+
+    def period(self, rate: float) -> float:
+        """Return the time in s between two values for a rate that is wanted; 0 for all."""
+        rate = min(rate, self.mapping.rate or math.inf)
+        return 0.0 if rate == math.inf else 1 / rate
 
     def tap(self, tap: Tap) -> None:
         """Add a path that uses the topic, this one or a derived one."""
@@ -115,7 +120,13 @@ class Observed(Binding):
         :raises AdapterUnavailable: no node publishes the topic, or no event has been received yet.
         :raises DeviceTimeout: no message arrived in time.
         """
-        return (await self.following()).decode()
+        return (await self.measured())[0]
+
+    async def measured(self) -> tuple[Any, int | None]:
+        """Return the value of `read` with the stamp of its message, or the robot's simulated time."""
+        value = await self.following()
+        stamp = self.codec.stamp(value.data)
+        return value.decode(), self.shared.subscriptions.now() if stamp is None else stamp
 
     async def following(self) -> Value:
         """Return the value of `read` in serialized form."""
@@ -168,8 +179,24 @@ class Form(NamedTuple):
 
     type: Any
     fill: Callable[[Any], Any]
-    stamped: bool = False
-    """Whether each message gets the time at which it is sent."""
+
+
+def _whole(cls: Any, mapping: Mapping) -> Form:
+    """Return the form of a whole message; if its header has no frame, it gets that of the mapping."""
+    type_ = inward(cls, mapping.unit, nan=mapping.nan)
+    fill = writer(cls) if is_made(cls) else filler(cls)
+    frame = mapping.frame
+    if frame is None or not is_stamped(cls):
+        return Form(type_, fill)
+    [header, *_] = fields_of(cls)
+
+    def framed(value: Any) -> Any:
+        given = getattr(value, header.name)
+        if given.frame_id:
+            return fill(value)
+        return fill(structs.replace(value, **{header.name: structs.replace(given, frame_id=frame)}))
+
+    return Form(type_, framed)
 
 
 class Commanded(Binding):
@@ -180,9 +207,9 @@ class Commanded(Binding):
     ) -> None:
         """Accept values of the message's type, or those of a `form`."""
         self.topic = mapping.target
-        own = form or Form(inward(cls, mapping.unit), writer(cls) if is_made(cls) else filler(cls))
+        own = form or _whole(cls, mapping)
         self._type, self._fill = own.type, own.fill
-        self._outlet = Outlet(shared, self.topic, cls, mapping.qos, stamped=own.stamped)
+        self._outlet = Outlet(shared, self.topic, cls, mapping.qos)
         self._written: Any = None
         type_name = full_name(cls)
         velocity = type_name in _VELOCITY

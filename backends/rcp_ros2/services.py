@@ -8,21 +8,23 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import DeviceRejected
-from rcp_kernel.model import Resource
+from rcp_kernel.model import READS, Resource
 from rcp_kernel.spi import Progress
 from rcp_ros2.binding import Binding, Shared, common
 from rcp_ros2.caller import Caller
-from rcp_ros2.cdr import Codec
+from rcp_ros2.cdr import Codec, Malformed
 from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
+from rcp_ros2.made import is_made
 from rcp_ros2.native import native_type
 from rcp_ros2.types import example_of, inward
+from rcp_ros2.writer import writer
 
 __all__ = ["Called", "reader"]
 
 _MARGIN = 1.0  # s that the gateway waits longer than the service may take
-_HARMLESS = {
+_READING = {
     "composition_interfaces/srv/ListNodes",
     "lifecycle_msgs/srv/GetAvailableStates",
     "lifecycle_msgs/srv/GetAvailableTransitions",
@@ -36,19 +38,35 @@ _HARMLESS = {
     "rcl_interfaces/srv/GetParameterTypes",
     "rcl_interfaces/srv/GetParameters",
     "rcl_interfaces/srv/ListParameters",
-    "rcl_interfaces/srv/SetLoggerLevels",
-    "sensor_msgs/srv/SetCameraInfo",
     "tf2_msgs/srv/FrameGraph",
     "type_description_interfaces/srv/GetTypeDescription",
 }
-"""Read-only service types; any other may move the robot."""
+"""Service types that change nothing."""
+_HARMLESS = _READING | {"rcl_interfaces/srv/SetLoggerLevels", "sensor_msgs/srv/SetCameraInfo"}
+"""Service types that move nothing; any other may move the robot."""
 
 
 def reader(codec: Codec) -> Callable[[Any], Any]:
-    """Return a function that converts a message object to a typed value."""
+    """Return a function that converts a message object to a typed value.
+
+    :raises Malformed: from that function: what arrived was not a message of its type.
+    """
+    if is_made(codec.cls):
+        return _read_made(codec)
     from rclpy.serialization import serialize_message
 
     return lambda message: codec.decode(serialize_message(message))
+
+
+def _read_made(codec: Codec) -> Callable[[Any], Any]:
+    encode = writer(codec.cls)
+
+    def read(message: Any) -> Any:
+        if isinstance(message, codec.cls):  # see `carrier.py`
+            raise Malformed(f"the answer is not a valid {codec.name}")
+        return codec.decode(encode(message))
+
+    return read
 
 
 class Called(Binding):
@@ -56,7 +74,8 @@ class Called(Binding):
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, srv: Any) -> None:
         request, response = srv.Request, srv.Response
-        self._input = inward(request, mapping.unit) if fields_of(request) else None
+        fields = fields_of(request)
+        self._input = inward(request, mapping.unit, nan=mapping.nan) if fields else None
         self._fill = filler(request)
         self._request = request
         empty = not fields_of(response)
@@ -70,6 +89,7 @@ class Called(Binding):
             f"Service {mapping.target} ({type_name}).",
             service=mapping.target,
             type=type_name,
+            hints=READS["hints"] if type_name in _READING else None,
         )
         facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
         facts["moves"] = moves

@@ -13,9 +13,9 @@ from rcp_profiles import bounded
 from rcp_ros2.binding import Binding, Shared
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Mapping, Qos
-from rcp_ros2.definitions import is_made
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
+from rcp_ros2.made import is_made
 from rcp_ros2.outlet import Hearing, Outlet
 from rcp_ros2.pulse import node_of
 from rcp_ros2.standard import defined, standard_value
@@ -50,7 +50,7 @@ class NavigatorLimit(Binding):
         self._codec = Codec(cls)
         self._plain = inward(cls)
         self._fill = writer(cls) if is_made(cls) else filler(cls)
-        self._outlet = Outlet(shared, self.topic, cls, _RELIABLE, stamped=not is_made(cls))
+        self._outlet = Outlet(shared, self.topic, cls, _RELIABLE)
         self._told: tuple[bool, float] | None = None
         """Whether it is a percentage, and the number; None: nobody was told since it runs."""
         self._hearers: dict[bytes, str] = {}

@@ -114,7 +114,7 @@ def _form(cls: Any, type_: Any) -> Form:
         message.header.frame_id = "base_link"
         return message
 
-    return Form(type_, stamped, stamped=True)
+    return Form(type_, stamped)
 
 
 class SpeedLimit(Setting):

@@ -17,6 +17,7 @@ import structlog
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
+from rcp_ros2.losses import Losses
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
 from rcp_ros2.ros import Ros, contained
@@ -28,6 +29,8 @@ _LARGE = 262_144  # bytes: two such messages fill the default shared memory of F
 _PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE"
 PROFILE = Path(__file__).with_name("fastdds.xml")
 """Fast DDS profile with enough shared memory for images and point clouds."""
+_OFF = 2.0  # s between a stamp and the gateway's clock that is reported
+_RECENT = 2.0  # s since a message arrived by which that is judged
 _SWEEP = 0.02  # s between two checks for held values that are due
 
 
@@ -56,8 +59,11 @@ class TopicSubscription:
     taps: dict[str, Tap] = field(default_factory=dict[str, Tap])
     profile: Profile | None = None
     handle: Any = None
+    losses: Losses | None = None
     last: bytes | None = None
     """The newest message."""
+    arrived: float = 0.0
+    """When it arrived, monotonic time."""
     advised: bool = False
     """Whether the warning about large messages was reported."""
 
@@ -109,12 +115,26 @@ class TopicSubscriptions:
         del self.by_topic[topic]
         self._drop(subscription)
         self._complain(topic, None)
+        self._complain(f"clock of {topic}", None)
+        self._complain(f"losses of {topic}", None)
         self._keep_sweeping()
 
     def refresh(self) -> None:
         """Match publishers that have appeared in the meantime."""
         for subscription in self.by_topic.values():
             self._match(subscription)
+            if subscription.losses is not None:
+                problem = subscription.losses.problem()
+                self._complain(f"losses of {subscription.topic}", problem)
+            if not self._ros.config.use_sim_time:
+                self._complain(f"clock of {subscription.topic}", _skew(subscription))
+
+    def release(self) -> None:
+        """Let go of the events, which keep their subscriptions and so the whole context."""
+        for subscription in self.by_topic.values():
+            if subscription.losses is not None:
+                subscription.losses.close()
+                subscription.losses = None
 
     def _match(self, subscription: TopicSubscription) -> None:
         found = self._ros.node.get_publishers_info_by_topic(subscription.topic)
@@ -132,6 +152,9 @@ class TopicSubscriptions:
                     self.callback_for(subscription),
                     profile,
                 )
+                subscription.losses = Losses(
+                    subscription.topic, subscription.handle.handle, profile.deadline
+                )
             except Exception as error:  # a subscription of another type may still exist
                 self._complain(
                     subscription.topic, f"{subscription.topic} cannot be subscribed to: {error}"
@@ -143,6 +166,9 @@ class TopicSubscriptions:
         )
 
     def _drop(self, subscription: TopicSubscription) -> None:
+        if subscription.losses is not None:
+            subscription.losses.close()
+            subscription.losses = None
         if subscription.handle is not None:
             self._ros.node.destroy_subscription(subscription.handle)
             subscription.handle = None
@@ -157,7 +183,7 @@ class TopicSubscriptions:
                 subscription.last = data
                 if len(data) > _LARGE and not subscription.advised:
                     _advise(subscription, len(data))
-                now = monotonic()
+                subscription.arrived = now = monotonic()
                 for tap in taps.values():
                     if not tap.codec.concerns(data):
                         continue
@@ -202,6 +228,25 @@ class TopicSubscriptions:
                     self._send(tap, tap.held, now)
 
 
+def _skew(subscription: TopicSubscription) -> str | None:
+    """Describe a stamp that this machine's clock does not explain; a latched message may be old."""
+    data, profile = subscription.last, subscription.profile
+    age = time.monotonic() - subscription.arrived
+    if data is None or profile is None or age > _RECENT or not subscription.taps:
+        return None
+    stamp = next(iter(subscription.taps.values())).codec.stamp(data)
+    if stamp is None:
+        return None
+    late = time.time() - age - stamp / 1e9
+    if abs(late) < _OFF or (profile.latched and late > 0):
+        return None
+    side = "behind" if late > 0 else "ahead of"
+    return (
+        f"the stamps of {subscription.topic} are more than {_OFF:g} s {side} the gateway's clock: synchronize "
+        "the clocks of both machines, or set `use_sim_time` if it is a simulation"
+    )
+
+
 def _advise(subscription: TopicSubscription, size: int) -> None:
     subscription.advised = True
     if subscription.profile is None or subscription.profile.reliable or _PROFILES in os.environ:
@@ -221,8 +266,8 @@ def _subscribe(
 ) -> Any:
     from rclpy.event_handler import SubscriptionEventCallbacks
 
-    # No event handlers: destroying one under the events executor can crash rclpy (its #1644), and
-    # the graph explains a mismatch better.
+    # No event handlers: destroying one under the events executor can crash rclpy (its #1644). The
+    # graph explains a mismatch better, and `Losses` has the rest.
     return node.create_subscription(
         cls,
         topic,

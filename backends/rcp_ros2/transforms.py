@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, InvalidValue, OutOfRange, RcpError
-from rcp_kernel.model import Resource
+from rcp_kernel.model import READS, Resource
 from rcp_kernel.spi import Progress
 from rcp_kernel.types import Point, Quaternion, Transform
 from rcp_ros2.binding import Binding, Offer, Shared, common
@@ -386,7 +386,7 @@ class LookupTransform(Binding):
             input=Lookup,
             output=output,
             examples=({"target": "map", "source": "base_link"},),
-            **common(name, mapping, text, topic=mapping.topic),
+            **common(name, mapping, text, topic=mapping.topic, **READS),
         )
         super().__init__(tree.shared, resource, mapping)
 

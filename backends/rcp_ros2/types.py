@@ -1,7 +1,7 @@
 """msgspec types of ROS messages, created at run time: outputs and inputs.
 
 In an output, every field is present and every float may be NaN or infinite, as sensors report it.
-In an input, omitted fields have ROS's defaults, and floats are finite.
+In an input, omitted fields have ROS's defaults, and floats are finite unless a mapping allows others.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _INTS: dict[str, tuple[int, int | None]] = {
     "int64": (-(2**63), 2**63 - 1),
     "uint64": (0, None),  # msgspec's bounds end with int64; `values.py` checks the upper one
 }
-_made: dict[tuple[Any, bool, str | None], type[Struct]] = {}
+_made: dict[tuple[Any, bool, str | None, bool], type[Struct]] = {}
 
 
 def outward(cls: Any, path: str | None = None, unit: str | None = None) -> Any:
@@ -52,15 +52,15 @@ def outward(cls: Any, path: str | None = None, unit: str | None = None) -> Any:
     :raises ConfigError: the message has no such field.
     """
     if path is None:
-        return _struct(cls, out=True, unit=unit)
+        return _struct(cls, out=True, unit=unit, free=True)
     holder, field, inherited = part_of(cls, path)
     own = unit_of(full_name(holder), path.rpartition(".")[2])
-    return _typed(field, out=True, unit=own or inherited or unit)
+    return _typed(field, out=True, unit=own or inherited or unit, free=True)
 
 
-def inward(cls: Any, unit: str | None = None) -> type[Struct]:
-    """Return the input type of a message class."""
-    return _struct(cls, out=False, unit=unit)
+def inward(cls: Any, unit: str | None = None, *, nan: bool = False) -> type[Struct]:
+    """Return the input type of a message class; with `nan`, its floats may be NaN or infinite."""
+    return _struct(cls, out=False, unit=unit, free=nan)
 
 
 def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:
@@ -118,8 +118,8 @@ def example_of(type_: type[Struct]) -> tuple[Any, ...]:
     return (plain,) if plain else ()
 
 
-def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
-    key = (cls, out, unit)
+def _struct(cls: Any, *, out: bool, unit: str | None, free: bool) -> type[Struct]:
+    key = (cls, out, unit, free)
     if key in _made:
         return _made[key]
     name = full_name(cls)
@@ -127,7 +127,7 @@ def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
     sample = None if out or is_defined(cls) else cls()
     fields: list[Any] = []
     for field in fields_of(cls):
-        typed = _typed(field.type, out=out, unit=unit_of(name, field.name) or unit)
+        typed = _typed(field.type, out=out, unit=unit_of(name, field.name) or unit, free=free)
         text = comments.fields.get(field.name)
         shown = typed if text is None else Annotated[typed, Meta(description=text)]
         if out:
@@ -137,6 +137,7 @@ def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
             fields.append((field.name, shown, _default(field.type, typed, value)))
     # Two units of one message in one schema need two names: Vector3_m_s and Vector3_rad_s.
     suffix = "" if unit is None else "_" + unit.replace("/", "_").replace(".", "_")
+    suffix += "" if out or not free else "_nan"
     made = msgspec.defstruct(
         cls.__name__ + suffix,
         fields,
@@ -150,27 +151,29 @@ def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
     return made
 
 
-def _typed(type_: Type, *, out: bool, unit: str | None) -> Any:
+def _typed(type_: Type, *, out: bool, unit: str | None, free: bool) -> Any:
     match type_:
         case Primitive(name):
-            return _number(name, out=out, unit=unit)
+            return _number(name, unit=unit, free=free)
         case Text(limit, _):
             return str if limit is None else Annotated[str, Meta(max_length=limit)]
         case Ref(cls):
-            return _struct(cls, out=out, unit=unit)
+            return _struct(cls, out=out, unit=unit, free=free)
         case Sequence(item, size, limit):
-            inner: Any = bytes if is_bytes(item) else list[_typed(item, out=out, unit=unit)]
+            inner: Any = (
+                bytes if is_bytes(item) else list[_typed(item, out=out, unit=unit, free=free)]
+            )
             if size is not None:
                 return Annotated[inner, Meta(min_length=size, max_length=size)]
             return inner if limit is None else Annotated[inner, Meta(max_length=limit)]
 
 
-def _number(name: str, *, out: bool, unit: str | None) -> Any:
+def _number(name: str, *, unit: str | None, free: bool) -> Any:
     extra: Any = {} if unit is None else {"unit": unit}
     if name == "bool":
         return bool
     if name in ("float32", "float64"):
-        if out:
+        if free:
             return Annotated[float, Meta(extra_json_schema={**extra, NONFINITE: True})]
         if name == "float32":
             return Annotated[float, Meta(ge=-_FLOAT32, le=_FLOAT32, extra_json_schema=extra)]

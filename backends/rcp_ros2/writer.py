@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from functools import lru_cache
@@ -43,6 +44,8 @@ def _struct(cls: Any) -> Put:
 
 def _putter(type_: Type) -> Put:
     match type_:
+        case Primitive("octet"):
+            return _octet
         case Primitive(name):
             return _number(name)
         case Text(_, wide):
@@ -55,7 +58,7 @@ def _putter(type_: Type) -> Put:
 
 def _number(name: str) -> Put:
     letter, width = WIDTHS[name]
-    pack = struct.Struct("<" + letter).pack
+    pack = _pack_float if name == "float32" else struct.Struct("<" + letter).pack
 
     def put(out: bytearray, value: Any) -> None:
         out.extend(bytes(-len(out) % width))
@@ -64,7 +67,18 @@ def _number(name: str) -> Put:
     return put
 
 
+def _pack_float(value: float) -> bytes:
+    try:
+        return struct.pack("<f", value)
+    except OverflowError:  # where infinity is allowed, as in C
+        return struct.pack("<f", math.copysign(math.inf, value))
+
+
 _length = _number("uint32")
+
+
+def _octet(out: bytearray, value: Any) -> None:
+    out.append(value if isinstance(value, int) else value[0])  # rclpy's messages have one byte
 
 
 def _text(out: bytearray, value: str) -> None:
@@ -87,7 +101,7 @@ def _many(item: Type, *, fixed: bool) -> Put:
     def put(out: bytearray, value: Any) -> None:
         if not fixed:
             _length(out, len(value))
-        if raw:
+        if raw and not isinstance(value, list):
             out.extend(value)
         else:
             for each in value:

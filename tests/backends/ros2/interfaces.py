@@ -124,13 +124,20 @@ def have_tools() -> bool:
 @lru_cache(maxsize=1)
 def built() -> Path:
     """Build the packages and make them importable in this process; return their folder."""
+    root = built_apart()
+    use(root)
+    return root
+
+
+@lru_cache(maxsize=1)
+def built_apart() -> Path:
+    """Build the packages for other processes; return their folder."""
     root = _folder()
     with (root / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (root / "done").exists():
             _build_apart(root)
             (root / "done").touch()
-    use(root)
     return root
 
 

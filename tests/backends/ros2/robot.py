@@ -172,6 +172,11 @@ class Robot:
         resource = self.resources[name]
         return msgspec.convert(plain, resource.input or resource.value)
 
+    async def read(self, name: str) -> Any:
+        """Read a value; it may come with its time."""
+        found = await self.backend.read(name)
+        return found.value if isinstance(found, Publication) else found
+
     async def execute(self, name: str, plain: Any = None) -> Any:
         """Run an action or service without looking at its progress."""
         value = None if plain is None else self.input(name, plain)

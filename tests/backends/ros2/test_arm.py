@@ -10,7 +10,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2 import interfaces
-from backends.ros2.robot import Jointed, fresh_domain, robot_of
+from backends.ros2.robot import BOUND, Jointed, fresh_domain, robot_of
 from rcp_kernel.testing import ProfileSuite, eventually
 from rcp_kernel.testing.backend._base import Robot
 from rcp_kernel.values import value_type
@@ -62,7 +62,7 @@ class TestArmProfile(ProfileSuite):
                 known = found is not None and "maximum" in str(value_type(found.input).schema)
                 return "arm" in self.claimed and known and not unknown["error"]["retryable"]
 
-            await eventually(claims, "the arm is discovered", 30.0)
+            await eventually(claims, "the arm is discovered", BOUND)
             yield robot
 
     async def joints(self) -> Mapping[str, float]:
@@ -190,7 +190,7 @@ async def test_two_arms_are_parts_of_one_robot_with_their_own_joints() -> None:
             await robot.until(lambda: robot.resources[state].profiles == ("arm/1.0",))
             async with robot.backend.watch(state, 5.0):
                 for _ in range(_SAMPLES):  # some of the topic's have the finger alone
-                    value = await robot.backend.read(state)
+                    value = await robot.read(state)
                     assert tuple(value.name) == LEFT
                 await robot.until(lambda: len(robot.of(state)) > 1)
             assert {*map(tuple, (one.name for one in robot.of(state)))} == {LEFT}

@@ -127,13 +127,11 @@ async def test_a_read_only_parameter_offers_no_write(robot: Robot) -> None:
 
 async def test_a_parameter_is_read_set_and_told(robot: Robot) -> None:
     async with robot.backend.watch("param/speed_limit", None):
-        assert await robot.first("param/speed_limit") == await robot.backend.read(
-            "param/speed_limit"
-        )
+        assert await robot.first("param/speed_limit") == await robot.read("param/speed_limit")
         await robot.backend.write("param/speed_limit", 0.75)
         await robot.until(lambda: robot.of("param/speed_limit")[-1] == 0.75)
-    assert await robot.backend.read("param/speed_limit") == 0.75
-    assert await robot.backend.read("param/gains") == [0.5, 0.25]
+    assert await robot.read("param/speed_limit") == 0.75
+    assert await robot.read("param/gains") == [0.5, 0.25]
 
 
 async def test_two_paths_of_one_parameter_are_told_of_its_changes(domain: int, peer: Peer) -> None:
@@ -153,7 +151,7 @@ async def test_two_paths_of_one_parameter_are_told_of_its_changes(domain: int, p
 async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: Robot) -> None:
     with pytest.raises(DeviceRejected, match="mode must be auto or manual"):
         await robot.backend.write("param/mode", "chaos")
-    assert await robot.backend.read("param/mode") == "auto"
+    assert await robot.read("param/mode") == "auto"
 
 
 async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer: object) -> None:
@@ -167,14 +165,15 @@ async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer
             "service/reset",
             "action/fibonacci",
             "sensor/goals/fibonacci",
+            "service/cancel/fibonacci",
         }
         # The subscription of a test before may still be on the graph: /odom is an actuator so long.
         await robot.until(
             lambda: {n for n in robot.resources if not n.startswith("param/")} == named
         )
-        await robot.until(lambda: len(robot.resources) >= 12)
+        await robot.until(lambda: len(robot.resources) >= 13)
         assert "param/peer/max_speed" in robot.resources
-        assert await robot.backend.read("param/peer/gear") == 2
+        assert await robot.read("param/peer/gear") == 2
         await robot.backend.execute("service/reset", None, ignore)
 
 
@@ -210,9 +209,7 @@ async def test_what_is_not_there_is_an_error_with_a_way_out(domain: int, peer: o
             async with asyncio.timeout(15):
                 with pytest.raises(AdapterUnavailable, match=text) as caught:
                     await (
-                        robot.backend.execute(name, None, ignore)
-                        if called
-                        else robot.backend.read(name)
+                        robot.backend.execute(name, None, ignore) if called else robot.read(name)
                     )
             assert caught.value.remedy
         await robot.until(lambda: any(robot.reports))

@@ -54,7 +54,7 @@ async def test_a_claim_comes_with_the_robot_and_is_degraded_by_what_it_loses(
             await robot.until(lambda: any(r and "/odom" in r for r in robot.reports))
             assert _claims(robot, "sensor/pose") == MOBILE  # gone, not forgotten
             with pytest.raises(AdapterUnavailable):
-                await robot.backend.read("sensor/pose")
+                await robot.read("sensor/pose")
 
             async def motion() -> Any:
                 return robot.backend.motion(None).at_rest
@@ -86,9 +86,9 @@ async def test_what_is_exposed_keeps_its_own_names(wheels: Wheels) -> None:
         names = {"sensor/odom", "sensor/joints", "actuator/cmd_vel", "param/rover/speed_limit"}
         await robot.until(lambda: names <= robot.resources.keys())
         await robot.until(lambda: "mobile/1.1" in _claims(robot, "param/speed_limit"))
-        scan = await robot.backend.read("sensor/scan")
+        scan = await robot.read("sensor/scan")
         assert (scan.frame_id, scan.header.frame_id, len(scan.intensities)) == ("laser", "", 0)
-        battery = await robot.backend.read("sensor/battery")
+        battery = await robot.read("sensor/battery")
         assert (battery.percentage, battery.voltage, battery.present) == (0.75, None, False)
 
 
@@ -96,12 +96,12 @@ async def test_a_parameter_with_two_paths_is_not_set_twice_by_one_write(wheels: 
     own, standard = "param/rover/speed_limit", "param/speed_limit"
     async with robot_of(DOMAIN, expose=["**"]) as robot:
         await robot.until(lambda: own in robot.resources and standard in robot.resources)
-        before = await robot.backend.read(own)
+        before = await robot.read(own)
         assert robot.resources[own].atomic == robot.resources[standard].atomic is not None
         with pytest.raises(InvalidValue, match="same parameter") as refused:
             await robot.backend.write_together({own: before / 2, standard: before})
         assert refused.value.path == standard
-        assert await robot.backend.read(own) == before
+        assert await robot.read(own) == before
 
 
 async def test_a_topic_has_one_actuator_so_that_one_stop_and_one_dead_man_cover_it(
@@ -134,7 +134,7 @@ async def test_a_map_points_a_profile_at_any_topic(wheels: Wheels) -> None:
     mapped = {"sensor/battery": {"topic": "/battery_state", "profile": True}}
     async with robot_of(DOMAIN, map=mapped) as robot:
         await robot.until(lambda: _claims(robot, "sensor/battery") == ("battery/1.0",))
-        assert (await robot.backend.read("sensor/battery")).current == -1.5
+        assert (await robot.read("sensor/battery")).current == -1.5
 
 
 async def test_a_goal_in_the_action_s_own_form_is_taken(wheels: Wheels) -> None:

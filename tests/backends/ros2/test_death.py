@@ -66,7 +66,7 @@ async def test_a_peer_killed_in_the_middle_of_a_goal_is_noticed_and_works_again_
                     continue
         assert list(result.sequence) == [0, 1, 1, 2]
         assert (await robot.execute("service/reset")).success
-        assert await robot.backend.read("param/gear") == 2
+        assert await robot.read("param/gear") == 2
         async with robot.backend.watch("sensor/odom", None):
             await robot.first("sensor/odom")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
@@ -42,7 +43,7 @@ async def test_a_status_is_a_sensor_with_all_it_says(watched: tuple[Robot, Robot
     assert (said.level, said.message, said.hardware_id) == ("ok", "turns", "hw-1")
     assert said.name == "/base/motor: left"
     assert said.values == {"volts": "24.1"}
-    assert await robot.backend.read(MOTOR) == said
+    assert await robot.read(MOTOR) == said
     stamps = [stamp for name, _, stamp in robot.samples if name == MOTOR]
     assert all(stamps)
     assert value_type(robot.resources[MOTOR].value).check(said)
@@ -110,3 +111,17 @@ async def test_a_monitor_that_is_killed_leaves_all_stale_until_it_is_back(
     robot_nodes.start()
     robot_nodes.tell("diagnose", name="/base/motor: left", level=0, message="turns again")
     await robot.until(lambda: robot.of(MOTOR)[-1].message == "turns again")
+
+
+async def test_the_event_is_there_before_anybody_publishes() -> None:
+    domain = fresh_domain()
+    late = RobotNodes(domain)
+    async with robot_of(domain, expose=["/diagnostics"], grace=0.1) as robot:
+        await robot.until(lambda: EVENT in robot.resources)
+        await asyncio.to_thread(late.start)
+        try:
+            await asyncio.to_thread(late.tell, "diagnose", name="pump", level=2, message="dry")
+            change = await robot.first(EVENT)
+            assert (change.was, change.now.level, change.now.message) == (None, "error", "dry")
+        finally:
+            await asyncio.to_thread(late.stop)

@@ -111,7 +111,7 @@ async def test_an_actuator_that_does_not_reach_its_listeners_says_so(
 
 
 async def test_the_robots_description_is_its_text(seen: Robot) -> None:
-    assert "peer_description" in await seen.backend.read("sensor/robot_description")
+    assert "peer_description" in await seen.read("sensor/robot_description")
 
 
 def test_every_policy_that_does_not_fit_is_told_with_what_mends_it() -> None:

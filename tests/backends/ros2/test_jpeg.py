@@ -162,7 +162,7 @@ async def test_a_camera_is_a_jpeg_for_who_asks_and_no_more_often_than_allowed() 
             assert simplejpeg.decode_jpeg(first.data).shape == (HEIGHT, WIDTH, 3)
             native = robot.samples[0][1].data
             assert bytes(deserialize_message(native, CompressedImage).data) == first.data
-            again = await robot.backend.read("sensor/camera/jpeg")
+            again = await robot.read("sensor/camera/jpeg")
             assert again.data == first.data
 
 
@@ -173,7 +173,7 @@ async def test_a_depth_image_is_refused_in_words() -> None:
         depth = Image(encoding="32FC1", width=2, height=1, step=8, data=bytes(8))
         with camera(domain, depth):
             with pytest.raises(DeviceRejected, match="32FC1"):
-                await robot.backend.read("sensor/camera/jpeg")
+                await robot.read("sensor/camera/jpeg")
             async with robot.backend.watch("sensor/camera/jpeg", None):
                 await robot.until(lambda: any("32FC1" in (r or "") for r in robot.reports))
             await robot.until(lambda: robot.reports[-1] is None)

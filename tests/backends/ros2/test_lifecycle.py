@@ -34,10 +34,10 @@ async def unconfigured(managed: Robot, robot_nodes: RobotNodes) -> Robot:
     """The backend, with a driver that has just begun."""
     robot_nodes.tell("break_", broken=False)
     for transition in ("deactivate", "cleanup"):
-        state = await managed.backend.read(SENSOR)
+        state = await managed.read(SENSOR)
         if transition in state.transitions:
             robot_nodes.tell("lead", transition=transition)
-    assert (await managed.backend.read(SENSOR)).state == "unconfigured"
+    assert (await managed.read(SENSOR)).state == "unconfigured"
     managed.samples.clear()
     return managed
 
@@ -56,7 +56,7 @@ async def test_a_lifecycle_node_is_found_by_its_pattern_and_its_plumbing_is_not(
 async def test_a_node_is_led_through_its_whole_life(unconfigured: Robot) -> None:
     assert await lead(unconfigured, "configure") == "inactive"
     assert await lead(unconfigured, "activate") == "active"
-    state = await unconfigured.backend.read(SENSOR)
+    state = await unconfigured.read(SENSOR)
     assert (state.state, state.transitions) == ("active", ["deactivate", "shutdown"])
     assert await lead(unconfigured, "deactivate") == "inactive"
     assert await lead(unconfigured, "cleanup") == "unconfigured"
@@ -131,7 +131,7 @@ async def test_a_node_that_is_killed_and_comes_back_is_at_its_beginning_again(
             await robot.until(lambda: any(s.state == "inactive" for s in robot.of(SENSOR)))
             robot_nodes.kill()
             with pytest.raises(RcpError):
-                await robot.backend.read(SENSOR)
+                await robot.read(SENSOR)
             robot_nodes.start()
             await robot.until(lambda: robot.of(SENSOR)[-1].state == "unconfigured")
         async with asyncio.timeout(BOUND):
@@ -154,4 +154,4 @@ async def test_a_node_that_leaves_says_so(mortal: tuple[int, RobotNodes]) -> Non
             AdapterUnavailable, match="lifecycle node /camera/driver is not running"
         ):
             async with asyncio.timeout(BOUND):
-                await robot.backend.read(SENSOR)
+                await robot.read(SENSOR)

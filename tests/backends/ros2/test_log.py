@@ -50,7 +50,7 @@ async def test_a_log_without_a_record_says_so(nodes_domain: int, robot_nodes: Ro
     async with robot_of(nodes_domain, expose=["/rosout"], log={"level": "fatal"}) as robot:
         await robot.until(lambda: LOG in robot.resources)
         with pytest.raises(AdapterUnavailable, match="no node has logged at this level"):
-            await robot.backend.read(LOG)
+            await robot.read(LOG)
 
 
 async def test_the_log_is_not_offered_unless_it_is_named(

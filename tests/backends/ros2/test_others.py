@@ -20,6 +20,7 @@ pytestmark = pytest.mark.anyio
 SPACE = "/fleet/r1"
 ACTION = "action/fleet/r1/navigate"
 GOALS = "sensor/goals/fleet/r1/navigate"
+CANCEL = "service/cancel/fleet/r1/navigate"
 CALLS = "event/calls/fleet/r1/dock"
 
 
@@ -74,7 +75,40 @@ async def test_the_goals_that_were_are_known_to_one_that_comes_late(
     seen: Robot, fleet: Fleet
 ) -> None:
     fleet.tell("go", space=SPACE, steps=1)
-    await seen.until_async(lambda: seen.backend.read(GOALS), _ended)
+    await seen.until_async(lambda: seen.read(GOALS), _ended)
+
+
+async def test_a_goal_of_another_client_is_cancelled(seen: Robot, fleet: Fleet) -> None:
+    before = {goal.id for goal in await seen.read(GOALS)}  # what was told last may be of these
+    async with seen.backend.watch(GOALS, None):
+        fleet.tell("go", space=SPACE, steps=400)
+        [running] = await seen.until(
+            lambda: [goal for goal in _in(seen, "executing") if goal.id not in before]
+        )
+        assert running.sender == "other"
+        done = await seen.execute(CANCEL, {"id": running.id})
+        assert done.ids == [running.id]
+        await seen.until(lambda: _in(seen, "canceled"))
+        with pytest.raises(DeviceRejected, match="already ended"):
+            await seen.execute(CANCEL, {"id": running.id})
+        with pytest.raises(InvalidValue, match="has no goal"):
+            await seen.execute(CANCEL, {"id": "f" * 32})
+        assert (await seen.execute(CANCEL)).ids == []
+
+
+async def test_a_server_that_refuses_to_cancel_is_told(seen: Robot, fleet: Fleet) -> None:
+    command = await moving(seen, steps(seen, 100, firm=True))
+    try:
+        with pytest.raises(DeviceRejected, match="refuses to cancel"):
+            await seen.execute(CANCEL, {})
+    finally:
+        fleet.tell("go", space=SPACE, steps=1)  # displaces it
+        with pytest.raises(DeviceRejected, match="aborted the goal"):
+            await asyncio.wait_for(command, BOUND)
+
+
+def _in(robot: Robot, status: str) -> list[Any]:
+    return [goal for goal in [*robot.of(GOALS)[-1:], []][0] if goal.status == status][:1]
 
 
 async def test_a_goal_that_another_one_displaces_is_aborted_with_its_result(
@@ -198,12 +232,12 @@ async def test_parameters_come_and_go_while_the_node_runs(seen: Robot, fleet: Fl
     path = "param/fleet/r1/rover/late"
     fleet.tell("declare", space=SPACE, name="late", value=3)
     await seen.until(lambda: path in seen.resources)
-    assert await seen.backend.read(path) == 3
+    assert await seen.read(path) == 3
     fleet.tell("undeclare", space=SPACE, name="late")  # which rclpy tells nobody of
     with pytest.raises(AdapterUnavailable, match="no longer has a parameter 'late'"):
-        await seen.backend.read(path)
+        await seen.read(path)
     await seen.until(lambda: path not in seen.resources)
     fleet.tell("declare", space=SPACE, name="late", value="now a text")
     await seen.until(lambda: path in seen.resources)
-    assert await seen.backend.read(path) == "now a text"
+    assert await seen.read(path) == "now a text"
     fleet.tell("undeclare", space=SPACE, name="late")

@@ -10,7 +10,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2 import interfaces
-from backends.ros2.robot import Wheels, fresh_domain
+from backends.ros2.robot import BOUND, Wheels, fresh_domain
 from rcp_kernel.testing import Body, ProfileSuite, eventually
 from rcp_kernel.testing.backend._base import Robot
 
@@ -55,7 +55,7 @@ class TestRoverProfiles(ProfileSuite):
                 return self.claimed >= set(PROFILES) and not unknown["error"]["retryable"]
 
             # Discovery takes 0.2 s mostly and 3 s now and then: it is not what is tested.
-            await eventually(claims, "the rover is discovered", 20.0)
+            await eventually(claims, "the rover is discovered", BOUND)
             yield robot
 
     async def body(self) -> Body:

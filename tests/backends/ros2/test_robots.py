@@ -35,6 +35,7 @@ OF_ONE = {
     "sensor/{}/scan",
     "sensor/{}/velocity",
     "sensor/{}/where",
+    "service/{}/cancel/navigate",
     "service/{}/dock",
 }
 
@@ -67,13 +68,13 @@ async def test_each_robot_claims_its_profiles(both: Robot) -> None:
 
 
 async def test_nice_names_are_parts_of_the_same_topics(both: Robot) -> None:
-    pose = await both.backend.read("sensor/r1/pose")
-    whole = await both.backend.read("sensor/r1/odom")
-    where = await both.backend.read("sensor/r1/where")
+    pose = await both.read("sensor/r1/pose")
+    whole = await both.read("sensor/r1/odom")
+    where = await both.read("sensor/r1/where")
     assert msgspec.to_builtins(pose.position) == msgspec.to_builtins(where)
     assert whole.pose.pose.position == where
-    assert (await both.backend.read("sensor/r1/battery")).percentage == 0.5
-    assert list((await both.backend.read("sensor/r2/scan")).ranges) == [1.0]
+    assert (await both.read("sensor/r1/battery")).percentage == 0.5
+    assert list((await both.read("sensor/r2/scan")).ranges) == [1.0]
     assert value_type(both.resources["sensor/r1/velocity"].value).schema
 
 
@@ -115,7 +116,7 @@ async def test_a_robot_that_comes_is_there_and_one_that_leaves_is_not(
     monkeypatch.setattr(catalog, "_LINGER", 0.5)
     fleet.tell("add", space="/fleet/r3")
     await both.until(lambda: of(both, "r3") <= both.resources.keys())
-    assert await both.backend.read("param/r3/lowest") == 1.0
+    assert await both.read("param/r3/lowest") == 1.0
     fleet.tell("drop", space="/fleet/r3")
     await both.until(lambda: not of(both, "r3") & both.resources.keys(), 2 * BOUND)
     assert of(both, "r1") <= both.resources.keys()

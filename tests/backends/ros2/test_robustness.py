@@ -52,7 +52,7 @@ async def test_two_types_on_one_topic_are_told_in_words(fleet_domain: int, graph
         graph.tell("offer", topic="/odd/two", kind="std_msgs/String", beside=True)
         message = "/odd/two is published as std_msgs/msg/Float64 by /extra, std_msgs/msg/String by"
         await robot.until(lambda: robot.reports and message in (robot.reports[-1] or ""))
-        assert (await robot.backend.read("sensor/odd/two")).data == 2.5
+        assert (await robot.read("sensor/odd/two")).data == 2.5
         graph.tell("withdraw", stem="/odd/two")
         await robot.until(lambda: robot.reports[-1] is None)
 

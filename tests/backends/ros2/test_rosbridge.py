@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
 
 import rcp_ros2
 from backends.ros2.robot import Peer, fresh_domain
 from configuration import backend
 from plugins.rosbridge.rig import OPEN, Page, Site, page, site
-from plugins.rosbridge.test_clients import roslib, roslibpy
+from plugins.rosbridge.test_clients import (
+    port_of,
+    roslib,
+    roslib_offers,
+    roslibpy,
+    roslibpy_offers,
+)
 
 pytestmark = pytest.mark.anyio
 DOMAIN = fresh_domain()
@@ -24,6 +35,7 @@ ROBOT = backend(
     domain_id=DOMAIN,
     expose=["/**", "/peer"],
     stop={"feedback": False},
+    offers=True,
 )
 FACTS: dict[str, Any] = {
     "odom": "/odom",
@@ -80,6 +92,15 @@ async def discovered(client: Page) -> None:
             await asyncio.sleep(0.1)  # the graph is asked again
 
 
+async def appears(client: Page, what: str, name: str) -> None:
+    """Wait until the graph has a service, or an action server."""
+    async with asyncio.timeout(20):
+        while True:
+            if name in (await client.values(f"/rosapi/{what}"))[what]:
+                return
+            await asyncio.sleep(0.1)  # the graph is asked again
+
+
 async def test_the_graph_is_that_of_the_nodes(client: Page) -> None:
     found = await client.values("/rosapi/topics")
     types = dict(zip(found["topics"], found["types"], strict=True))
@@ -88,6 +109,14 @@ async def test_the_graph_is_that_of_the_nodes(client: Page) -> None:
     assert types["/cmd_vel"] == "geometry_msgs/msg/Twist"
     service = await client.call("/rosapi/service_type", {"service": "/add"})
     assert service["values"]["type"] == "test_msgs/srv/BasicTypes"
+    details = await client.call(
+        "/rosapi/service_request_details", {"type": "test_msgs/srv/BasicTypes"}
+    )
+    request = details["values"]["typedefs"][0]
+    fields = dict(zip(request["fieldnames"], request["fieldtypes"], strict=True))
+    assert (fields["uint8_value"], fields["float32_value"]) == ("uint8", "float32")
+    raw = (await client.values("/rosapi/topics_and_raw_types"))["typedefs_full_text"]
+    assert any("float32 angle_increment" in text for text in raw)
 
 
 async def test_messages_are_whole_and_the_numbers_json_can_have(client: Page) -> None:
@@ -182,3 +211,106 @@ async def test_roslibpy(gateway: Site) -> None:
     assert found["param"] == 0.8
     assert found["status"] == "SUCCEEDED"
     assert found["connected"]
+
+
+async def test_a_page_offers_a_service_on_the_graph(gateway: Site, client: Page) -> None:
+    name, type_ = "/page/set", "std_srvs/srv/SetBool"
+    async with page(gateway) as provider:
+        await provider.send(op="advertise_service", service=name, type="my_msgs/srv/Missing")
+        await provider.status("my_msgs")
+        await provider.send(op="advertise_service", service="/reset", type="std_srvs/srv/Trigger")
+        await provider.send(op="advertise_service", service=name, type=type_)
+        await appears(client, "services", name)
+        for result, values, told in (
+            (True, {"success": True, "message": "done"}, {"success": True, "message": "done"}),
+            (False, "no power", {"success": False, "message": "no power"}),
+        ):
+            await client.send(op="call_service", id="c", service=name, args={"data": True})
+            call = await provider.op("call_service", service=name)
+            assert call["args"] == {"data": True}
+            mine = {"op": "service_response", "service": name, "id": call["id"]}
+            await provider.send(**mine, values=values, result=result)
+            response = await client.op("service_response", id="c")
+            assert (response["result"], response["values"]) == (True, told)
+        await client.send(op="call_service", id="d", service=name, args={"data": True})
+        await provider.op("call_service", service=name)
+    response = await client.op("service_response", id="d")
+    assert "has gone" in str(response["values"])
+
+
+async def test_a_page_offers_an_action_on_the_graph(gateway: Site, client: Page) -> None:
+    name, type_ = "/page/count", "test_msgs/action/Fibonacci"
+    async with page(gateway) as provider:
+        await provider.send(op="advertise_action", action=name, type=type_)
+        await appears(client, "action_servers", name)
+        goal = {"op": "send_action_goal", "action": name, "feedback": True, "args": {"order": 3}}
+        await client.send(**goal, id="g1")
+        call = await provider.op("send_action_goal", action=name)
+        assert call["args"] == {"order": 3}
+        mine = {"action": name, "id": call["id"]}
+        await provider.send(op="action_feedback", **mine, values={"sequence": [0, 1]})
+        assert (await client.op("action_feedback", id="g1"))["values"] == {"sequence": [0, 1]}
+        await provider.send(op="action_result", **mine, values={"sequence": [0, 1, 1]}, status=4)
+        result = await client.op("action_result", id="g1")
+        assert (result["values"], result["status"]) == ({"sequence": [0, 1, 1]}, 4)
+        await client.send(**goal, id="g2")
+        call = await provider.op("send_action_goal", action=name)
+        await client.send(op="cancel_action_goal", action=name, id="g2")
+        await provider.op("cancel_action_goal", id=call["id"])
+        await provider.send(op="action_result", action=name, id=call["id"], values={}, status=5)
+        assert (await client.op("action_result", id="g2"))["status"] == 5
+
+
+async def test_roslib_and_roslibpy_offer_on_the_graph(tmp_path: Path, gateway: Site) -> None:
+    await roslib_offers(tmp_path, gateway.url + "/rosbridge")
+    await roslibpy_offers(port_of(gateway))
+
+
+@contextmanager
+def calling(name: str) -> Iterator[tuple[Callable[[], None], Callable[[], int]]]:
+    """Yield what calls a service eight times at once, and what tells how many are answered by now."""
+    context = Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    node = rclpy.create_node("caller", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    client = node.create_client(Trigger, name)
+    assert client.wait_for_service(60)
+    waiting: list[Any] = []
+
+    def call() -> None:
+        waiting.extend(client.call_async(Trigger.Request()) for _ in range(8))
+
+    def answered() -> int:
+        for _ in range(2 * len(waiting)):
+            executor.spin_once(timeout_sec=0)
+        return sum(future.done() for future in waiting)
+
+    try:
+        yield call, answered
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+async def test_a_page_that_responds_to_nothing_holds_no_other_offer(
+    gateway: Site, client: Page
+) -> None:
+    silent, prompt, type_ = "/page/silent", "/page/prompt", "std_srvs/srv/Trigger"
+    async with page(gateway) as provider:
+        for name in (silent, prompt):
+            await provider.send(op="advertise_service", service=name, type=type_)
+            await appears(client, "services", name)
+        with calling(silent) as (call_eight, answered):
+            for _ in range(2):  # the queue of a service holds ten
+                call_eight()
+                for _ in range(8):
+                    await provider.op("call_service", service=silent)
+            await client.send(op="call_service", id="p", service=prompt)
+            call = await provider.op("call_service", service=prompt)
+            values = {"success": True, "message": "here"}
+            mine = {"op": "service_response", "service": prompt, "id": call["id"]}
+            await provider.send(**mine, values=values, result=True)
+            assert (await client.op("service_response", id="p"))["values"] == values
+            assert answered() == 0  # all of them still wait

@@ -20,7 +20,7 @@ LIMIT = "param/speed_limit"
 
 async def _reads(robot: Robot) -> Any:
     try:
-        return await robot.backend.read(LIMIT)
+        return await robot.read(LIMIT)
     except AdapterUnavailable:
         return None
 
@@ -33,10 +33,10 @@ async def test_a_limit_is_what_the_navigator_was_told_last_by_whomever() -> None
         async with robot_of(domain, grace=2.0, poll=0.2) as robot:
             await robot.until(lambda: LIMIT in robot.resources)
             with pytest.raises(AdapterUnavailable):  # it was told none, and has none to read
-                await robot.backend.read(LIMIT)
+                await robot.read(LIMIT)
             await robot.backend.write(LIMIT, 0.4)
             assert navigator.tell("truth") == [[False, 0.4]]
-            assert await robot.backend.read(LIMIT) == 0.4
+            assert await robot.read(LIMIT) == 0.4
 
             navigator.tell("configure", speed=0.8)
 
@@ -51,7 +51,7 @@ async def test_a_limit_is_what_the_navigator_was_told_last_by_whomever() -> None
                 await robot.until(lambda: pytest.approx(0.4) in robot.of(LIMIT))
             assert await robot.backend.write(LIMIT, 0.9) == 0.8  # no more than the controller's own
             assert navigator.tell("truth")[-1] == [False, 0.0]  # which is no limit
-            assert await robot.backend.read(LIMIT) == 0.8
+            assert await robot.read(LIMIT) == 0.8
 
             await robot.backend.write(LIMIT, 0.3)
             navigator.stop()

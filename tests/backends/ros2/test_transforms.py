@@ -100,7 +100,7 @@ async def lookup(robot: Robot, target: str, source: str, at: float | None = None
 
 async def test_a_frame_is_read_in_one_that_matters(framed: tuple[Robot, RobotNodes, int]) -> None:
     robot, _, now = framed
-    value = await robot.backend.read(CAMERA)
+    value = await robot.read(CAMERA)
     moved = value.transform.translation
     assert (moved.x, moved.y, moved.z) == (1.0, 0.0, 1.0)
     assert value.header.stamp.sec * S + value.header.stamp.nanosec == now
@@ -119,8 +119,8 @@ async def test_what_several_nodes_say_stands_for_ever_reaches_one_that_comes_lat
     names = {"/sensor/lens": ["base_link", "lens/left"]}
     async with robot_of(domain, expose=["/tf_static"], tf={"names": names}, node="late") as late:
         await late.until(lambda: "sensor/tf/base_link/lens.left" in late.resources)
-        value = await late.backend.read("sensor/tf/base_link/lens.left")
-        assert (await late.backend.read("sensor/lens")).transform == value.transform
+        value = await late.read("sensor/tf/base_link/lens.left")
+        assert (await late.read("sensor/lens")).transform == value.transform
         moved = value.transform.translation
         assert (moved.x, moved.y, moved.z) == (0.0, 1.0, 1.0)
 
@@ -166,7 +166,7 @@ async def test_casters_that_are_killed_and_come_back_go_on(
     async with robot.backend.watch(CAMERA, None):
         await robot.first(CAMERA)
         robot_nodes.kill()
-        assert (await robot.backend.read(CAMERA)).transform.translation.z == 1.0
+        assert (await robot.read(CAMERA)).transform.translation.z == 1.0
         robot_nodes.start()
 
         def moved() -> bool:

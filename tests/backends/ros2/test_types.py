@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,8 +14,9 @@ import pytest
 from backends.ros2.robot import Fleet, Robot, robot_of
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_ros2 import Ros2Config, idl
-from rcp_ros2.definitions import BadText, define_text, is_made, parse
-from rcp_ros2.idl import Primitive, Ref, Sequence, Text, fields_of, load
+from rcp_ros2.definitions import BadText, define_text, parse
+from rcp_ros2.idl import MissingType, Primitive, Ref, Sequence, Text, fields_of, load
+from rcp_ros2.made import is_made
 from rcp_ros2.support import type_hash
 
 pytestmark = pytest.mark.anyio
@@ -140,3 +142,14 @@ def test_a_text_that_is_none_is_refused_with_its_line() -> None:
         parse("a_msgs/msg/A", "float64 1x")
     with pytest.raises(ValueError, match="is not valid in"):
         Ros2Config(types={"a_msgs/msg/A": "nonsense"})
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["this/srv/Offer", "idlelib/idle/Main", "os.path/msg/Name", "../x/msg/Y", "antigravity/X"],
+)
+def test_the_name_of_a_type_imports_nothing_else(name: str) -> None:
+    before = set(sys.modules)
+    with pytest.raises(MissingType):
+        load(name, "srv")
+    assert not {"this", "idlelib", "antigravity"} & (set(sys.modules) - before)

@@ -1,0 +1,294 @@
+"""Servers of a service and of an action whose calls are carried out elsewhere.
+
+A call is carried out by a task on the event loop, and nothing of rclpy waits meanwhile: a goal is
+executed when its result is known, and the response of a service is sent then. Coroutines keep an
+executor of rclpy busy while they wait, and end the process in the events executor; threads that
+wait are all taken by the one client that does not respond.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import structlog
+
+from rcp_kernel.errors import RcpError
+from rcp_offers import Offered
+from rcp_ros2.cdr import Codec
+from rcp_ros2.filler import filler
+from rcp_ros2.idl import fields_of
+from rcp_ros2.link import RosLink
+
+__all__ = ["ActionServer", "ServiceNode", "ServiceServer"]
+
+log = structlog.get_logger("rcp.ros2")
+_CANCELLED = "cancelled"
+_PATIENCE = 10.0  # s for the response of a service
+_LAST = 0.5  # s for the last responses to be sent
+_END = 1.0  # s for the thread to end
+Outcome = tuple[Any, str | None]
+"""A result, and why there is none."""
+
+
+def _reader(cls: Any) -> Callable[[Any], Any]:
+    """Return a function that converts a message object to plain data."""
+    from rclpy.serialization import serialize_message
+
+    if not fields_of(cls):
+        return lambda _message: {}
+    decode = Codec(cls).decode
+    return lambda message: msgspec.to_builtins(decode(serialize_message(message)))
+
+
+def _maker(cls: Any) -> Callable[[Any], Any]:
+    """Return a function that converts plain data to a message object."""
+    if not fields_of(cls):
+        return lambda _value: cls()
+    fill, type_ = filler(cls), Codec(cls).type
+    return lambda value: fill(msgspec.convert(value or {}, type_))
+
+
+class ServiceNode:
+    """A node with a thread for the callbacks of services, while there are services."""
+
+    def __init__(self, link: RosLink) -> None:
+        self._link = link
+        self._node: Any = None
+        self._executor: Any = None
+        self._users = 0
+
+    def use(self) -> Any:
+        """Return the node, which `leave` gives back; in the ROS thread."""
+        self._users += 1
+        if self._node is None:
+            import rclpy
+            from rclpy.executors import SingleThreadedExecutor
+
+            node = self._link.ros.node
+            self._node = rclpy.create_node(
+                f"{node.get_name()}_offers",
+                context=node.context,
+                namespace=node.get_namespace(),
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+            self._executor = SingleThreadedExecutor(context=node.context)
+            self._executor.add_node(self._node)
+            threading.Thread(target=_spin, args=(self._executor,), daemon=True).start()
+        return self._node
+
+    def leave(self, server: Any) -> None:
+        """Destroy a server, and end the thread after the last one; in the ROS thread."""
+        self._node.destroy_service(server)  # which wakes the executor: it leaves the graph at once
+        self._users -= 1
+        if not self._users:
+            self._executor.shutdown(timeout_sec=_END)
+            self._node.destroy_node()
+            self._node = self._executor = None
+
+
+def _spin(executor: Any) -> None:
+    from rclpy.executors import ExternalShutdownException, ShutdownException
+
+    try:
+        executor.spin()
+    except (ExternalShutdownException, ShutdownException):
+        pass  # the backend is being closed
+    except Exception:
+        log.exception("offers_failed")
+
+
+class _Later:
+    """In place of a response that is sent when it is known."""
+
+    def __init__(self, request: Any) -> None:
+        self.request = request
+
+
+class ServiceServer:
+    """A server of a service. At most as many of its calls wait as its offer lets."""
+
+    def __init__(
+        self, link: RosLink, type_: Any, name: str, offered: Offered, node: ServiceNode
+    ) -> None:
+        self._link = link
+        self._type = type_
+        self._name = name
+        self._offered = offered
+        self._node = node
+        self._server: Any = None
+        self._send: Callable[[Any, Any], None]
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def open(self) -> None:
+        """Create the server; in the ROS thread."""
+        self._read, self._make = _reader(self._type.Request), _maker(self._type.Response)
+        server = self._server = self._node.use().create_service(
+            self._type, self._name, self._called
+        )
+        self._send = server.send_response
+        server.send_response = self._answer
+
+    def _called(self, request: Any, _response: Any) -> Any:
+        try:
+            return _Later(self._read(request))
+        except Exception:  # it would end the executor, and every other service with it
+            log.exception("offered_call_failed", service=self._name)
+            return self._type.Response()
+
+    def _answer(self, response: Any, header: Any) -> None:
+        """Send a response, or have it made: the executor calls it with what `_called` returns."""
+        if isinstance(response, _Later):
+            with suppress(RuntimeError):  # the event loop has ended
+                self._link.host.call_soon(self._start, response.request, header)
+        else:
+            self._send(response, header)
+
+    def _start(self, request: Any, header: Any) -> None:
+        task = asyncio.get_running_loop().create_task(self._carry_out(request, header))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _carry_out(self, request: Any, header: Any) -> None:
+        outcome: Outcome
+        try:
+            async with asyncio.timeout(_PATIENCE):
+                outcome = await self._offered.call(request, _no_report), None
+        except RcpError as error:
+            outcome = None, error.message
+        except TimeoutError:
+            outcome = None, f"the client did not respond within {_PATIENCE:g} s"
+        self._link.ros.post(self._respond, outcome, header)
+
+    def _respond(self, outcome: Outcome, header: Any) -> None:
+        if self._server is None:
+            return
+        try:
+            self._send(self._response(*outcome), header)
+        except Exception:  # it would end the thread of the whole backend
+            log.exception("offered_call_failed", service=self._name)
+
+    def _response(self, value: Any, error: str | None) -> Any:
+        if error is None:
+            try:
+                return self._make(value)
+            except (msgspec.ValidationError, ValueError, TypeError) as wrong:
+                error = f"the client's response is not one of {self._name}: {wrong}"
+        log.warning("offered_call_failed", service=self._name, reason=error)
+        response = self._type.Response()
+        for name, told in (("success", False), ("message", error)):
+            with suppress(AssertionError, TypeError):  # of this type they are something else
+                if hasattr(response, name):
+                    setattr(response, name, told)
+        return response
+
+    def close(self) -> None:
+        """Destroy the server, when the responses that are ready have been sent."""
+        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._drop)
+
+    def _drop(self) -> None:
+        if self._server is not None:
+            self._node.leave(self._server)
+            self._server = None
+
+
+class ActionServer:
+    """A server of an action."""
+
+    def __init__(self, link: RosLink, type_: Any, name: str, offered: Offered) -> None:
+        self._link = link
+        self._type = type_
+        self._name = name
+        self._offered = offered
+        self._server: Any = None
+        self._goals: dict[bytes, asyncio.Task[None]] = {}
+
+    def open(self) -> None:
+        """Create the server; in the ROS thread."""
+        from rclpy.action.server import ActionServer as RosActionServer
+        from rclpy.action.server import CancelResponse
+
+        self._read, self._make = _reader(self._type.Goal), _maker(self._type.Result)
+        self._feed = _maker(self._type.Feedback)
+
+        def cancel(goal: Any) -> Any:
+            self._link.host.call_soon(self._cancel, bytes(goal.goal_id.uuid))
+            return CancelResponse.ACCEPT
+
+        self._server = RosActionServer(
+            self._link.ros.node,
+            self._type,
+            self._name,
+            execute_callback=lambda _goal: self._type.Result(),
+            handle_accepted_callback=self._accepted,
+            cancel_callback=cancel,
+        )
+
+    def _accepted(self, goal: Any) -> None:
+        self._link.host.call_soon(self._start, goal, self._read(goal.request))
+
+    def _start(self, goal: Any, request: Any) -> None:
+        id_ = bytes(goal.goal_id.uuid)
+        task = asyncio.get_running_loop().create_task(self._carry_out(goal, request))
+        self._goals[id_] = task
+        task.add_done_callback(lambda _: self._goals.pop(id_, None))
+
+    def _cancel(self, id_: bytes) -> None:
+        task = self._goals.get(id_)
+        if task is not None:
+            task.cancel()
+
+    async def _carry_out(self, goal: Any, request: Any) -> None:
+        def report(feedback: Any = None, *, fraction: float | None = None) -> None:
+            del fraction  # for which ROS has no place
+            if feedback is not None:
+                self._link.ros.post(self._publish, goal, feedback)
+
+        outcome: Outcome
+        try:
+            outcome = await self._offered.call(request, report), None
+        except asyncio.CancelledError:
+            outcome = None, _CANCELLED
+        except RcpError as error:
+            outcome = (error.details or {}).get("output"), error.message
+        self._link.ros.post(goal.execute, lambda one: self._end(one, outcome))
+
+    def _publish(self, goal: Any, feedback: Any) -> None:
+        if goal.is_active:
+            goal.publish_feedback(self._feed(feedback))
+
+    def _end(self, goal: Any, outcome: Outcome) -> Any:
+        """Set the state of a goal; return its result."""
+        value, error = outcome
+        try:
+            result = self._make(value)
+        except (msgspec.ValidationError, ValueError, TypeError) as wrong:
+            result = self._type.Result()
+            error = f"the client's result is not one of {self._name}: {wrong}"
+        if error is None:
+            goal.succeed()
+        elif error == _CANCELLED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            log.warning("offered_goal_failed", action=self._name, reason=error)
+            goal.abort()
+        return result
+
+    def close(self) -> None:
+        """Destroy the server."""
+        self._link.ros.post(self._drop)
+
+    def _drop(self) -> None:
+        if self._server is not None:
+            self._server.destroy()
+            self._server = None
+
+
+def _no_report(feedback: Any = None, *, fraction: float | None = None) -> None:
+    """Report nothing: services of ROS have no feedback."""
