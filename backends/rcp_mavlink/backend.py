@@ -89,6 +89,11 @@ class MavlinkBackend(BaseBackend):
         robot, own = self._robot(name)
         return await robot.execute(own, value, progress)
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a flight that the vehicle would refuse now: its state, its fence."""
+        robot, own = self._robot(name)
+        robot.foresee(own, value)
+
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Request the resource from the vehicle while entered."""
         robot, own = self._robot(name)

@@ -6,12 +6,15 @@ import asyncio
 import itertools
 from typing import Any
 
+from msgspec.structs import replace
+
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, RcpError
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.photofiles import PhotoFiles
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Cameras"]
@@ -27,8 +30,11 @@ _CAMERA = 30  # MAV_TYPE
 class Cameras:
     """The camera of one vehicle."""
 
-    def __init__(self, hub: Hub, vehicle: Vehicle, commands: Commands) -> None:
+    def __init__(
+        self, hub: Hub, vehicle: Vehicle, commands: Commands, pictures: PhotoFiles
+    ) -> None:
         self._hub, self._vehicle, self._commands = hub, vehicle, commands
+        self._pictures = pictures
         self._camera: int | None = None
         self._sequence = itertools.count(1)
 
@@ -89,7 +95,9 @@ class Cameras:
             if not await vehicle.until(reply.done, _TAKING):
                 raise DeviceTimeout("photo: accepted, but the camera does not confirm it")
         frame = reply.result()
-        return _photo(frame.fields(), v2=frame.definition.name == _CAPTURED)
+        photo = _photo(frame.fields(), v2=frame.definition.name == _CAPTURED)
+        image, note = await self._pictures.fetch(photo.url, frame.component)
+        return replace(photo, image=image, note=note)
 
 
 def _photo(f: dict[str, Any], *, v2: bool) -> m.Photo:

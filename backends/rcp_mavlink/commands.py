@@ -16,8 +16,10 @@ from rcp_kernel.errors import (
     DeviceRejected,
     DeviceTimeout,
     NotImplementedByRobot,
+    RcpError,
 )
 from rcp_kernel.spi import check_fence
+from rcp_mavlink.cancelling import cancel_message
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
@@ -83,7 +85,10 @@ class Commands:
         """Abandoned commands whose reply may still arrive, and until when."""
 
     async def send(
-        self, command: Command, what: str, progress: Callable[[float], None] | None = None
+        self,
+        command: Command,
+        what: str,
+        progress: Callable[[float | None], None] | None = None,
     ) -> None:
         """Send a command and wait until it is accepted; completion must be observed separately.
 
@@ -98,7 +103,7 @@ class Commands:
                 result = await self._request(command, what, progress, whole=command.whole)
             except AdapterUnavailable as lost:  # the vehicle may have received and executed it
                 raise DeviceTimeout(f"{what}: {lost}, and it had not responded") from None
-            other = not command.whole
+            other = not command.whole and _fits(command)
             if result in (_UNSUPPORTED, _INT_ONLY) and other:
                 again = await self._request(command, what, progress, whole=True)
                 result = result if again == _UNSUPPORTED and result == _UNSUPPORTED else again
@@ -119,7 +124,7 @@ class Commands:
         self,
         command: Command,
         what: str,
-        progress: Callable[[float], None] | None,
+        progress: Callable[[float | None], None] | None,
         *,
         whole: bool,
     ) -> int:
@@ -143,25 +148,38 @@ class Commands:
                     async with asyncio.timeout(late):
                         await answers.get()
             self._orphans[command.number] = time.monotonic() + config.timeout
-            for attempt in range(config.retries + 1):
-                self._vehicle.check()
-                _check_fence(command)
-                self._hub.send(self._vehicle, self._message(command, attempt, whole=whole))
-                wait = config.timeout
-                while True:
-                    try:
-                        async with asyncio.timeout(wait):
-                            result, part = await answers.get()
-                    except TimeoutError:
-                        break
-                    if result != _RUNNING:
-                        del self._orphans[command.number]
-                        return result
-                    wait = _PATIENCE
-                    if progress is not None and part <= 100:
-                        progress(part / 100)
+            running = False
+            try:
+                for attempt in range(config.retries + 1):
+                    self._vehicle.check()
+                    _check_fence(command)
+                    self._hub.send(self._vehicle, self._message(command, attempt, whole=whole))
+                    wait = config.timeout
+                    while True:
+                        try:
+                            async with asyncio.timeout(wait):
+                                result, part = await answers.get()
+                        except TimeoutError:
+                            break
+                        if result != _RUNNING:
+                            del self._orphans[command.number]
+                            return result
+                        wait, running = _PATIENCE, True
+                        if progress is not None:
+                            progress(part / 100 if part <= 100 else None)
+            except asyncio.CancelledError:
+                if running:
+                    self._cancel(command.number, to)
+                raise
         self._vehicle.check()
         raise DeviceTimeout(f"{what}: the vehicle did not respond")
+
+    def _cancel(self, number: int, component: int) -> None:
+        """Tell the vehicle, once, to end a command in progress; many do not know the message."""
+        self._orphans[number] = time.monotonic() + self._hub.config.timeout
+        module, system = self._hub.dialect.module, self._vehicle.system
+        with suppress(RcpError, OSError):
+            self._hub.send(self._vehicle, cancel_message(module, (system, component), number))
 
     def _message(self, c: Command, attempt: int, *, whole: bool) -> Any:
         module, vehicle = self._hub.dialect.module, self._vehicle
@@ -190,6 +208,11 @@ class Commands:
             retry_after=1.0 if result == _BUSY else None,
             details={"result": words, "texts": reasons},
         )
+
+
+def _fits(c: Command) -> bool:
+    """Tell whether COMMAND_INT, which has `x` and `y` as whole numbers, can carry a command."""
+    return c.place or all(float(v).is_integer() and abs(v) < 2**31 for v in (c.x, c.y))
 
 
 def _check_fence(command: Command) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-__all__ = ["LinkSpec", "MavlinkConfig", "TwinConfig"]
+__all__ = ["LinkSpec", "MavlinkConfig", "TwinBox", "TwinConfig"]
 
 _NET = re.compile(r"(udpin|udpout|tcp|tcpin):(?:\[([^\]]+)\]|([^:\[\]]+)):(\d{1,5})\Z")
 _SIM = re.compile(r"sim:(copter|plane|rover|boat)\Z")
@@ -45,6 +45,15 @@ class LinkSpec(Struct, frozen=True):
         )
 
 
+class TwinBox(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A square box that stands on the ground, in the pictures of the simulated cameras."""
+
+    latitude: Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
+    longitude: Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
+    side: Annotated[float, Meta(gt=0, le=1000, extra_json_schema={"unit": "m"})] = 1.0
+    height: Annotated[float, Meta(gt=0, le=1000, extra_json_schema={"unit": "m"})] = 1.0
+
+
 class TwinConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The vehicles that `sim:` links simulate."""
 
@@ -67,8 +76,10 @@ class TwinConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Scale of the sensor noise."""
     seed: int = 0
     """Seed of the noise."""
+    boxes: Annotated[tuple[TwinBox, ...], Meta(max_length=64)] = ()
+    """What stands on the ground, in the pictures of its camera."""
     parameters: dict[str, float] = {}
-    """Values of the vehicle's parameters that differ from the defaults."""
+    """Values of the vehicle's parameters that differ from the defaults; unknown names are added."""
 
 
 class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -93,8 +104,12 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     parameters: str | None = None
     """The autopilot's parameter metadata: a file `apm.pdef.xml` or `parameters.json`, or
     `ftp:` and its path on board."""
+    commands: tuple[str, ...] = ("*",)
+    """Commands that `service/command` may send: patterns allow those of payloads, full names any."""
     messages: tuple[str, ...] = ()
     """Patterns of additional messages of the dialect to expose: `VIBRATION`, `GPS*`."""
+    forward: bool = False
+    """Expose whole frames, for ground stations behind the gateway (`[plugins.ground_stations]`)."""
     rate: Annotated[float, Meta(ge=1, le=50, extra_json_schema={"unit": "Hz"})] = 4.0
     """Rate of the messages that the gateway itself needs: position, landed state, health."""
     timeout: Seconds = 0.6

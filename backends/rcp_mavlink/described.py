@@ -9,7 +9,7 @@ from pathlib import Path
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_mavlink.files import FileRange, Files
 from rcp_mavlink.metadata import About
-from rcp_mavlink.paramfiles import described
+from rcp_mavlink.parameter_metadata import described
 
 __all__ = ["Described", "checked"]
 

@@ -6,7 +6,7 @@ from rcp_mavlink.geo import distance
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["crossing", "is_breached", "is_enabled"]
+__all__ = ["beyond", "crossing", "is_breached", "is_enabled"]
 
 _GEOFENCE = 1 << 20  # of SYS_STATUS
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
@@ -31,7 +31,20 @@ def _bits(vehicle: Vehicle, which: str) -> int:
 def crossing(
     vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
 ) -> str | None:
-    """Describe which fence a target (deg) at a height above home (m) violates; None if none."""
+    """Describe which fence a refused target (deg) at a height above home (m) may violate."""
+    why = beyond(vehicle, parameters, place, height)
+    if why is None and is_enabled(vehicle) and _kinds(parameters) & _POLYGON:
+        return "its fence is enabled, and the target is probably outside it"
+    return why
+
+
+def beyond(
+    vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
+) -> str | None:
+    """Describe which height or radius a target surely violates; None if none.
+
+    The polygons of a fence are on board only, where anybody may change them.
+    """
 
     def value(name: str) -> float | None:
         known = parameters.known.get(name)
@@ -39,8 +52,7 @@ def crossing(
 
     if not is_enabled(vehicle):
         return None
-    given, home = value("FENCE_TYPE"), vehicle.home
-    kinds = _CEILING | _CIRCLE | _POLYGON if given is None else int(given)
+    home, kinds = vehicle.home, _kinds(parameters)
     ceiling, floor = value("FENCE_ALT_MAX"), value("FENCE_ALT_MIN")
     radius, away = value("FENCE_RADIUS"), 0.0 if home is None else distance(place, home[:2])
     if kinds & _CEILING and ceiling is not None and height > ceiling:
@@ -49,6 +61,9 @@ def crossing(
         return f"{height:g} m above home is below the fence, FENCE_ALT_MIN {floor:g} m"
     if kinds & _CIRCLE and radius is not None and away > radius:
         return f"{away:.0f} m from home is outside the fence, FENCE_RADIUS {radius:g} m"
-    return (
-        "its fence is enabled, and the target is probably outside it" if kinds & _POLYGON else None
-    )
+    return None
+
+
+def _kinds(parameters: Parameters) -> int:
+    known = parameters.known.get("FENCE_TYPE")
+    return _CEILING | _CIRCLE | _POLYGON if known is None else int(known.value)

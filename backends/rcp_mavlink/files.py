@@ -116,10 +116,10 @@ def checksum(data: bytes) -> int:
 
 
 class Files:
-    """The files of one vehicle."""
+    """The files of one vehicle, or of one of its other components."""
 
-    def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
-        self._ftp = Ftp(hub, vehicle)
+    def __init__(self, hub: Hub, vehicle: Vehicle, component: int | None = None) -> None:
+        self._ftp = Ftp(hub, vehicle, component)
 
     def verbs(self) -> dict[str, Verb]:
         """Return the handler of each path."""
@@ -163,6 +163,20 @@ class Files:
         data = gaps.data
         last = given.offset + len(data)
         return FilePiece(given.path, given.offset, last < stop or last == size, data)
+
+    async def fetch(self, path: str, most: int) -> bytes:
+        """Return a whole file.
+
+        :raises InvalidValue: it is larger than `most` bytes.
+        """
+        what = f"reading {path}"
+        ftp = self._ftp
+        async with ftp.turn(), ftp.opened(Op.OPEN_TO_READ, _encoded(path), what) as (session, size):
+            if size > most:
+                raise InvalidValue(f"it has {size} bytes")
+            gaps = Gaps(0, size or most)
+            await ftp.read(session, gaps, what, lambda _: None)
+        return gaps.data
 
     async def write(self, given: FileWrite, progress: Progress) -> Written:
         """Write a part of a file; completes when the vehicle's CRC matches, if it computes one."""

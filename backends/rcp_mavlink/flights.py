@@ -48,6 +48,21 @@ class Flights:
             "action/move_to": self._journeys.move_to,
         }
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse what would be refused now.
+
+        :raises RcpError: as the handler of the path.
+        """
+        match name:
+            case "action/move_to":
+                self._journeys.foresee(value)
+            case "action/takeoff":
+                self._check_on_ground()
+            case "action/land" | "action/rtl" | "action/return_home":
+                self._check_not_down(name.rpartition("/")[2])
+            case _:
+                pass
+
     async def keep_limit(self) -> None:
         """Keep to a changed speed limit from here on.
 
@@ -60,12 +75,7 @@ class Flights:
     async def take_off(self, given: m.TakeOff | None, progress: Progress) -> m.Height:
         """Climb to a height above home."""
         vehicle, altitude = self._vehicle, (given or m.TakeOff()).altitude
-        if not vehicle.armed:
-            raise PreconditionFailed("take-off: the vehicle is not armed", remedy="Arm it first.")
-        if vehicle.landed is False:
-            raise PreconditionFailed(
-                "take-off: the vehicle is in the air", remedy="Use action/move_to to climb."
-            )
+        self._check_on_ground()
         start = (await located(vehicle)).height
         async with holding(self._motion):
 
@@ -78,6 +88,14 @@ class Flights:
                 await self._rise(altitude)
             await self._motion.follow(report, "take-off", stays=lambda: vehicle.armed)
         return m.Height(fix_of(vehicle).height)
+
+    def _check_on_ground(self) -> None:
+        if not self._vehicle.armed:
+            raise PreconditionFailed("take-off: the vehicle is not armed", remedy="Arm it first.")
+        if self._vehicle.landed is False:
+            raise PreconditionFailed(
+                "take-off: the vehicle is in the air", remedy="Use action/move_to to climb."
+            )
 
     async def _rise(self, altitude: float) -> None:
         family = self._vehicle.family
@@ -109,8 +127,7 @@ class Flights:
 
     async def _come_down(self, mode: str, what: str, progress: Progress) -> m.Height:
         vehicle, family = self._vehicle, self._vehicle.family
-        if vehicle.landed and not vehicle.armed and family.flies:
-            raise PreconditionFailed(f"{what}: the vehicle is already on the ground")
+        self._check_not_down(what)
         first = self._left(await located(vehicle), what)
         near = 0.0
         if what == "return" and family.kind != "copter":
@@ -129,6 +146,11 @@ class Flights:
                 await self._motion.to_mode(mode)
             await self._motion.follow(report, what, stays=lambda: vehicle.mode == mode)
         return m.Height(fix_of(vehicle).height)
+
+    def _check_not_down(self, what: str) -> None:
+        vehicle = self._vehicle
+        if vehicle.landed and not vehicle.armed and vehicle.family.flies:
+            raise PreconditionFailed(f"{what}: the vehicle is already on the ground")
 
     def _from_home(self, fix: Fix) -> float:
         home = self._vehicle.home

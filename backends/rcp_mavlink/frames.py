@@ -7,7 +7,7 @@ from typing import Any
 from rcp_mavlink.dialect import Definition, Dialect
 from rcp_mavlink.signing import Signing
 
-__all__ = ["Frame", "Framer", "Stats"]
+__all__ = ["Frame", "Framer", "Stats", "rebuilt"]
 
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
@@ -153,3 +153,17 @@ class Framer:
             if missing < 128:  # larger gaps: the frame is late, or the sender has restarted
                 self.stats.lost += missing
         self._next[sender] = (seq + 1) & 0xFF
+
+
+def rebuilt(frame: Frame, signing: Signing | None, link: int) -> bytes:
+    """Return a frame as MAVLink 2 with the same sender, unsigned or signed anew."""
+    from fastcrc.crc16 import mcrf4xx
+
+    definition, payload = frame.definition, frame.payload.rstrip(b"\0") or frame.payload[:1]
+    seq = frame.data[4] if frame.data[0] == _V2 else frame.data[2]
+    flags = 0 if signing is None else _SIGNED
+    head = bytes((len(payload), flags, 0, seq, frame.system, frame.component))
+    body = head + definition.id.to_bytes(3, "little") + payload
+    crc = mcrf4xx(body + bytes((definition.crc_extra,)))
+    whole = bytes((_V2,)) + body + crc.to_bytes(2, "little")
+    return whole if signing is None else whole + signing.signature(whole, link)

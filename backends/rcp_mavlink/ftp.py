@@ -80,10 +80,11 @@ class Reply(NamedTuple):
 
 
 class Ftp:
-    """The files of one vehicle; one transfer at a time."""
+    """The files of one component, the autopilot if none is given; one transfer at a time."""
 
-    def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
+    def __init__(self, hub: Hub, vehicle: Vehicle, component: int | None = None) -> None:
         self._hub, self._vehicle = hub, vehicle
+        self._component = vehicle.component if component is None else component
         self._turn = asyncio.Lock()
         self._seq = 0
         self._waiting: dict[tuple[int, int], asyncio.Future[Reply]] = {}
@@ -94,10 +95,13 @@ class Ftp:
     async def turn(self) -> AsyncGenerator[None]:
         """Lock the vehicle's FTP while entered."""
         async with self._turn:
-            with self._vehicle.listening("FILE_TRANSFER_PROTOCOL", self._take):
+            apart = self._component != self._vehicle.component
+            with self._vehicle.listening("FILE_TRANSFER_PROTOCOL", self._take, anybody=apart):
                 yield
 
     def _take(self, frame: Frame) -> None:
+        if frame.component != self._component:
+            return
         fields = frame.fields()
         if fields["target_system"] not in (0, self._hub.config.source_system):
             return
@@ -114,7 +118,7 @@ class Ftp:
         head = _HEAD.pack(seq, session, op, size, 0, 0, offset)
         vehicle = self._vehicle
         message = self._hub.dialect.module.MAVLink_file_transfer_protocol_message(
-            0, vehicle.system, vehicle.component, (head + data).ljust(251, b"\0")
+            0, vehicle.system, self._component, (head + data).ljust(251, b"\0")
         )
         self._hub.send(vehicle, message)
 

@@ -11,7 +11,7 @@ from typing import Any
 from rcp_kernel.errors import NotReady
 from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.dialect import Dialect
-from rcp_mavlink.frames import Frame, Framer
+from rcp_mavlink.frames import Frame, Framer, rebuilt
 from rcp_mavlink.links import Link
 from rcp_mavlink.signing import Signing, key_of
 from rcp_mavlink.texts import Texts
@@ -73,6 +73,8 @@ class Hub:
                 vehicle = self._new(frame)
                 if vehicle is None:
                     continue
+            for tap in vehicle.taps:
+                tap(frame)
             if frame.component != vehicle.component:
                 vehicle.overhear(frame)
                 continue
@@ -108,6 +110,12 @@ class Hub:
         if vehicle.routes:
             link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
             link.send(self._packed(link, message), address)
+
+    def forward(self, vehicle: Vehicle, frame: Frame) -> None:
+        """Send a frame of somebody else to a vehicle, signed with `key` if there is one."""
+        if vehicle.routes:
+            link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
+            link.send(rebuilt(frame, self._signing, link.number), address)
 
     def _packed(self, link: Link, message: Any) -> bytes:
         mav, sink = self._sinks[link.number]

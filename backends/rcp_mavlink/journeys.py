@@ -21,7 +21,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
-from rcp_mavlink.fences import crossing, is_breached
+from rcp_mavlink.fences import beyond, crossing, is_breached
 from rcp_mavlink.geo import distance
 from rcp_mavlink.motion import Motion, unanswered
 from rcp_mavlink.pace import Pace
@@ -48,6 +48,7 @@ _AIRSPEED, _GROUNDSPEED = 0.0, 1.0
 _LEVEL = 10.0  # m of height tolerance, for a plane
 _STANDING = 0.2  # m/s below which the time left is unknown
 _HOME_TIMEOUT = 3.0  # s
+_FENCED = "Choose a target inside the fence: see service/fence/download, param/FENCE_*."
 
 
 class Journeys:
@@ -70,21 +71,12 @@ class Journeys:
 
     async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
         """Go to a target and stay there; a plane circles around it."""
-        vehicle, family = self._vehicle, self._vehicle.family
+        vehicle = self._vehicle
         profiled = goal.position is not None
         fix = await located(vehicle)
         if not await vehicle.until(lambda: vehicle.home is not None, _HOME_TIMEOUT):
             raise PreconditionFailed("move_to: home is not known yet")
-        goal = native_goal(vehicle, goal)
-        if family.flies and vehicle.landed is not False:
-            raise PreconditionFailed(
-                "move_to: the vehicle is not in the air", remedy="Arm it and take off first."
-            )
-        if family.drives and not vehicle.armed:
-            raise PreconditionFailed("move_to: the vehicle is not armed", remedy="Arm it first.")
-        self._check(goal)
-        lat, lon = place_of(vehicle, goal, fix)
-        altitude = fix.height if goal.altitude is None or family.drives else goal.altitude
+        goal, (lat, lon), altitude = self._target(goal, fix)
         distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         wanted, limit = goal.speed, self._limit.usual
 
@@ -128,6 +120,32 @@ class Journeys:
         error = away(vehicle, now, lat, lon, altitude)
         pose = pose_of(vehicle, now, pace.heading)
         return m.Arrived(pose, now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
+
+    def foresee(self, goal: m.MoveTo) -> None:
+        """Refuse a goal that the vehicle would refuse now, as far as the gateway knows.
+
+        :raises RcpError: as `move_to`.
+        """
+        _, place, altitude = self._target(goal, fix_of(self._vehicle))
+        if (why := beyond(self._vehicle, self._parameters, place, altitude)) is not None:
+            raise DeviceRejected(f"move_to: {why}", remedy=_FENCED, details={"fence": why})
+
+    def _target(self, goal: m.MoveTo, fix: Fix) -> tuple[m.MoveTo, tuple[float, float], float]:
+        """Return a goal as the vehicle takes it: latitude and longitude (deg), and height (m).
+
+        :raises RcpError: it cannot go there now.
+        """
+        vehicle, family = self._vehicle, self._vehicle.family
+        goal = native_goal(vehicle, goal)
+        if family.flies and vehicle.landed is not False:
+            raise PreconditionFailed(
+                "move_to: the vehicle is not in the air", remedy="Arm it and take off first."
+            )
+        if family.drives and not vehicle.armed:
+            raise PreconditionFailed("move_to: the vehicle is not armed", remedy="Arm it first.")
+        self._check(goal)
+        altitude = fix.height if goal.altitude is None or family.drives else goal.altitude
+        return goal, place_of(vehicle, goal, fix), altitude
 
     async def keep_limit(self) -> None:
         """Have the flight under way keep to a changed speed limit.
@@ -279,7 +297,7 @@ class Journeys:
                 raise
             raise DeviceRejected(
                 f"{error}: {why}",
-                remedy="Choose a target inside the fence: see service/fence/download, param/FENCE_*.",
+                remedy=_FENCED,
                 details={**known, "fence": why},
             ) from None
 

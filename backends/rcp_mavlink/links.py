@@ -130,6 +130,7 @@ class Link:
         """Remove an address."""
         self._transports.pop(address, None)
         self.framers.pop(address, None)
+        self._last_seen.pop(address, None)
 
     def datagram(self, address: Any, data: bytes) -> None:
         """Handle a datagram."""

@@ -8,12 +8,13 @@ from msgspec import Meta, Struct, defstruct
 
 from rcp_kernel.types import PoseStamped
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
 Over = Annotated[float, Meta(ge=-500, le=10_000, extra_json_schema={"unit": "m"})]
 Count = Annotated[int, Meta(extra_json_schema={"unit": "1"})]
+Pixels = Annotated[int, Meta(ge=0, extra_json_schema={"unit": "1"})]
 Length = Annotated[float, Meta(extra_json_schema={"unit": "m"})]
 Left = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "m"})]
 Degrees = Annotated[float, Meta(extra_json_schema={"unit": "deg"})]
@@ -151,8 +152,9 @@ class Item(Struct, frozen=True, forbid_unknown_fields=True):
     altitude: Level = 0.0
     frame: Literal["relative", "absolute", "terrain", "mission"] = "relative"
     """Reference of the altitude: home, sea or terrain; `mission` if it has no position."""
-    params: Annotated[tuple[Number, ...], Meta(max_length=4)] = ()
-    """The first four parameters of the command; missing ones are 0."""
+    params: Annotated[tuple[Number | None, ...], Meta(max_length=4)] = ()
+    """The first four parameters of the command; missing ones are 0. Null is `not set`: NaN for
+    PX4, which then keeps its heading, and 0 for ArduPilot."""
 
 
 class Items(Struct, frozen=True, forbid_unknown_fields=True):
@@ -283,6 +285,15 @@ class ParamValue(Struct, frozen=True):
     value: Number
 
 
+class Image(Struct, frozen=True):
+    """A picture as a file."""
+
+    width: Pixels
+    height: Pixels
+    data: bytes
+    format: Literal["jpeg", "png"]
+
+
 class Photo(Struct, frozen=True):
     """A picture, and where it was taken."""
 
@@ -293,6 +304,10 @@ class Photo(Struct, frozen=True):
     """Above home, m."""
     url: str = ""
     """Where the camera stores it, if it reports that."""
+    image: Image | None = None
+    """The picture itself, if the camera stores it on board and it is small."""
+    note: str = ""
+    """Why the picture is not here."""
 
 
 class Calibrated(Struct, frozen=True):

@@ -6,7 +6,7 @@ import math
 import struct
 from typing import Any
 
-__all__ = ["REAL", "bounds", "decoded", "param_set"]
+__all__ = ["REAL", "bounds", "decoded", "param_set", "stored"]
 
 REAL = 9
 _CODES = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
@@ -39,6 +39,11 @@ def encoded(value: float, type_: int, *, bytewise: bool) -> bytes:
     if bytewise:
         return struct.pack(f"<{code}", round(value)).ljust(4, b"\0")
     return _FLOAT.pack(round(value))
+
+
+def stored(value: float, type_: int, *, bytewise: bool) -> float:
+    """Return what a vehicle keeps of a value within the bounds of its type."""
+    return decoded(encoded(value, type_, bytewise=bytewise), type_, bytewise=bytewise)
 
 
 def param_set(

@@ -21,6 +21,8 @@ _QUIET = 0.7  # s without a value until missing ones are requested
 _ROUNDS = 8
 _AT_ONCE = 50
 _NOT_THERE = 1
+_HASH = "_HASH_CHECK"
+"""What PX4 sends in front of its list: a checksum of it, which is no parameter."""
 _UNLISTED = 0xFFFF
 """The index of a value that is sent outside a list."""
 _ERRORS = {
@@ -46,7 +48,12 @@ class Parameters:
         self.known: dict[str, Parameter] = {}
         self.count: int | None = None
         self._last = 0.0
+        self._listed: set[int] = set()
+        """Places that were received of the list."""
+        self._doubtful: set[str] = set()
+        """Those of the list before, until they come again."""
         self.complete = asyncio.Event()
+        self._turn = asyncio.Lock()
 
     def take(self, frame: Frame) -> None:
         """Handle PARAM_VALUE."""
@@ -55,17 +62,36 @@ class Parameters:
         type_, place = fields["param_type"], fields["param_index"]
         value = self._decoded(frame, type_)
         self._last = time.monotonic()
+        if name == _HASH:
+            return
         before = self.known.get(name)
         if place == _UNLISTED and before is not None:
             place, type_ = before.place, _kept_type(before.type, type_, value)
+        elif place != _UNLISTED:
+            self._listed.add(place)
         self.known[name] = Parameter(value, type_, place)
+        self._doubtful.discard(name)
         self.count = fields["param_count"] or self.count
-        if self.count is not None and len(self.known) >= self.count:
+        if self.count is not None and len(self._listed) >= self.count:
+            for gone in self._doubtful:
+                del self.known[gone]
+            self._doubtful.clear()
             self.complete.set()
         self._on_value(name)
 
+    def forget(self) -> None:
+        """Expect a new list: the vehicle may have other parameters, or other values."""
+        self._listed.clear()
+        self._doubtful = set(self.known)
+        self.complete.clear()
+
     async def list(self) -> None:
-        """Request the whole list, and then what was lost."""
+        """Request the whole list, and then what was lost; `complete` tells whether all came."""
+        async with self._turn:
+            if not self.complete.is_set():
+                await self._list()
+
+    async def _list(self) -> None:
         vehicle, module = self._vehicle, self._hub.dialect.module
         to = (vehicle.system, vehicle.component)
         self._hub.send(vehicle, module.MAVLink_param_request_list_message(*to))
@@ -81,8 +107,7 @@ class Parameters:
             if self.count is None:
                 self._hub.send(vehicle, module.MAVLink_param_request_list_message(*to))
                 continue
-            there = {parameter.place for parameter in self.known.values()}
-            missing = [place for place in range(self.count) if place not in there]
+            missing = [place for place in range(self.count) if place not in self._listed]
             for place in missing[:_AT_ONCE]:
                 self._hub.send(vehicle, module.MAVLink_param_request_read_message(*to, b"", place))
 
@@ -114,8 +139,11 @@ class Parameters:
         """Write a value; return the value in effect.
 
         :raises DeviceRejected: the vehicle kept the old one.
+        :raises UnknownPath: it no longer has the parameter.
         """
-        vehicle, before = self._vehicle, self.known[name]
+        vehicle, before = self._vehicle, self.known.get(name)
+        if before is None:
+            raise self._unknown(name)
         limits = bounds(before.type)
         if limits is not None and not limits[0] <= value <= limits[1]:
             raise OutOfRange(f"{name} must be {limits[0]} to {limits[1]}, not {value:g}")
@@ -139,7 +167,7 @@ class Parameters:
         self._vehicle.check()
         config, own = self._hub.config, name.encode()
         answered: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-        received = False
+        received: float | None = None
 
         def take(frame: Frame) -> None:
             nonlocal received
@@ -149,8 +177,8 @@ class Parameters:
             if "error" in fields:
                 answered.set_result(fields["error"])
                 return
-            received = True
-            if good(self._decoded(frame, fields["param_type"])):
+            received = self._decoded(frame, fields["param_type"])
+            if good(received):
                 answered.set_result(0)
 
         with ExitStack() as stack:
@@ -160,12 +188,12 @@ class Parameters:
             for _ in range(1 if once else config.retries + 1):
                 self._hub.send(self._vehicle, message)
                 done, _pending = await asyncio.wait({answered}, timeout=config.timeout)
-                if done or received:
+                if done or received is not None:
                     break
                 self._vehicle.check()
         if answered.done() and (error := answered.result()):
             raise self._refusal(name, error)
-        return self.known[name].value if received else None
+        return received
 
     def _refusal(self, name: str, error: int) -> RcpError:
         if error == _NOT_THERE:

@@ -13,6 +13,7 @@ from rcp_kernel.errors import DeviceRejected, DeviceTimeout, InvalidValue
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.messages import Item
+from rcp_mavlink.plan_files import Names
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["FENCE", "MISSION", "RALLY", "Plans"]
@@ -40,7 +41,7 @@ class Plans:
             entry.name.removeprefix("MAV_CMD_"): number
             for number, entry in hub.dialect.module.enums["MAV_CMD"].items()
         }
-        self._names = {number: name for name, number in self._commands.items()}
+        self.names = Names({n: name for name, n in self._commands.items()}, self._commands)
 
     def number(self, item: Item, place: int) -> int:
         """Return the number of an item's command.
@@ -64,15 +65,17 @@ class Plans:
         return self._item(MISSION, 0, 16, 0, (), round(lat * 1e7), round(lon * 1e7), alt)
 
     def _item(
-        self, kind: int, seq: int, number: int, frame: int, params: Sequence[float], x: int, y: int, z: float
+        self, kind: int, seq: int, number: int, frame: int, params: Sequence[float | None], x: int, y: int, z: float
     ) -> Any:  # fmt: skip
-        vehicle, p = self._vehicle, [*params, *([0.0] * (4 - len(params)))]
+        vehicle = self._vehicle
+        unset = math.nan if vehicle.family.px4 else 0.0
+        p = [unset if each is None else each for each in [*params, 0.0, 0.0, 0.0, 0.0][:4]]
         return self._hub.dialect.module.MAVLink_mission_item_int_message(
             vehicle.system, vehicle.component, seq, frame, number, 0, 1, *p, x, y, z, kind
         )
 
     def _messages(self, kind: int, items: Sequence[Item]) -> list[Any]:
-        made = [self._home()] if self._has_home(kind) and items else []
+        made = [self._home()] if self.has_home(kind) and items else []
         for place, item in enumerate(items):
             number = self.number(item, place)
             scale = 1e7 if item.frame in _GLOBAL else 1
@@ -84,7 +87,8 @@ class Plans:
             )
         return made
 
-    def _has_home(self, kind: int) -> bool:
+    def has_home(self, kind: int) -> bool:
+        """Tell whether the vehicle counts home as item 0 of a plan."""
         return kind == MISSION and not self._vehicle.family.px4
 
     async def upload(
@@ -145,13 +149,14 @@ class Plans:
                     found.append(self._read(fields))
                 done = module.MAVLink_mission_ack_message(*to, 0, kind)
                 self._hub.send(vehicle, done)
-        return tuple(found[1:] if self._has_home(kind) else found)
+        return tuple(found[1:] if self.has_home(kind) else found)
 
     def _read(self, f: dict[str, Any]) -> Item:
         frame: Any = _WORDS.get(f["frame"], "mission")
         scale = 1e7 if frame in _GLOBAL else 1
-        params = tuple(0.0 if math.isnan(f[p]) else f[p] for p in _PARAMS)
-        name = self._names.get(f["command"], str(f["command"]))
+        unset = None if self._vehicle.family.px4 else 0.0
+        params = tuple(unset if math.isnan(f[p]) else f[p] for p in _PARAMS)
+        name = self.names.by_number.get(f["command"], str(f["command"]))
         return Item(name, f["x"] / scale, f["y"] / scale, f["z"], frame, params)
 
     async def _next_message(

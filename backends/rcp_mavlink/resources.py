@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from rcp_kernel.model import Resource
+from rcp_kernel.model import READS, Resource
 from rcp_mavlink import messages as m
 from rcp_mavlink.derived import Derived
+from rcp_mavlink.direct_commands import DirectCommands
 from rcp_mavlink.files import (
     Check,
     Entry,
@@ -26,6 +27,8 @@ from rcp_mavlink.hub import Hub
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import About, about
 from rcp_mavlink.paramcoding import bounds
+from rcp_mavlink.parameter_transfer import ParameterTransfer
+from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
 from rcp_mavlink.sensors import Sensor
 from rcp_mavlink.vehicle import Vehicle
@@ -88,6 +91,9 @@ def resources(
     ]
     family = vehicle.family
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
+    found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
+    if hub.config.commands:
+        found += DirectCommands.resources()
     found += offers(family, hub.config.max_speed)
     return claimed(family, [one for one in found if one.name not in family.without], robot)
 
@@ -166,22 +172,22 @@ def _actions() -> list[Resource]:
         _action("mission/pause", "Stop at the current position, to resume later.", 30, output=m.MissionProgress),
         _action("mission/resume", "Resume a paused mission.", 30, output=m.MissionProgress),
         _action("gimbal", "Point the camera.", 30, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5},)),
-        _action("camera/photo", "Take a picture.", 30, output=m.Photo),
+        _action("camera/photo", "Take a picture of what the camera points at: `action/gimbal` turns it, pitch -1.57 straight down.", 60, output=m.Photo),
         _action("calibrate", "Calibrate a sensor; the vehicle must not move.", 120, input=m.Calibrate | None, output=m.Calibrated, examples=(None, {"what": "gyro"})),
     ]  # fmt: skip
 
 
 def _services() -> list[Resource]:
     return [
-        Resource(name="service/mission/download", description="Return the vehicle's mission, without home.", output=m.Items, timeout=120),
+        Resource(name="service/mission/download", meta=READS, description="Return the vehicle's mission, without home.", output=m.Items, timeout=120),
         Resource(name="service/mission/clear", description="Clear the mission.", output=m.Uploaded, timeout=30),
         Resource(name="service/fence/upload", description="Replace the geofence: polygons and circles.", input=m.Items, output=m.Uploaded, examples=(_FENCE,), timeout=120),
-        Resource(name="service/fence/download", description="Return the vehicle's geofence.", output=m.Items, timeout=120),
+        Resource(name="service/fence/download", meta=READS, description="Return the vehicle's geofence.", output=m.Items, timeout=120),
         Resource(name="service/rally/upload", description="Replace the rally points.", input=m.Items, output=m.Uploaded, examples=(_RALLY,), timeout=120),
-        Resource(name="service/rally/download", description="Return the vehicle's rally points.", output=m.Items, timeout=120),
-        Resource(name="service/log/list", description="List the on-board logs.", output=list[OnBoard], timeout=30),
-        Resource(name="service/log/read", description="Return a part of an on-board log, at most 1 MiB.", input=LogRange, output=LogPiece, timeout=600),
-        Resource(name="service/param/read", description="Read any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
+        Resource(name="service/rally/download", meta=READS, description="Return the vehicle's rally points.", output=m.Items, timeout=120),
+        Resource(name="service/log/list", meta=READS, description="List the on-board logs.", output=list[OnBoard], timeout=30),
+        Resource(name="service/log/read", meta=READS, description="Return a part of an on-board log, at most 1 MiB.", input=LogRange, output=LogPiece, timeout=600),
+        Resource(name="service/param/read", meta=READS, description="Read any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
         Resource(name="service/param/save", description="Save the parameters permanently on the vehicle."),
         Resource(name="service/reboot", description="Reboot the autopilot; refused while armed.", timeout=90),
     ]  # fmt: skip
@@ -189,10 +195,10 @@ def _services() -> list[Resource]:
 
 def _files() -> list[Resource]:
     return [
-        Resource(name="service/ftp/list", description="List an on-board directory.", input=FilePath, output=list[Entry], timeout=60),
-        Resource(name="service/ftp/read", description="Return a part of an on-board file, at most 4 MiB.", input=FileRange, output=FilePiece, timeout=1800),
+        Resource(name="service/ftp/list", meta=READS, description="List an on-board directory.", input=FilePath, output=list[Entry], timeout=60),
+        Resource(name="service/ftp/read", meta=READS, description="Return a part of an on-board file, at most 4 MiB.", input=FileRange, output=FilePiece, timeout=1800),
         Resource(name="service/ftp/write", description="Write a part of an on-board file, at most 4 MiB; offset 0 replaces the file.", input=FileWrite, output=Written, timeout=1800),
-        Resource(name="service/ftp/crc", description="Return the CRC-32 of a file, computed by the vehicle.", input=FilePath, output=Check, timeout=60),
+        Resource(name="service/ftp/crc", meta=READS, description="Return the CRC-32 of a file, computed by the vehicle.", input=FilePath, output=Check, timeout=60),
         Resource(name="service/ftp/remove", description="Remove an on-board file or an empty directory.", input=Remove, timeout=30),
         Resource(name="service/ftp/mkdir", description="Create an on-board directory.", input=FilePath, timeout=30),
         Resource(name="service/ftp/rename", description="Rename an on-board file.", input=Rename, timeout=30),

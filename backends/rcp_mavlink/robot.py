@@ -29,8 +29,10 @@ from rcp_mavlink.clock import Clock
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.derived import Derived, DerivedFrame, deriveds
 from rcp_mavlink.described import Described
+from rcp_mavlink.direct_commands import DirectCommands
 from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
+from rcp_mavlink.forwarding import FRAMES, SEND, Forwarding
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
@@ -41,7 +43,10 @@ from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.paramcoding import REAL
+from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.photofiles import PhotoFiles
+from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.recovery import Recovery
 from rcp_mavlink.resources import parameter, resources
@@ -143,6 +148,12 @@ class Robot:
         leading = {**self._flights.verbs(), "action/mission/run": missions.run}
         logs, files = Logs(hub, vehicle), Files(hub, vehicle)
         self._described = Described(config.parameters, files)
+        self._forwarding = Forwarding(hub, vehicle)
+        transfer = ParameterTransfer(
+            vehicle, self.parameters, self._commands, self._described, self._reboot
+        )
+        plan_files = PlanTransfer(vehicle, self.plans)
+        direct = DirectCommands(hub.dialect.module, self._commands, config.commands)
         self._verbs: dict[str, Verb] = {
             "action/arm": self.motion.arm,
             "action/disarm": self.motion.disarm,
@@ -151,7 +162,9 @@ class Robot:
             **missions.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
             "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
-            "action/camera/photo": Cameras(hub, vehicle, self._commands).photo,
+            "action/camera/photo": Cameras(
+                hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)
+            ).photo,
             "action/calibrate": Calibration(vehicle, self._commands).calibrate,
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
@@ -164,10 +177,19 @@ class Robot:
             **files.verbs(),
             "service/param/read": self._read_parameter,
             "service/param/save": self._save,
-            "service/reboot": self._reboot,
+            "service/param/export": transfer.export,
+            "service/param/compare": transfer.compare,
+            "action/param/load": transfer.load,
+            "action/param/reset": transfer.reset,
+            "service/plan/export": plan_files.export,
+            "action/plan/load": plan_files.load,
+            "service/command": direct.send,
+            "service/commands": direct.list,
+            "service/reboot": lambda _, __: self._reboot(),
             "service/reset_system": self._reset,
             "service/enable": self.motion.arm,
             "service/disable": self.motion.disarm,
+            "service/mavlink/ask": self._forwarding.ask,
         }
 
     @property
@@ -193,6 +215,10 @@ class Robot:
         """Declare its resources; request its messages and parameters."""
         sensors, derived = list(self._sensors.values()), list(self._deriveds.values())
         self._declare(resources(self._hub, self.vehicle, sensors, derived, self.scope))
+        if self._hub.config.forward:
+            self._declare(
+                [replace(r, name=self.name(r.name)) for r in self._forwarding.resources()]
+            )
         self._describe()
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telemetry_events.text)
@@ -365,7 +391,9 @@ class Robot:
         return m.ParamValue(given.name, await self.parameters.read(given.name))
 
     async def _save(self, _: None, __: Progress) -> None:
-        await self._commands.send(Command(245, (1.0, 0.0, 0.0, 0.0)), "save parameters")
+        """Have PX4 store its parameters; ArduPilot has stored each at once, and refuses to be asked."""
+        if self.vehicle.family.px4:
+            await self._commands.send(Command(245, (1.0, 0.0, 0.0, 0.0)), "save parameters")
 
     # Plans and the rest
 
@@ -375,7 +403,7 @@ class Robot:
     async def _download(self, kind: int) -> m.Items:
         return m.Items(await self.plans.download(kind))
 
-    async def _reboot(self, _: None, __: Progress) -> None:
+    async def _reboot(self) -> None:
         """Reboot the vehicle; completes when it has restarted and its heartbeats return.
 
         :raises DeviceTimeout: it was not seen to restart, or has not come back.
@@ -406,7 +434,7 @@ class Robot:
             await self.motion.hold()
             await vehicle.until(lambda: self.motion.rests, _RESTING)
             await self.motion.disarm(None, progress)
-        await self._reboot(None, progress)
+        await self._reboot()
 
     async def _set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
         family = self.vehicle.family
@@ -491,6 +519,8 @@ class Robot:
                 await self._flights.keep_limit()
             return self._value(own)
         self.vehicle.check()
+        if name == SEND:
+            return self._forwarding.write(value)
         if name == "actuator/velocity":
             y, z = getattr(value, "y", 0.0), getattr(value, "z", 0.0)
             own = m.Velocity(value.x, y, z, value.yaw_rate)
@@ -517,9 +547,23 @@ class Robot:
         self.vehicle.check()
         return await verb(value, progress)
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a dry run of what would be refused now."""
+        self.vehicle.check()
+        if name == "action/move_to":
+            self.measurement.check()
+        self._flights.foresee(name, value)
+
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Request a message at a rate while entered."""
+        if name == FRAMES:
+            return self._tapped()
         return self._watch(name, FASTEST if rate is None else min(rate, FASTEST))
+
+    @asynccontextmanager
+    async def _tapped(self) -> AsyncGenerator[None]:
+        with self._forwarding.watched(self._publish):
+            yield
 
     @asynccontextmanager
     async def _watch(self, name: str, rate: float) -> AsyncGenerator[None]:

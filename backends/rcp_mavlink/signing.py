@@ -35,6 +35,8 @@ class Signing:
     def __init__(self, key: bytes) -> None:
         self._key = key
         self._seen: dict[bytes, int] = {}
+        self._sent = 0
+        """The timestamp of the last signature of somebody else's frame."""
 
     def apply(self, mav: Any, link: int) -> None:
         """Configure a pymavlink `MAVLink` object to sign what it sends."""
@@ -42,6 +44,12 @@ class Signing:
         mav.signing.sign_outgoing = True
         mav.signing.link_id = link
         mav.signing.timestamp = _now()
+
+    def signature(self, frame: bytes, link: int) -> bytes:
+        """Return what a frame that ends with its checksum is signed with: later than any before."""
+        self._sent = max(self._sent + 1, _now())
+        stamp = bytes((link,)) + self._sent.to_bytes(6, "little")
+        return stamp + sha256(self._key + frame + stamp).digest()[:6]
 
     def genuine(self, frame: bytes) -> bool:
         """Return whether a frame is signed with the key, and later than the previous one."""

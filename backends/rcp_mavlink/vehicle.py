@@ -71,6 +71,8 @@ class Vehicle:
         self.away_until = 0.0
         """Until when its silence is no loss, on the monotonic clock: it restarts."""
         self.on_frame: list[Callable[[Frame], None]] = []
+        self.taps: list[Callable[[Frame], None]] = []
+        """Hear every frame, those of other components on board too."""
         self.on_text: list[Callable[[Text], None]] = []
         self.components: dict[int, int] = {}
         """Other components on board: component ids with their MAV_TYPE."""

@@ -28,6 +28,7 @@ _QUICKEST = 1e3  # m/s
 _LAST_MESSAGE = 65535
 _CHANGE_MODE = 1
 _MYSELF = -2
+_ERASE = 2  # PREFLIGHT_STORAGE
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
 """Modes that obey CONDITION_YAW; others accept it without effect."""
@@ -317,12 +318,27 @@ def _take_gimbal(c: CommandRequest) -> int:
 
 
 def _photo(c: CommandRequest) -> int:
-    c.peer.vehicle.mount.shoot()
+    vehicle = c.peer.vehicle
+    vehicle.camera.capture(vehicle.mount, captured=c.number == mav.MAV_CMD_IMAGE_START_CAPTURE)
     return _OK
 
 
-def _accept(_: CommandRequest) -> int:
+def _storage(c: CommandRequest) -> int:
+    """Reset the parameters; there is nothing else to store, as each write is stored at once."""
+    vehicle = c.peer.vehicle
+    if c.p[0] != _ERASE:
+        return _DENIED
+    vehicle.params.erase()
+    vehicle.send_text(4, "All parameters reset, reboot board")
     return _OK
+
+
+def _servo(c: CommandRequest) -> int:
+    return _result(c.peer.vehicle.outputs.set_servo(c.p[0], c.p[1]))
+
+
+def _relay(c: CommandRequest) -> int:
+    return _result(c.peer.vehicle.outputs.set_relay(c.p[0], c.p[1]))
 
 
 _PLACES = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 192, 195, 201})
@@ -343,7 +359,7 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     mav.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
-    mav.MAV_CMD_PREFLIGHT_STORAGE: _accept,
+    mav.MAV_CMD_PREFLIGHT_STORAGE: _storage,
     mav.MAV_CMD_RUN_PREARM_CHECKS: _checks,
     mav.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
     mav.MAV_CMD_GET_MESSAGE_INTERVAL: _which_interval,
@@ -356,8 +372,8 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: _take_gimbal,
     mav.MAV_CMD_DO_DIGICAM_CONTROL: _photo,
     mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
-    mav.MAV_CMD_DO_SET_SERVO: _accept,
-    mav.MAV_CMD_DO_SET_RELAY: _accept,
+    mav.MAV_CMD_DO_SET_SERVO: _servo,
+    mav.MAV_CMD_DO_SET_RELAY: _relay,
 }
 KNOWN = frozenset(_DOERS)
 """The supported commands."""

@@ -11,7 +11,8 @@ from rcp_mavlink_sim.parameters_table import CASTS, table
 
 __all__ = ["Files"]
 
-_LOGS = "APM/LOGS"
+_LOGS, _PICTURES = "APM/LOGS", "DCIM"
+_ROLL = 20  # pictures that are kept
 _MOST = 4 << 20  # bytes, limit of all uploaded files
 _PACKED = 0x671B
 _WITH_DEFAULTS = 0x671C
@@ -27,7 +28,7 @@ class Files:
                 b"#NAME=latitude,longitude,absolute-altitude,heading\n"
             )
         }
-        self._folders = {"", "@PARAM", "@ROMFS", "@SYS", "APM", _LOGS, "APM/scripts"}
+        self._folders = {"", "@PARAM", "@ROMFS", "@SYS", "APM", _LOGS, "APM/scripts", _PICTURES}
 
     def folder(self, path: str) -> bool:
         """Return whether a directory exists."""
@@ -112,6 +113,16 @@ class Files:
             return False
         self._stored[new] = self._stored.pop(old)
         return True
+
+    def store_picture(self, number: int, picture: bytes) -> str:
+        """Store a picture in place of the oldest; return its path."""
+        path = f"{_PICTURES}/{number:05d}.png"
+        self._stored.pop(path, None)
+        self._stored[path] = bytearray(picture)
+        taken = [one for one in self._stored if one.startswith(f"{_PICTURES}/")]
+        for oldest in taken[:-_ROLL]:
+            del self._stored[oldest]
+        return path
 
     def exists(self, path: str) -> bool:
         """Return whether a file or directory exists."""

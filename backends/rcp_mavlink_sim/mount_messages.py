@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from rcp_mavlink_sim.camera import HEIGHT, WIDTH
 from rcp_mavlink_sim.mount import quaternion
 from rcp_mavlink_sim.sensing import milliseconds
 from rcp_mavlink_sim.systems import Systems
@@ -69,7 +70,7 @@ def _camera(v: Systems) -> Any:
     nothing, able = math.nan, mav.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
     return mav.MAVLink_camera_information_message(
         milliseconds(v), list(b"rcp".ljust(32, b"\0")), list(b"simulated".ljust(32, b"\0")), 0,
-        nothing, nothing, nothing, 4000, 3000, 0, able, 0, b"",
+        nothing, nothing, nothing, WIDTH, HEIGHT, 0, able, 0, b"",
     )  # fmt: skip
 
 

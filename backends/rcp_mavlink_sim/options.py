@@ -6,7 +6,18 @@ from typing import Literal
 
 import msgspec
 
-__all__ = ["Options"]
+__all__ = ["Box", "Options"]
+
+
+class Box(msgspec.Struct, frozen=True):
+    """A square box that stands on the ground, for the camera to see."""
+
+    latitude: float
+    longitude: float
+    side: float
+    """m"""
+    height: float
+    """m"""
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
@@ -34,6 +45,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     """Scale of the sensor noise; 0 disables it."""
     seed: int = 0
     """Seed of the noise."""
+    boxes: tuple[Box, ...] = ()
+    """What stands on the ground near it."""
     parameters: dict[str, float] = {}
     """Parameters that differ from their defaults."""
     streaming: bool = False

@@ -34,8 +34,10 @@ class Parameters:
         for name, (kind, value) in table(vehicle).items():
             self._kinds[name], self._values[name] = kind, value
         for name, value in other.items():
+            self._kinds.setdefault(name, "f")
             self.set(name, value)
         self._defaults = dict(self._values)
+        self._erased = False
         self._stored: set[str] = set()
         self._names = list(self._values)
         self._places = {name: place for place, name in enumerate(self._names)}
@@ -58,6 +60,17 @@ class Parameters:
             value = float(min(most, max(-most - 1, round(value))))
         self._values[name] = value
         return True
+
+    def erase(self) -> None:
+        """Forget all that was set, from the next boot on."""
+        self._erased = True
+
+    def boot(self) -> None:
+        """Read the storage."""
+        if self._erased:
+            self._values.update(self._defaults)
+            self._stored.clear()
+            self._erased = False
 
     def message(self, name: str, place: int | None = None, type_: int | None = None) -> Any:
         """Return the PARAM_VALUE of a name, with its index in the list."""

@@ -22,6 +22,7 @@ __all__ = [
     "range_finder",
     "raw_imu",
     "rc",
+    "relays",
     "scaled_imu",
     "servos",
     "vibration",
@@ -178,6 +179,11 @@ def rc(v: Systems) -> Any:
 
 def servos(v: VehicleState) -> Any:
     """Return SERVO_OUTPUT_RAW."""
-    pulses = v.body.pulses(armed=v.armed)
-    padded = [*pulses, *([0] * (8 - len(pulses)))]
-    return mav.MAVLink_servo_output_raw_message(microseconds(v) & 0xFFFFFFFF, 0, *padded)
+    pulses = dict(enumerate(v.body.pulses(armed=v.armed), 1)) | v.outputs.pulses
+    all_ = [pulses.get(output, 0) for output in range(1, 17)]
+    return mav.MAVLink_servo_output_raw_message(microseconds(v) & 0xFFFFFFFF, 0, *all_)
+
+
+def relays(v: VehicleState) -> Any:
+    """Return RELAY_STATUS."""
+    return mav.MAVLink_relay_status_message(milliseconds(v), v.outputs.relays, v.outputs.present)

@@ -12,6 +12,7 @@ from rcp_mavlink_sim.faults import Faults
 from rcp_mavlink_sim.kinds import KINDS
 from rcp_mavlink_sim.noise import Noise
 from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.outputs import Outputs
 from rcp_mavlink_sim.parameters import Parameters
 from rcp_mavlink_sim.plans import Plan
 from rcp_mavlink_sim.power import Battery
@@ -55,6 +56,7 @@ class VehicleState:
         self.armed = False
         self.armed_for = 0.0
         self.sticks = Sticks()
+        self.outputs = Outputs(self.params, self.send_text)
 
     # Position
 

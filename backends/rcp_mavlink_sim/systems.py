@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rcp_mavlink_sim.arming import complaints
+from rcp_mavlink_sim.camera import Camera
 from rcp_mavlink_sim.failsafes import Failsafes
 from rcp_mavlink_sim.fence import Fence
 from rcp_mavlink_sim.files import Files
@@ -33,6 +34,7 @@ class Systems(VehicleState):
         self.log = FlightLog()
         super().__init__(options)
         self.files = Files(self.kind.name, self.params, self.log)
+        self.camera = Camera(self, self.files)
 
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""

@@ -235,6 +235,7 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_BATTERY_STATUS: sensing.battery,
     mav.MAVLINK_MSG_ID_RC_CHANNELS: sensing.rc,
     mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: sensing.servos,
+    mav.MAVLINK_MSG_ID_RELAY_STATUS: sensing.relays,
     mav.MAVLINK_MSG_ID_RAW_IMU: sensing.raw_imu,
     mav.MAVLINK_MSG_ID_SCALED_IMU2: sensing.scaled_imu,
     mav.MAVLINK_MSG_ID_SCALED_PRESSURE: sensing.pressure,

@@ -27,6 +27,7 @@ from mavsdk.asyncio.plugins.manual_control import ManualControlAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.geofence import Circle, FenceType, GeofenceData, Point, Polygon
 from mavsdk.plugins.gimbal import ControlMode, GimbalMode, SendMode
 from mavsdk.plugins.mission_raw import MissionItem
@@ -191,6 +192,29 @@ async def finds_and_turns_the_gimbal(system: Any, _folder: Path) -> None:
     number = found.gimbals[0].gimbal_id
     await gimbal.take_control(number, ControlMode.PRIMARY)
     await gimbal.set_angles(number, 0.0, -40.0, 20.0, GimbalMode.YAW_FOLLOW, SendMode.ONCE)
+
+
+async def flies_once_it_may(system: Any, _folder: Path) -> None:
+    """Try to arm until nobody else has control; tell of each refusal on a line."""
+    action, telemetry = ActionAsync(system), TelemetryAsync(system)
+    await telemetry.set_rate_health(10.0)
+    await telemetry.set_rate_position(20.0)
+    await until(telemetry.subscribe_health(), lambda h: h.is_home_position_ok)
+    while True:
+        try:
+            await action.arm()
+        except ActionError as error:
+            sys.stdout.write(f"refused {error}\n")
+            sys.stdout.flush()
+            await asyncio.sleep(0.3)
+        else:
+            break
+    await action.set_takeoff_altitude(5.0)
+    await action.takeoff()
+    await until(telemetry.subscribe_position(), lambda p: p.relative_altitude_m > 4.0)
+    sys.stdout.write("flies\n")
+    sys.stdout.flush()
+    await until(telemetry.subscribe_in_air(), lambda flies: not flies, 100.0)
 
 
 def _command(seq: int, command: int, frame: int, lat: float, lon: float, height: float) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import math
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -37,7 +38,9 @@ HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), roun
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
 ON_THE_GROUND = (
     "action/arm", "action/calibrate", "service/reboot", "service/reset_system", "service/enable",
+    "action/param/load", "action/param/reset",
 )  # fmt: skip
+WAYPOINTS = f"QGC WPL 110\n0 1 0 16 0 0 0 0 {LAT} {LON} 584 1\n1 0 3 16 0 0 0 0 {LAT} {LON} 20 1\n"
 SCRIPT, MOVED, MADE = "/APM/scripts/a.lua", "/APM/scripts/b.lua", "/APM/made"
 LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
 
@@ -145,6 +148,9 @@ class MavlinkRig(Hurried, StopRig):
             "action/gimbal": Goal(good={"pitch": -0.5}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
+            "action/param/load": Goal(good={"text": "RTL_ALT,2000\n"}, bad={"text": "NO_SUCH,1\n"}),
+            "action/param/reset": Goal(good=None),
+            "action/plan/load": Goal(good={"text": WAYPOINTS}, bad={"text": "{}"}),
             **_files(),
             "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "service/reboot": Goal(good=None),
@@ -220,7 +226,9 @@ class MavlinkRig(Hurried, StopRig):
             case "action/gimbal":
                 return abs(math.radians(vehicle.mount.pitch) - result["pitch"]) < 0.02
             case "action/camera/photo":
-                return vehicle.mount.photos == result["number"]
+                shown = base64.b64decode(result["image"]["data"])
+                stored = vehicle.files.read(f"DCIM/{result['number']:05d}.png")
+                return vehicle.mount.photos == result["number"] and shown == stored
             case _:
                 return True
 

@@ -118,12 +118,37 @@ async def test_a_place_outside_the_fence_is_refused_by_the_name_of_the_fence() -
             ({"north": 90.0}, "90 m from home is outside the fence, FENCE_RADIUS 50 m"),
             ({"altitude": 80.0}, "80 m above home is above the fence, FENCE_ALT_MAX 60 m"),
         ):
+            dry = await pilot.do("action/move_to", goal, dry_run=True)
+            assert dry["error"]["code"] == "device_rejected"
+            assert dry["message"] == f"move_to: {why}"
             reply = await pilot.do("action/move_to", goal)
             assert reply["error"]["code"] == "device_rejected"
             assert reply["message"] == f"move_to: failed: {why}"
             assert "inside the fence" in reply["error"]["remedy"]
             assert pilot.vehicle.flight.mode is Mode.GUIDED
             assert speed(pilot.vehicle) < 0.3
+
+
+async def test_a_dry_run_knows_whether_it_flies() -> None:
+    async with flying({}) as pilot:
+        await pilot.ready()
+        for name, body, why in (
+            ("action/takeoff", {"altitude": 10.0}, "not armed"),
+            ("action/move_to", {"north": 10.0}, "not in the air"),
+            ("action/land", None, "already on the ground"),
+        ):
+            dry = await pilot.do(name, body, dry_run=True)
+            real = await pilot.do(name, body)
+            assert dry["error"]["code"] == real["error"]["code"] == "precondition_failed"
+            assert dry["message"] == real["message"]
+            assert why in dry["message"]
+        airborne(pilot.vehicle)
+        await pilot.ready()
+        for name, body in (("action/move_to", {"north": 10.0}), ("action/land", None)):
+            dry = await pilot.do(name, body, dry_run=True)
+            assert dry["status"] == "completed", dry
+        climbing = await pilot.do("action/takeoff", {"altitude": 10.0}, dry_run=True)
+        assert "in the air" in climbing["message"]
 
 
 async def test_a_fence_that_is_crossed_on_the_way_is_in_the_error() -> None:

@@ -14,7 +14,7 @@ from backends.mavlink.puppet import PX4, Puppet, Station, station
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.testing import eventually
 from rcp_mavlink.described import checked
-from rcp_mavlink.paramfiles import described
+from rcp_mavlink.parameter_metadata import described
 
 XML = b"""<?xml version="1.0" encoding="utf-8"?>
 <paramfile>

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import math
+from functools import partial
+from io import BytesIO
 from typing import Any
 
 import pytest
+from PIL import Image
 
+from backends.mavlink.fileserver import FileServer
 from backends.mavlink.puppet import Puppet, station
 from rcp_kernel.testing import eventually
 
@@ -26,6 +31,7 @@ class Equipped(Puppet):
         self.configured: list[Any] = []
         self.results = {1001: self._configure, 1000: self._turn, 2000: self._capture}
         self.photos = 0
+        self.url = b""
         self.also.append(self._report)
 
     def say_as(self, component: int, name: str, *fields: Any) -> None:
@@ -73,7 +79,7 @@ class Equipped(Puppet):
         place = (470000000, 80000000, 400000, 12500)
         self.say_as(
             CAMERA, "CAMERA_IMAGE_CAPTURED", 0, 0, 0, *place, [1.0, 0, 0, 0], self.photos,
-            self.capture_result, b"mftp:/1.jpg",
+            self.capture_result, self.url,
         )  # fmt: skip
         return 0
 
@@ -130,7 +136,7 @@ async def test_a_photo_is_taken_when_the_camera_says_so(*, apart: bool) -> None:
             assert reply["status"] == "completed", reply
             assert reply["body"] == {
                 "number": number, "latitude": 47.0, "longitude": 8.0, "altitude": 12.5,
-                "url": "mftp:/1.jpg",
+                "url": "", "image": None, "note": "",
             }  # fmt: skip
         orders = puppet.commands(2000)
         assert [order.param4 for order in orders] == [1, 2], "none is taken twice"
@@ -138,6 +144,76 @@ async def test_a_photo_is_taken_when_the_camera_says_so(*, apart: bool) -> None:
         puppet.capture_result = 0
         failed = await found.do("action/camera/photo")
         assert failed["error"]["code"] == "device_rejected"
+
+
+def _picture() -> bytes:
+    made = BytesIO()
+    Image.new("RGB", (64, 48), (200, 30, 30)).save(made, "JPEG")
+    return made.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("apart", "url"),
+    [(False, "mftp:///a.jpg"), (True, "mftp:/a.jpg"), (True, "mftp://[;comp=100]/a.jpg")],
+)
+async def test_the_picture_comes_with_the_photo(*, apart: bool, url: str) -> None:
+    puppet = Equipped(apart=apart)
+    puppet.url = url.encode()
+    server = FileServer(partial(puppet.say_as, CAMERA), {"/a.jpg": _picture()})
+    puppet.on["FILE_TRANSFER_PROTOCOL"] = server
+    async with station(puppet) as found:
+        if apart:
+            parts = found.robot.vehicle.components
+            await eventually(lambda: _is(CAMERA in parts), "the camera is heard")
+        image = (await found.do("action/camera/photo"))["body"]["image"]
+        assert (image["width"], image["height"], image["format"]) == (64, 48, "jpeg")
+        assert base64.b64decode(image["data"]) == _picture()
+        targets = {
+            m.target_component for m in puppet.got if m.get_type() == "FILE_TRANSFER_PROTOCOL"
+        }
+        assert targets == {CAMERA if apart else 1}
+
+
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("http://10.0.0.1/1.jpg", "where the gateway does not read"),
+        ("mftp:///missing.jpg", "no such file"),
+        ("mftp:///large.jpg", "it has 300000 bytes"),
+        ("mftp:///text.txt", "neither PNG nor JPEG"),
+        ("mftp:///cut.jpg", "neither PNG nor JPEG"),
+        ("mftp://[;comp=77]/a.jpg", "not transferred"),
+        ("mftp://[;comp=999]/a.jpg", "there is no component 999"),
+        ("mftp://[;comp=0]/a.jpg", "there is no component 0"),
+    ],
+)
+async def test_a_photo_is_taken_although_its_picture_does_not_come(url: str, why: str) -> None:
+    puppet = Equipped(apart=False)
+    puppet.url = url.encode()
+    server = FileServer(
+        puppet.send,
+        {"/large.jpg": bytes(300_000), "/text.txt": b"hello", "/cut.jpg": _picture()[:30]},
+    )
+    puppet.on["FILE_TRANSFER_PROTOCOL"] = lambda m: server(m) if m.target_component == 1 else None
+    async with station(puppet) as found:
+        reply = await found.do("action/camera/photo")
+        assert reply["status"] == "completed", reply
+        assert reply["body"]["image"] is None
+        assert why in reply["body"]["note"]
+        assert reply["body"]["url"] == url
+
+
+async def test_whatever_goes_wrong_with_the_picture_the_photo_is_taken(monkeypatch: Any) -> None:
+    async def odd(*_: Any) -> bytes:
+        raise ValueError("odd")
+
+    monkeypatch.setattr("rcp_mavlink.files.Files.fetch", odd)
+    puppet = Equipped(apart=False)
+    puppet.url = b"mftp:///a.jpg"
+    async with station(puppet) as found:
+        reply = await found.do("action/camera/photo")
+        assert reply["status"] == "completed", reply
+        assert reply["body"]["note"] == "not transferred: ValueError('odd')"
 
 
 async def _is(truth: bool) -> bool:  # noqa: FBT001 - for `eventually`, which awaits

@@ -24,6 +24,8 @@ pytestmark = pytest.mark.real_time
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 QUICK = {"warmup": 0.0, "speed": 10.0}
+PATIENT: dict[str, Any] = {"silence": 30.0, "connect": 60.0, "feedback_timeout": 10.0}
+"""A vehicle has a process of its own here, which a busy machine may not run for seconds."""
 _GATEWAY = """
 import asyncio
 from rcp_mavlink.config import MavlinkConfig, TwinConfig
@@ -64,9 +66,9 @@ async def one_is_stopped(client: Client) -> None:
 
 
 async def test_two_simulated_vehicles_are_robots_and_one_is_flown() -> None:
-    patient = {"parameters": {"DISARM_DELAY": 0.0}}  # at ten times the speed a second is soon over
+    waits = {"parameters": {"DISARM_DELAY": 0.0}}  # at ten times the speed a second is soon over
     links = ["sim:copter", "sim:copter"]
-    table = {"links": links, "discover": True, "params": [], "twin": QUICK | patient}
+    table = {"links": links, "discover": True, "params": [], "twin": QUICK | waits, **PATIENT}
     async with serve_backend(KIND, table) as served:
         client = served.client(OPERATOR)
 
@@ -120,7 +122,7 @@ async def _is(value: Any) -> bool:
 
 async def test_a_vehicle_that_cannot_start_says_why() -> None:
     config = MavlinkConfig(
-        links=("sim:copter",), connect=10.0, twin=rcp_mavlink.TwinConfig(parameters={"NONE": 1.0})
+        links=("sim:copter",), connect=60.0, twin=rcp_mavlink.TwinConfig(parameters={"NONE": 1.0})
     )
     async with open_hub(config, dialect("ardupilotmega")) as hub:
         await eventually(lambda: _is(hub.links[0].error), "it is told")
@@ -128,7 +130,7 @@ async def test_a_vehicle_that_cannot_start_says_why() -> None:
 
 
 async def test_a_signed_link_has_a_vehicle_that_signs() -> None:
-    config = MavlinkConfig(links=("sim:copter",), connect=10.0, key="secret")
+    config = MavlinkConfig(links=("sim:copter",), connect=60.0, key="secret")
     async with open_hub(config, dialect("ardupilotmega")) as hub:
         try:
             await hub.first()
@@ -182,7 +184,7 @@ async def test_a_plane_takes_off_circles_a_place_and_keeps_files() -> None:
 
 
 def _table(kind: str) -> dict[str, Any]:
-    return {"links": [f"sim:{kind}"], "params": [], "connect": 15.0, "twin": QUICK}
+    return {"links": [f"sim:{kind}"], "params": [], "twin": QUICK, **PATIENT}
 
 
 async def _ready(client: Any) -> None:
