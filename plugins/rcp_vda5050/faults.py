@@ -1,0 +1,65 @@
+"""What can be wrong, in the words of each version of VDA 5050."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from msgspec import Struct
+
+__all__ = ["Fault", "FaultKind", "OrderRefused"]
+
+FaultKind = Literal[
+    "malformed", "action", "instant_action", "outdated", "other_order", "stitching", "start", "map",
+    "no_order", "drive", "work", "unavailable",
+]  # fmt: skip
+TYPES: Mapping[str, tuple[str, str]] = {
+    "malformed": ("validationError", "VALIDATION_FAILURE"),
+    "action": ("orderError", "INVALID_ORDER_ACTION"),
+    "instant_action": ("instantActionError", "INVALID_INSTANT_ACTION"),
+    "outdated": ("orderUpdateError", "OUTDATED_ORDER_UPDATE"),
+    "other_order": ("orderError", "OTHER_ORDER_ACTIVE"),
+    "stitching": ("orderUpdateError", "VALIDATION_FAILURE"),
+    "start": ("noRouteError", "START_NODE_OUT_OF_RANGE"),
+    "map": ("orderError", "UNKNOWN_MAP_ID"),
+    "no_order": ("noOrderToCancel", "NO_ORDER_TO_CANCEL"),
+    "drive": ("noRouteError", "NO_ROUTE_TO_TARGET"),
+    "work": ("actionError", "ACTION_FAILURE"),
+    "unavailable": ("robotNotAvailable", "MOBILE_ROBOT_NOT_AVAILABLE"),
+}
+"""`errorType` of 2.1 and of 3.0."""
+_STOPPING = frozenset({"drive", "unavailable"})
+"""With these the order does not go on by itself."""
+
+
+class Fault(Struct, frozen=True):
+    """One error of the state."""
+
+    kind: FaultKind
+    text: str
+    references: tuple[tuple[str, str], ...] = ()
+    hint: str = ""
+
+    def written(self, version: str) -> dict[str, object]:
+        """Return it as an element of `errors`."""
+        newer = version == "3.0"
+        level = "WARNING"
+        if self.kind in _STOPPING:
+            level = "CRITICAL" if newer else "FATAL"
+        found: dict[str, object] = {
+            "errorType": TYPES[self.kind][newer],
+            "errorLevel": level,
+            "errorDescription": self.text,
+            "errorReferences": [
+                {"referenceKey": key, "referenceValue": value} for key, value in self.references
+            ],
+        }
+        return found | ({"errorHint": self.hint} if self.hint else {})
+
+
+class OrderRefused(Exception):
+    """An order is refused as a whole; nothing of it is done."""
+
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(fault.text)
+        self.fault = fault

@@ -1,0 +1,254 @@
+"""One robot as a fleet manager sees it: takes its messages, and says what there is to say."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import msgspec
+import structlog
+
+from rcp_kernel.client_api import ClientApi
+from rcp_vda5050.config import RobotConfig
+from rcp_vda5050.factsheet import OWN_ACTIONS, factsheet
+from rcp_vda5050.faults import Fault
+from rcp_vda5050.link import Link, NotStoppedError
+from rcp_vda5050.messages import Action, Addressed, InstantActions, Order
+from rcp_vda5050.states import Headers, Senses, connection, state, visualization
+from rcp_vda5050.work import ActionState, Work
+
+__all__ = ["Robot"]
+
+log = structlog.get_logger("rcp.vda5050")
+_EVERY = 30.0  # s between two states, at most (section 6.10)
+_GATHER = 0.05  # s in which changes become one state
+_MOST = 200  # instant actions that are remembered
+_AT_ONCE = 20  # instant actions that run
+_LARGEST = 1 << 20  # bytes of a message
+_ESTOP, _ROBOTS = "/system/estop", "/system/robots"
+T = TypeVar("T", bound=Addressed)
+Publish = Callable[[str, dict[str, Any]], None]
+
+
+class Robot:
+    """One robot; `publish` sends the body of a topic, or drops it while there is no broker."""
+
+    def __init__(
+        self, config: RobotConfig, client_api: ClientApi, rate: float, publish: Publish
+    ) -> None:
+        self._config, self._publish, self._rate = config, publish, rate
+        self._headers = Headers(config)
+        self._senses = Senses()
+        self._handlers: dict[str, Callable[[Any], None]] = {
+            config.path("sensor/pose"): self._senses.pose,
+            config.path("sensor/velocity"): self._senses.velocity,
+            config.path("sensor/battery"): self._senses.battery,
+            _ESTOP: self._estop,
+        }
+        self._link = Link(config, client_api, tuple(self._handlers), self._sensed)
+        self.work = Work(config, self._link, self.changed)
+        self._due = asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def open(self) -> None:
+        """Begin to work."""
+        self._link.open()
+        for work in (self._say_state(), self._say_where()):
+            self._start(work)
+
+    async def close(self) -> None:
+        """End what runs, and give control back."""
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self.work.close()
+        await self._link.close()
+
+    def _start(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("task_failed", robot=self._config.robot, exc_info=error)
+
+    def written(self, topic: str, body: dict[str, Any]) -> bytes:
+        """Return the payload of a topic."""
+        return msgspec.json.encode(self._headers.header(topic) | body)
+
+    def connection(self, how: str) -> bytes:
+        """Return the payload of `connection`."""
+        return self.written("connection", connection(how))
+
+    def greet(self) -> None:
+        """Tell everything: the broker has just been reached."""
+        self._publish("factsheet", factsheet(self._config))
+        self._say()
+
+    def changed(self) -> None:
+        """Say the new state soon."""
+        self._due.set()
+
+    # From the fleet manager
+
+    def take(self, topic: str, payload: bytes) -> None:
+        """Take a message; a wrong one is told in the state."""
+        if topic == "order":
+            order = self._decoded(payload, Order)
+            if order is not None:
+                self.work.order(order, self._senses.here)
+        elif (given := self._decoded(payload, InstantActions)) is not None:
+            for action in given.actions:
+                self._take_instant(action)
+
+    def _take_instant(self, action: Action) -> None:
+        """Begin an instant action; one that came already is not done again."""
+        instant, id_ = self.work.instant, action.action_id
+        if id_ in instant:
+            return
+        running = [each for each in instant.values() if each.status not in ("FINISHED", "FAILED")]
+        reason = None
+        if id_ in self.work.states:
+            reason = f"an action of the order has the id {id_}"
+        elif len(running) >= _AT_ONCE:
+            reason = f"{len(running)} instant actions run already"
+        if reason is not None:
+            self.work.refuse(Fault("instant_action", reason, (("actionId", id_),)))
+            return
+        ended = [key for key, each in instant.items() if each not in running]
+        for key in ended[: max(0, len(instant) + 1 - _MOST)]:
+            del instant[key]
+        state = instant[id_] = ActionState(action, "WAITING")
+        self._start(self._act(state))
+
+    def _decoded(self, payload: bytes, type_: type[T]) -> T | None:
+        try:
+            if len(payload) > _LARGEST:
+                raise msgspec.ValidationError(f"{len(payload)} bytes are too many")
+            message = msgspec.json.decode(payload, type=type_)
+        except (msgspec.MsgspecError, RecursionError) as error:
+            references = _references(payload)
+            self.work.refuse(Fault("malformed", f"{type_.__name__}: {error}", references))
+            return None
+        if (message.manufacturer, message.serial_number) != (
+            self._config.manufacturer,
+            self._config.serial,
+        ):
+            text = f"the message is for {message.manufacturer} {message.serial_number}"
+            self.work.refuse(Fault("malformed", text))
+            return None
+        if message.version.partition(".")[0] != self._config.version[0]:
+            text = f"version {message.version} is not {self._config.version}"
+            self.work.refuse(Fault("malformed", text))
+            return None
+        return message
+
+    async def _act(self, mark: ActionState) -> None:
+        action = mark.action
+        if action.action_type not in OWN_ACTIONS:
+            await self.work.do_now(mark)
+            self.changed()
+            return
+        mark.status = "RUNNING"
+        match action.action_type:
+            case "startPause":
+                self.work.pause()
+            case "stopPause":
+                self.work.resume()
+            case "cancelOrder":
+                await self._cancel(mark)
+            case "factsheetRequest":
+                self._publish("factsheet", factsheet(self._config))
+            case _:
+                pass
+        if mark.status == "RUNNING":
+            mark.status = "FINISHED"
+        self.changed()
+
+    async def _cancel(self, mark: ActionState) -> None:
+        """Cancel the order; finished only if the robot confirms that nothing of it runs."""
+        references = (("actionId", mark.action.action_id),)
+        try:
+            fault = Fault("no_order", "there is no order", references)
+            if await self.work.cancel():
+                return
+        except NotStoppedError as error:
+            hint = "Look at the robot; an e-stop at the gateway stops it."
+            fault = Fault("unavailable", f"the cancel is not confirmed: {error}", references, hint)
+        mark.status = "FAILED"
+        self.work.refuse(fault)
+
+    # From the gateway
+
+    def _sensed(self, path: str, value: Any) -> None:
+        before = self._senses.here
+        try:
+            self._handlers[path](value)
+        except (AttributeError, KeyError, TypeError, ValueError):  # of another type: as if unknown
+            self._handlers[path](None)
+        if (before is None) != (self._senses.here is None):
+            self.changed()
+
+    def _estop(self, _: Any) -> None:
+        """Look whether the robot is stopped: the e-stop names backends, the inventory robots."""
+        self._start(self._look())
+
+    async def _look(self) -> None:
+        reply = await self._link.send("read", _ROBOTS, None).result()
+        listed: list[dict[str, Any]] = reply.get("body") or []
+        scope = self._config.robot
+        stopped = any(
+            each.get("estop", False)
+            for each in listed
+            if each["path"] == scope or each["path"].startswith(f"{scope}/")
+        )
+        if stopped and not self._senses.stopped and self.work.busy:
+            hint = "Reset it, then send stopPause or cancelOrder."
+            self.work.pause(Fault("unavailable", "an e-stop is latched", (), hint))
+        self._senses.stopped = stopped
+        self.changed()
+
+    # To the fleet manager
+
+    async def _say_state(self) -> None:
+        while True:
+            try:
+                async with asyncio.timeout(_EVERY):
+                    await self._due.wait()
+            except TimeoutError:
+                pass
+            else:
+                await asyncio.sleep(_GATHER)
+            self._due.clear()
+            try:
+                self._say()
+            except Exception:
+                log.exception("state_failed", robot=self._config.robot)
+
+    def _say(self) -> None:
+        self._publish("state", state(self._config, self._senses, self.work))
+
+    async def _say_where(self) -> None:
+        while True:
+            await asyncio.sleep(1 / self._rate)
+            body = visualization(self._config, self._senses)
+            if body:
+                self._publish("visualization", body)
+
+
+def _references(payload: bytes) -> tuple[tuple[str, str], ...]:
+    """Return which order a message is about, if it says so."""
+    try:
+        found: Any = msgspec.json.decode(payload[:_LARGEST])
+    except (msgspec.MsgspecError, RecursionError):
+        return ()
+    if not isinstance(found, dict):
+        return ()
+    return tuple(
+        (name, str(found[name])[:256])
+        for name in ("headerId", "orderId", "orderUpdateId")
+        if name in found
+    )

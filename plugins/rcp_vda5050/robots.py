@@ -1,0 +1,173 @@
+"""The robots at their broker: each with a connection and a last will of its own.
+
+A thread of paho's serves each connection, and connects again when it is lost. Nothing of a robot is
+touched in it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from typing import Any
+
+import structlog
+from paho.mqtt.client import Client as Mqtt
+from paho.mqtt.client import MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.errors import ConfigError, RcpError
+from rcp_vda5050.config import RobotConfig, VdaConfig
+from rcp_vda5050.robot import Robot
+
+__all__ = ["open_robots"]
+
+log = structlog.get_logger("rcp.vda5050")
+_SOON, _LATE = 1, 10  # s until the broker is tried again, at first and at last
+_KEEPALIVE = 10  # s
+_FAREWELL = 2.0  # s for the last message to arrive
+_QUEUED = 1000  # messages that wait for the event loop
+_TOPICS = ("order", "instantActions")
+
+
+class Client:
+    """One robot at the broker."""
+
+    def __init__(
+        self,
+        config: VdaConfig,
+        robot: RobotConfig,
+        client_api: ClientApi,
+        tls: ssl.SSLContext | None,
+    ) -> None:
+        self._config, self._loop = config, client_api.loop
+        major = robot.version[0]
+        self._base = f"{config.interface}/v{major}/{robot.manufacturer}/{robot.serial}"
+        self._broken = "CONNECTIONBROKEN" if major == "2" else "CONNECTION_BROKEN"
+        self.robot = Robot(robot, client_api, config.visualization, self._publish)
+        self.online = False
+        self._waiting = 0
+        self._mqtt = Mqtt(
+            CallbackAPIVersion.VERSION2, client_id=f"rcp-{robot.manufacturer}-{robot.serial}"
+        )
+        if config.username is not None:
+            self._mqtt.username_pw_set(config.username, config.password)
+        if tls is not None:
+            self._mqtt.tls_set_context(tls)
+        self._mqtt.reconnect_delay_set(_SOON, _LATE)
+        self._mqtt.on_connect = self._connected
+        self._mqtt.on_connect_fail = lambda *_: self._soon(self._lost, "it cannot be reached")
+        self._mqtt.on_disconnect = lambda _c, _u, _f, why, _p: self._soon(self._lost, str(why))
+        self._mqtt.on_message = self._received
+
+    async def open(self) -> None:
+        """Begin to work, and to connect."""
+        await self.robot.open()
+        self._renew_will()
+        self._mqtt.connect_async(self._config.host, self._config.port, _KEEPALIVE)
+        self._mqtt.loop_start()
+
+    async def close(self) -> None:
+        """Say so, and leave the broker."""
+        await self.robot.close()
+        farewell = self._say_connection("OFFLINE") if self.online else None
+        self.online = False
+
+        def leave() -> None:
+            if farewell is not None:
+                with suppress(RuntimeError, ValueError):  # the broker is gone
+                    farewell.wait_for_publish(_FAREWELL)
+            self._mqtt.disconnect()
+            self._mqtt.loop_stop()
+
+        await asyncio.to_thread(leave)
+
+    # In the thread of the connection
+
+    def _soon(self, function: Any, *arguments: Any) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    def _connected(self, client: Mqtt, _userdata: Any, _flags: Any, why: Any, _more: Any) -> None:
+        if why.is_failure:
+            self._soon(self._lost, str(why))
+            return
+        client.subscribe([(self._topic(topic), 1) for topic in _TOPICS])
+        self._soon(self._reached)
+
+    def _received(self, _client: Mqtt, _userdata: Any, message: MQTTMessage) -> None:
+        if self._waiting < _QUEUED:
+            self._waiting += 1
+            self._soon(self._take, message.topic.rpartition("/")[2], bytes(message.payload))
+
+    # In the event loop
+
+    def _reached(self) -> None:
+        log.info("broker_reached", broker=self._config.broker, topic=self._base)
+        self.online = True
+        self._say_connection("ONLINE")
+        self._renew_will()
+        self.robot.greet()
+
+    def _lost(self, why: str) -> None:
+        self.online = False
+        log.warning("broker_lost", broker=self._config.broker, topic=self._base, reason=why)
+
+    def _take(self, topic: str, payload: bytes) -> None:
+        self._waiting -= 1
+        try:
+            self.robot.take(topic, payload)
+        except Exception:  # of one message: the next one may be to cancel
+            log.exception("message_failed", topic=f"{self._base}/{topic}")
+
+    def _renew_will(self) -> None:
+        """Leave the last will of the next connection."""
+        payload = self.robot.connection(self._broken)
+        self._mqtt.will_set(self._topic("connection"), payload, qos=1, retain=True)
+
+    def _say_connection(self, how: str) -> Any:
+        payload = self.robot.connection(how)
+        return self._mqtt.publish(self._topic("connection"), payload, qos=1, retain=True)
+
+    def _publish(self, topic: str, body: dict[str, Any]) -> None:
+        """Send a message; without a broker nobody misses it, as a state is said anew."""
+        if self.online:
+            kept = topic == "factsheet"
+            payload = self.robot.written(topic, body)
+            self._mqtt.publish(self._topic(topic), payload, qos=int(kept), retain=kept)
+
+    def _topic(self, name: str) -> str:
+        return f"{self._base}/{name}"
+
+
+def _tls(config: VdaConfig) -> ssl.SSLContext | None:
+    if not config.secure:
+        return None
+    context = ssl.create_default_context(cafile=config.ca)
+    if config.certificate is not None:
+        context.load_cert_chain(config.certificate)
+    return context
+
+
+@asynccontextmanager
+async def open_robots(config: VdaConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
+    """Have the robots at the broker while entered; it may come and go.
+
+    :raises ConfigError: a key is not known, or a certificate cannot be read.
+    """
+    try:
+        tls = await asyncio.to_thread(_tls, config)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(f"plugins.vda5050: `ca` or `certificate`: {error}") from error
+    async with AsyncExitStack() as stack:
+        for name, one in config.robots.items():
+            try:
+                client = Client(config, one, client_api, tls)
+            except RcpError as error:
+                where = f"plugins.vda5050.robots.{name}"
+                raise ConfigError(f"{where}: `token`: {error}") from error
+            stack.push_async_callback(client.close)
+            await client.open()
+        yield {"broker": config.broker}
