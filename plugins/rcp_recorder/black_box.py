@@ -6,13 +6,16 @@ import asyncio
 from collections import deque
 from typing import Literal
 
+from rcp_kernel.clock import iso
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Pattern
 from rcp_kernel.tree.entry import Entry, StopGroup
-from rcp_recorder.catalogue import INCIDENT
 from rcp_recorder.channels import Message, Stream
 from rcp_recorder.config import BlackBoxConfig
 from rcp_recorder.facts import about, robot_path, robots_of
+from rcp_recorder.kept import INCIDENT
+from rcp_recorder.notes import shortened
+from rcp_recorder.notices import Notices
 from rcp_recorder.taps import SampleCounts, Taps
 from rcp_recorder.writer import MB, OVERHEAD, Writer
 
@@ -91,6 +94,7 @@ class BlackBox:
         writer: Writer,
         counts: SampleCounts,
         longest: float,
+        notices: Notices,
     ) -> None:
         self._config = config
         self._patterns = [Pattern(text) for text in config.paths]
@@ -98,6 +102,7 @@ class BlackBox:
         self._writer = writer
         self._counts = counts
         self._longest = longest
+        self._notices = notices
         self._robots: dict[str, _Robot] = {}
 
     def add(self, entry: Entry) -> None:
@@ -113,6 +118,11 @@ class BlackBox:
             robot = self._robots[path] = _Robot(box, taps)
         robot.units.setdefault(unit, "ready")
         robot.taps.add(entry)
+
+    def remove(self, entry: Entry) -> None:
+        """Take down that a resource is gone."""
+        if (robot := self._robots.get(robot_path(entry.unit))) is not None:
+            robot.taps.remove(entry)
 
     def places(self) -> list[tuple[str, Taps]]:
         """List what is recorded, with its tenant."""
@@ -140,6 +150,14 @@ class BlackBox:
                 what = "link lost" if state == "lost" else "fault"
                 self._write(robot, f"{what}: {unit.detail}" if unit.detail else what)
 
+    def record(self, robot: str, reason: str) -> bool:
+        """Write a robot by its path, for another feature; return whether anything of it is kept."""
+        found = self._robots.get(robot)
+        if found is None:
+            return False
+        self._write(found, reason)
+        return True
+
     def close(self) -> None:
         """End all."""
         for robot in self._robots.values():
@@ -151,12 +169,12 @@ class BlackBox:
         """Begin an incident; what happens during one is a part of it."""
         if robot.box.active:
             return
-        box = robot.box
-        facts = about(INCIDENT, self._patterns, reason=reason[:500], robot=box.robot)
+        box, reason = robot.box, shortened(reason)
+        self._notices.incident(robot.taps, box.tenant, box.robot, reason)
+        at = iso(self._host.clock.now())
+        facts = about(INCIDENT, self._patterns, reason=reason, robot=box.robot, at=at)
         stream = Stream(INCIDENT, box.tenant, facts)
-        entries = self._host.robots.entries
-        known = (entries.get(path) for path in robot.taps.paths)
-        stream.robots = robots_of(entry for entry in known if entry is not None)
+        stream.robots = robots_of(robot.taps.units)
         box.write(stream, self._host.loop, self._config.after)
 
 

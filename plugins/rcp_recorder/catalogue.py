@@ -2,53 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
+import struct
 from pathlib import Path
 
 import msgspec
 import structlog
 from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
 
-from rcp_recorder.channels import KIND, PATH, SAMPLE
-from rcp_recorder.mcap_file import ACTIVE, FACTS, RECOVERY
+from rcp_recorder.kept import PIN, Kept, read
 from rcp_recorder.repair import repair
+from rcp_recordings.names import ACTIVE
 
-__all__ = ["INCIDENT", "Catalogue", "Kept", "NoSpace"]
+__all__ = ["Catalogue", "NoSpace"]
 
 log = structlog.get_logger("rcp.recorder")
-_PIN = ".pin"
-INCIDENT = "incident"
 
 
 class NoSpace(OSError):
     """Nothing more may be written."""
-
-
-class Kept(msgspec.Struct, frozen=True, kw_only=True):
-    """A complete file."""
-
-    file: str
-    name: str
-    tenant: str
-    start: int
-    end: int
-    bytes: int
-    messages: int
-    samples: frozenset[str]
-    """Resources with samples."""
-    others: frozenset[str]
-    """Resources with nothing but commands and events."""
-    recovered: bool
-    pinned: bool
-    reason: str | None = None
-    robot: str | None = None
-
-    @property
-    def order(self) -> tuple[bool, int]:
-        """By what files leave: incidents after all others, the oldest first."""
-        return self.name == INCIDENT, self.end
 
 
 class Catalogue:
@@ -86,7 +58,7 @@ class Catalogue:
         kept = self.files.get(file)
         if kept is None:
             return
-        mark = self.folder / f"{file}{_PIN}"
+        mark = self.folder / f"{file}{PIN}"
         if pinned:
             mark.touch()
         else:
@@ -117,37 +89,7 @@ class Catalogue:
 
     def _look(self, path: Path) -> Kept | None:
         try:
-            return _read(path)
-        except (OSError, McapError, ValueError, KeyError) as error:
+            return read(path)
+        except (OSError, McapError, ValueError, KeyError, struct.error) as error:
             log.warning("recording_unreadable", file=path.name, error=str(error))
             return None
-
-
-def _read(path: Path) -> Kept | None:
-    with path.open("rb") as file:
-        reader = SeekingReader(file)
-        summary = reader.get_summary()
-        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    facts = metadata.get(FACTS)
-    if summary is None or summary.statistics is None or facts is None:
-        return None  # not one of ours
-    paths: dict[bool, set[str]] = {True: set(), False: set()}
-    for channel in summary.channels.values():
-        with contextlib.suppress(KeyError):
-            paths[channel.metadata[KIND] == SAMPLE].add(channel.metadata[PATH])
-    numbers = summary.statistics
-    return Kept(
-        file=path.name,
-        name=facts["recording"],
-        tenant=facts["tenant"],
-        start=numbers.message_start_time,
-        end=numbers.message_end_time,
-        bytes=path.stat().st_size,
-        messages=numbers.message_count,
-        samples=frozenset(paths[True]),
-        others=frozenset(paths[False]),
-        recovered=RECOVERY in metadata,
-        pinned=path.with_name(f"{path.name}{_PIN}").exists(),
-        reason=facts.get("reason"),
-        robot=facts.get("robot"),
-    )

@@ -7,21 +7,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from rcp_kernel.tree.samples import Source
+from rcp_recordings.names import MessageKind
 
-__all__ = [
-    "KIND",
-    "PATH",
-    "SAMPLE",
-    "Channel",
-    "Message",
-    "Stream",
-    "note_channel",
-    "sample_channel",
-]
+__all__ = ["Channel", "Message", "Stream", "note_channel"]
 
-PATH, KIND, SAMPLE = "path", "kind", "sample"
-"""Metadata of a channel: the resource that it is about, and how."""
 _OBJECT = b'{"type":"object"}'
 
 
@@ -29,12 +18,16 @@ class Channel(msgspec.Struct, frozen=True, eq=False):
     """What messages have in common; one object for each."""
 
     topic: str
-    kind: str
-    """`sample`, `command`, `event` or `estop`."""
+    kind: MessageKind
     path: str | None = None
     """The resource that it is about; None: the tenant as a whole."""
     schema_name: str = "rcp.Event"
     schema: bytes = _OBJECT
+    schema_encoding: str = "jsonschema"
+    encoding: str = "json"
+    """Of the messages."""
+    facts: Mapping[str, str] = {}
+    """More metadata."""
 
 
 class Message(NamedTuple):
@@ -63,19 +56,7 @@ class Stream:
         """What is known of its robots, by path; replaced as a whole."""
 
 
-def sample_channel(source: Source) -> Channel:
-    """Return a channel for the samples of a resource, with the schema of its values."""
-    kind = source.value_type
-    return Channel(
-        topic=source.path,
-        kind=SAMPLE,
-        path=source.path,
-        schema_name=kind.schema_id.rpartition(".")[0],
-        schema=msgspec.json.encode(kind.schema),
-    )
-
-
-def note_channel(kind: str, path: str | None, tenant: str) -> Channel:
+def note_channel(kind: MessageKind, path: str | None, tenant: str) -> Channel:
     """Return a channel for commands or events of a resource, or of a tenant."""
     return Channel(
         topic=f"{path or f'/tenant/{tenant}'}/{kind}s",

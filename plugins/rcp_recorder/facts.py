@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.model import Pattern
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import StopGroup
 
 __all__ = ["about", "robot_path", "robots_of"]
 
@@ -29,10 +29,10 @@ def robot_path(unit: StopGroup) -> str:
     return "/".join(filter(None, (f"/tenant/{unit.tenant}", unit.owner.robot, unit.robot)))
 
 
-def robots_of(entries: Iterable[Entry]) -> Mapping[str, Mapping[str, str]]:
-    """Describe the robots of some resources."""
+def robots_of(units: Iterable[StopGroup]) -> Mapping[str, Mapping[str, str]]:
+    """Describe robots."""
     robots: dict[str, dict[str, str]] = {}
-    for unit in dict.fromkeys(entry.unit for entry in entries):
+    for unit in units:
         facts = unit.facts
         known = {
             "backend": unit.owner.name,

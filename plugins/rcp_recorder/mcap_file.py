@@ -7,18 +7,12 @@ import os
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from mcap.writer import Writer
-
 from rcp_kernel.contract.version import gateway_version
-from rcp_recorder.channels import KIND, PATH, SAMPLE, Channel, Message, Stream
+from rcp_recorder.channels import Channel, Message, Stream
+from rcp_recorder.mcap_writer import McapWriter
+from rcp_recordings.names import FACTS, KIND, NATIVE, PATH, ROBOT, SAMPLE
 
-__all__ = ["ACTIVE", "FACTS", "RECOVERY", "ROBOT", "OpenFile", "Progress"]
-
-ACTIVE = ".active"
-"""What the name of a file ends in until it is complete."""
-FACTS, ROBOT, RECOVERY = "rcp", "rcp.robot", "rcp.recovery"
-"""Names of metadata records."""
-_CHUNK = 256 * 1024  # bytes: its index is written at once, and Python would make others wait
+__all__ = ["OpenFile", "Progress"]
 
 
 class Progress(NamedTuple):
@@ -51,8 +45,7 @@ class OpenFile:
         self._ids: dict[Channel, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
         self._file: IO[bytes] = path.open("xb")
-        self._writer = Writer(self._file, chunk_size=_CHUNK)
-        self._writer.start(library=f"rcp-gateway {gateway_version()}")
+        self._writer = McapWriter(self._file, f"rcp-gateway {gateway_version()}")
         self._writer.add_metadata(FACTS, {"tenant": stream.tenant, **stream.facts})
         for robot, facts in stream.robots.items():
             self._writer.add_metadata(ROBOT, {"path": robot, **facts})
@@ -73,9 +66,7 @@ class OpenFile:
         self.messages += 1
         self.end = log_time
         # The format has unsigned numbers of 64 and 32 bits.
-        self._writer.add_message(
-            number, max(0, log_time), data, max(0, publish_time), seq & 0xFFFFFFFF
-        )
+        self._writer.add(number, max(0, log_time), max(0, publish_time), seq & 0xFFFFFFFF, data)
 
     def flush(self, now: float) -> None:
         """Hand everything to the operating system."""
@@ -102,13 +93,14 @@ class OpenFile:
         schema = self._schemas.get(key)
         if schema is None:
             schema = self._schemas[key] = self._writer.register_schema(
-                channel.schema_name, "jsonschema", channel.schema
+                channel.schema_name, channel.schema_encoding, channel.schema
             )
-        facts = {KIND: channel.kind}
+        facts = {KIND: channel.kind, **channel.facts}
         if channel.path is not None:
             facts[PATH] = channel.path
-            (self._samples if channel.kind == SAMPLE else self._others).add(channel.path)
+            is_read = channel.kind in (SAMPLE, NATIVE)
+            (self._samples if is_read else self._others).add(channel.path)
         number = self._ids[channel] = self._writer.register_channel(
-            channel.topic, "json", schema, facts
+            channel.topic, channel.encoding, schema, facts
         )
         return number

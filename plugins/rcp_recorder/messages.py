@@ -68,3 +68,7 @@ class RecordingState(msgspec.Struct, frozen=True, omit_defaults=True):
     """Of an incident."""
     robot: str | None = None
     """Of an incident: the robot that it happened to."""
+    at: str | None = None
+    """Of an incident: when it happened."""
+    link: str | None = None
+    """Of an incident: the dashboard at that moment, after the dashboard's own address."""

@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-import re
+from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
-import msgspec
-
 from rcp_kernel.clock import iso
-from rcp_kernel.contract.digest import LONGEST, bounded, hashed
+from rcp_kernel.contract.digest import bounded
 from rcp_kernel.contract.events import Event
-from rcp_kernel.errors import RcpError
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Pattern
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.values import ANY
-from rcp_kernel.wire import NO_BODY, Request
+from rcp_kernel.wire import NO_BODY
 from rcp_recorder.black_box import BlackBox
 from rcp_recorder.config import RecorderConfig
+from rcp_recorder.notes import described, value_of, write
+from rcp_recorder.notices import ROBOT_EVENTS, Notices
 from rcp_recorder.runs import ALWAYS, Run
 from rcp_recorder.taps import SampleCounts, Taps
 from rcp_recorder.writer import Writer
+from rcp_scheduling.turns import Work, at_once
 
 __all__ = ["PATH", "Recorder"]
 
 PATH = "/system/recorder"
-_TEXT = 500  # characters of a message
 _SETTLE = 0.2  # s after which a change of state is looked at: others follow
-_NAMED = re.compile(r"/tenant/[\w./-]*\w")
-_ALWAYS = frozenset(("what", "outcome", "path", "command", "status", "time", "principal"))
-"""What never mentions another path."""
 
 
 class Recorder:
@@ -43,27 +38,36 @@ class Recorder:
         self._host = host
         self.writer = writer
         self.counts = SampleCounts()
+        self._notices = Notices(host, self.counts)
         self.runs: dict[str, Run] = {}
         self.black_box: BlackBox | None = None
         if config.black_box is not None:
-            self.black_box = BlackBox(config.black_box, host, writer, self.counts, config.sample_kb)
+            self.black_box = BlackBox(
+                config.black_box, host, writer, self.counts, config.sample_kb, self._notices
+            )
         self._always = self._make(ALWAYS, [Pattern(text) for text in config.paths])
         if config.paths:
             self.runs[ALWAYS] = self._always
         self._due: asyncio.TimerHandle | None = None
+        self._changed = False
+        self._jobs: deque[Work] = deque()
+        """What is done in steps, one after the other."""
+        self._working: Work | None = None
 
     # -- life ----------------------------------------------------------------------------------
 
     def open(self) -> None:
         """Begin to record."""
         self.writer.start()
-        self._host.robots.follow(self._added, _ignore)
+        self._host.robots.follow(self._added, self._removed)
         self._host.robots.follow_state(self._state_changed)
         for entry in list(self._host.robots.entries.values()):
             self._added(entry)
 
     async def close(self) -> None:
         """End all recordings and complete their files."""
+        self._jobs.append(self._notices.steps(self._everywhere(), states=False))
+        at_once(self._working or self._work())
         if self._due is not None:
             self._due.cancel()
         if self.black_box is not None:
@@ -79,14 +83,22 @@ class Recorder:
         for entry in entries:
             run.add(entry)
         run.describe()
+        self._state_changed()
         self._host.changed(PATH)
         return run
 
     def stop(self, name: str) -> None:
         """End a recording."""
-        if (run := self.runs.pop(name, None)) is not None:
-            run.close()
-            self._host.changed(PATH)
+        if name in self.runs:
+            run = self.runs.pop(name)
+            run.end()
+            self._do(self._ending(run, [*self._everywhere(), *run.taps.items()]))
+
+    def _ending(self, run: Run, places: list[tuple[str, Taps]]) -> Work:
+        """End a recording, once it has what was told until now."""
+        yield from self._notices.steps(places, states=False)
+        run.close()
+        self._host.changed(PATH)
 
     def _make(self, name: str, patterns: list[Pattern]) -> Run:
         return Run(name, patterns, self._host, self.writer, self.counts, self._config.sample_kb)
@@ -100,46 +112,80 @@ class Recorder:
             self.black_box.add(entry)
         self._state_changed()
 
+    def _removed(self, entry: Entry) -> None:
+        for run in self.runs.values():
+            run.remove(entry)
+        if self.black_box is not None:
+            self.black_box.remove(entry)
+        self._state_changed()
+
     def _state_changed(self) -> None:
+        self._changed = True
         if self._due is None:
             self._due = self._host.loop.call_later(_SETTLE, self._look)
 
     def _look(self) -> None:
-        self._due = None
-        for run in self.runs.values():
-            run.describe()
-        if self.black_box is not None:
-            self.black_box.look()
+        self._do(self._looking())
+
+    def _looking(self) -> Work:
+        """Look at everything; only one look at a time is due, or waits, or goes on."""
+        self._changed = False
+        try:
+            for run in list(self.runs.values()):
+                run.describe()
+                yield
+            yield from self._notices.steps(self._everywhere())
+            if self.black_box is not None:
+                self.black_box.look()
+        finally:
+            self._due = None
+        if self._changed:
+            self._state_changed()
+
+    def _do(self, job: Work) -> None:
+        """Do something in steps, after what was begun before."""
+        self._jobs.append(job)
+        if self._working is None:
+            self._working = self._work()
+            self._host.in_steps(self._working)
+
+    def _work(self) -> Work:
+        try:
+            while self._jobs:
+                yield from self._jobs.popleft()
+                yield
+        finally:
+            self._working = None
 
     def heard(self, event: Event) -> None:
-        """Record an event."""
+        """Record an event; in the next turn, for robots that are to be halted come first."""
         now = self._host.clock.now()
-        if event.what == "estop":  # which has robots to halt first
+        if event.what == "estop":
             self._host.loop.call_soon(self._stopped, event, now)
-            return
-        path = event.path
-        if path is None or event.touches is not None:
-            return
+        elif event.what in ROBOT_EVENTS:
+            self._notices.heard(event, now)
+            self._state_changed()
+        elif event.path is not None:
+            self._happened(event, event.path, now)
+
+    def _happened(self, event: Event, path: str, now: int) -> None:
         places = self._recording(path)
         if not places:
             return
-        facts = _facts(event) | {"path": path}
+        facts = described(event) | {"path": path}
         if event.request is not None and event.what == "write" and not event.hide:
-            facts["value"] = _value(event.request)
+            facts["value"] = value_of(event.request)
+        touches = tuple(event.touches or ())
         for tenant, taps in places:
-            self._write(taps, "event", path, tenant, now, facts)
+            write(taps, "event", path, tenant, now, facts, touches)
 
     def _stopped(self, event: Event, now: int) -> None:
         """Record an e-stop or its reset, wherever one of its robots is recorded."""
         robots = frozenset(event.facts.get("robots") or ())
-        facts = _facts(event) | {"reset": bool(event.facts.get("reset"))}
-        if isinstance(reason := event.facts.get("reason"), str):
-            facts["reason"] = reason[:_TEXT]
-        entries = self._host.robots.entries
+        facts = described(event) | {"reset": bool(event.facts.get("reset"))}
         for tenant, taps in self._everywhere():
-            recorded = (entry for path in taps.paths if (entry := entries.get(path)) is not None)
-            if any(entry.unit.name in robots for entry in recorded):
-                self._write(taps, "estop", None, tenant, now, facts)
+            if any(unit.name in robots for unit in taps.units):
+                write(taps, "estop", None, tenant, now, facts)
 
     def followed(self, command: Command, step: Record) -> None:
         """Record a step of a command."""
@@ -162,7 +208,7 @@ class Recorder:
                 facts[key] = value
         now = self._host.clock.now()
         for tenant, taps in places:
-            self._write(taps, "command", command.path, tenant, now, facts)
+            write(taps, "command", command.path, tenant, now, facts)
 
     def halted(self, paths: frozenset[str], by: str, reason: str) -> None:
         """Let the black box write, once the robots are halted."""
@@ -184,35 +230,3 @@ class Recorder:
         if self.black_box is not None:
             places.append(self.black_box.taps_of(entry))
         return [(entry.tenant, taps) for taps in places if taps is not None and path in taps]
-
-    def _write(
-        self, taps: Taps, kind: str, path: str | None, tenant: str, now: int, facts: dict[str, Any]
-    ) -> None:
-        data = msgspec.json.encode(facts)
-        # A message may mention what is not recorded, and what readers must not know of.
-        if any(named not in taps for named in _NAMED.findall(data.decode())):
-            data = msgspec.json.encode({key: facts[key] for key in _ALWAYS & facts.keys()})
-        taps.note(kind, path, tenant, now, data)
-
-
-def _facts(event: Event) -> dict[str, Any]:
-    facts: dict[str, Any] = {"what": event.what, "outcome": event.outcome}
-    if event.principal is not None:
-        facts["principal"] = event.principal.name[:_TEXT]
-    message = event.facts.get("message")
-    if isinstance(message, str):
-        facts["message"] = message[:_TEXT]
-    return facts
-
-
-def _value(request: Request) -> Any:
-    if len(request.body) > LONGEST:
-        return hashed(bytes(request.body))
-    try:
-        return bounded(request.decode_body(ANY))
-    except RcpError:
-        return None
-
-
-def _ignore(_: object) -> None:
-    """Go on: a resource that comes back is recorded again."""

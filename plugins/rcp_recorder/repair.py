@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
-from collections import defaultdict
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -18,23 +17,14 @@ from typing import Any
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Channel, Chunk, MessageIndex, Metadata, MetadataIndex, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
-from rcp_recorder.mcap_file import ACTIVE, RECOVERY
+from rcp_recorder.summary import ChunkPlace, Summary
+from rcp_recorder.turns import take_turns
+from rcp_recordings.names import ACTIVE, RECOVERY
 
 __all__ = ["repair"]
 
@@ -53,24 +43,34 @@ class _Part:
         """Including its head."""
 
 
-class _Found:
+class _Found(Summary):
     """What is left of a file."""
 
     def __init__(self) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.chunks: list[ChunkIndex] = []
-        self.metadata: list[MetadataIndex] = []
-        self.counts: dict[int, int] = defaultdict(int)
-        self.last: dict[int, MessageIndex] = {}
-        """The index of the last chunk, which may be missing in part."""
-        self.end = len(MCAP0_MAGIC)
+        super().__init__()
+        self.indexes: dict[int, MessageIndex] = {}
+        """Those of the last chunk, which may be missing in part."""
+        self.data_end = len(MCAP0_MAGIC)
         """Where the last complete chunk ends."""
+        self._last: ChunkPlace | None = None
+        self._places: dict[int, int] = {}
+        self._length = 0
 
-    @property
-    def messages(self) -> int:
-        """How many messages there are."""
-        return sum(self.counts.values())
+    def begin(self, chunk: ChunkPlace, indexes: dict[int, MessageIndex], end: int) -> None:
+        """Take in a chunk, whose indexes follow."""
+        self.end_chunk(self._places, self._length)
+        self._last, self.indexes, self.data_end = chunk, indexes, end
+        self._places, self._length = {}, 0
+
+    def indexed(self, channel: int, part: _Part) -> None:
+        """Take in an index of the last chunk."""
+        self._places[channel] = part.offset
+        self._length += part.length
+
+    def end_chunk(self, places: dict[int, int], length: int) -> None:
+        """Add the last chunk, with the places of its indexes and their length."""
+        if self._last is not None:
+            self.add(self._last._replace(indexes=places, indexes_length=length))
 
 
 def repair(path: Path) -> Path | None:
@@ -81,8 +81,8 @@ def repair(path: Path) -> Path | None:
     with path.open("r+b") as file:
         found = _search(file)
         if found.messages:
-            file.truncate(found.end)
-            file.seek(found.end)
+            file.truncate(found.data_end)
+            file.seek(found.data_end)
             file.write(_rest(found))
             file.flush()
             os.fsync(file.fileno())
@@ -121,13 +121,10 @@ def _take(found: _Found, part: _Part, file: Any) -> None:
     match part.opcode:
         case Opcode.CHUNK:
             chunk = Chunk.read(stream)
-            found.last = _open_chunk(found, chunk)
-            found.end = part.offset + part.length
-            found.chunks.append(_indexed(chunk, part))
+            indexes = _open_chunk(found, chunk)
+            found.begin(_place(chunk, part), indexes, part.offset + part.length)
         case Opcode.MESSAGE_INDEX:
-            index = MessageIndex.read(stream)
-            found.chunks[-1].message_index_offsets[index.channel_id] = part.offset
-            found.chunks[-1].message_index_length += part.length
+            found.indexed(MessageIndex.read(stream).channel_id, part)
         case Opcode.METADATA:
             metadata = Metadata.read(stream)
             found.metadata.append(MetadataIndex(part.offset, part.length, metadata.name))
@@ -135,24 +132,24 @@ def _take(found: _Found, part: _Part, file: Any) -> None:
             pass
 
 
-def _indexed(chunk: Chunk, part: _Part) -> ChunkIndex:
-    return ChunkIndex(
-        chunk_length=part.length,
-        chunk_start_offset=part.offset,
+def _place(chunk: Chunk, part: _Part) -> ChunkPlace:
+    return ChunkPlace(
+        start=chunk.message_start_time,
+        end=chunk.message_end_time,
+        offset=part.offset,
+        length=part.length,
+        indexes={},
+        indexes_length=0,
         compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        message_end_time=chunk.message_end_time,
-        message_index_length=0,
-        message_index_offsets={},
-        message_start_time=chunk.message_start_time,
-        uncompressed_size=chunk.uncompressed_size,
+        compressed=len(chunk.data),
+        size=chunk.uncompressed_size,
     )
 
 
 def _open_chunk(found: _Found, chunk: Chunk) -> dict[int, MessageIndex]:
     """Find schemas and channels, and index messages without decoding them."""
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    data, offset = stream.read(size), 0
+    data, offset, count = stream.read(size), 0, 0
     indexes: dict[int, MessageIndex] = {}
     while offset < size:
         start = offset
@@ -162,6 +159,8 @@ def _open_chunk(found: _Found, chunk: Chunk) -> dict[int, MessageIndex]:
             channel_id, _, log_time = _MESSAGE.unpack_from(data, offset)
             index = indexes.setdefault(channel_id, MessageIndex(channel_id, []))
             index.records.append((log_time, start))
+            count += 1
+            take_turns(count)
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(data[offset : offset + length])))
             found.schemas[schema.id] = schema
@@ -177,30 +176,13 @@ def _open_chunk(found: _Found, chunk: Chunk) -> dict[int, MessageIndex]:
 def _rest(found: _Found) -> bytes:
     """Return what has to follow the last chunk: its index, metadata, the summary and the footer."""
     out = RecordBuilder()
-    last = found.chunks[-1]
-    for channel_id, index in found.last.items():
-        last.message_index_offsets[channel_id] = found.end + out.count
+    places: dict[int, int] = {}
+    for channel_id, index in found.indexes.items():
+        places[channel_id] = found.data_end + out.count
         index.write(out)
-    last.message_index_length = out.count
+    found.end_chunk(places, out.count)
     start = out.count
     Metadata(name=RECOVERY, metadata={"messages": str(found.messages)}).write(out)
-    found.metadata.append(MetadataIndex(found.end + start, out.count - start, RECOVERY))
-    DataEnd(0).write(out)
-    summary = found.end + out.count
-    for record in (*found.schemas.values(), *found.channels.values()):
-        record.write(out)
-    Statistics(
-        attachment_count=0,
-        channel_count=len(found.channels),
-        channel_message_counts=dict(found.counts),
-        chunk_count=len(found.chunks),
-        message_count=found.messages,
-        message_end_time=max(chunk.message_end_time for chunk in found.chunks),
-        message_start_time=min(chunk.message_start_time for chunk in found.chunks),
-        metadata_count=len(found.metadata),
-        schema_count=len(found.schemas),
-    ).write(out)
-    for index in (*found.chunks, *found.metadata):
-        index.write(out)
-    Footer(summary_start=summary, summary_offset_start=0, summary_crc=0).write(out)
-    return out.end() + MCAP0_MAGIC
+    found.metadata.append(MetadataIndex(found.data_end + start, out.count - start, RECOVERY))
+    rest = out.end()
+    return rest + found.encode(found.data_end + len(rest))

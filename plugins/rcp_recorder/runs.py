@@ -64,24 +64,32 @@ class Run:
             taps = self.taps[tenant] = Taps(self._host, take, self._counts, self._longest)
         path, stream = robot_path(entry.unit), self._streams[tenant]
         if path not in stream.robots:
-            stream.robots = {**stream.robots, **robots_of([entry])}
+            stream.robots = {**stream.robots, **robots_of([entry.unit])}
         taps.add(entry)
+
+    def remove(self, entry: Entry) -> None:
+        """Take down that a resource is gone."""
+        taps = self.taps.get(entry.tenant or "")
+        if taps is not None:
+            taps.remove(entry)
 
     def describe(self) -> None:
         """Take down what is known of the robots, for files that begin from now on."""
         for tenant, stream in self._streams.items():
-            entries = self._host.robots.entries
-            known = (entries.get(path) for path in self.taps[tenant].paths)
-            stream.robots = robots_of(entry for entry in known if entry is not None)
+            stream.robots = robots_of(self.taps[tenant].units)
 
     def end_after(self, seconds: float, ended: Callable[[], None]) -> None:
         """End it by itself."""
         self._timer = self._host.loop.call_later(seconds, ended)
 
-    def close(self) -> None:
-        """End it; the writer completes its files."""
+    def end(self) -> None:
+        """Forget when it would end by itself."""
         if self._timer is not None:
             self._timer.cancel()
+
+    def close(self) -> None:
+        """End it; the writer completes its files."""
+        self.end()
         for tenant, taps in self.taps.items():
             taps.close()
             self._writer.end(self._streams[tenant])

@@ -10,12 +10,13 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.clock import iso
-from rcp_kernel.errors import BadRequest, Forbidden, InvalidValue, ModeForbids, QueueFull
+from rcp_kernel.errors import Forbidden, InvalidValue, ModeForbids, QueueFull
 from rcp_kernel.features import FeatureHost
+from rcp_kernel.features.choice import chosen
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
-from rcp_recorder.catalogue import INCIDENT, Kept
+from rcp_recorder.kept import INCIDENT, Kept
 from rcp_recorder.mcap_file import OpenFile
 from rcp_recorder.messages import RecorderReply, RecorderRequest, RecordingState, StartRequest
 from rcp_recorder.recorder import PATH, Recorder
@@ -57,19 +58,17 @@ class RecorderService:
         found |= {name: _kept(file) for name, file in writer.catalogue.files.items()}
         for name in sorted(name for name in found if name > after):
             shown = found[name]
-            if shown is not None and self._sees(rights, shown.paths) and shown.matches(words):
+            if (
+                shown is not None
+                and self.shows(rights, shown.tenant, shown.paths)
+                and shown.matches(words)
+            ):
                 yield msgspec.to_builtins(shown.state())
             yield None
 
     def execute(self, session: Session, wanted: RecorderRequest, *, dry_run: bool) -> RecorderReply:
         """Start, stop, pin or unpin."""
-        given = [name for name in ("start", "stop", "pin", "unpin") if getattr(wanted, name)]
-        if len(given) != 1:
-            raise BadRequest(
-                "a request does one thing",
-                path=PATH,
-                remedy="Give one of `start`, `stop`, `pin` and `unpin`.",
-            )
+        chosen(wanted, PATH)
         if wanted.start is not None:
             return self._start(session, wanted.start, dry_run=dry_run)
         if wanted.stop is not None:
@@ -100,7 +99,7 @@ class RecorderService:
             run = recorder.start(wanted.name, patterns, entries)
             if wanted.seconds is not None:
                 run.end_after(wanted.seconds, lambda: recorder.stop(wanted.name))
-            self._note(session, "start", wanted.name, run.paths)
+            self.note(session, "start", wanted.name, run.paths)
         return RecorderReply("started", wanted.name, len(entries))
 
     def _readable(self, session: Session, patterns: list[Pattern]) -> Iterator[Entry]:
@@ -132,14 +131,14 @@ class RecorderService:
         if not dry_run:
             paths = run.paths
             self._recorder.stop(name)
-            self._note(session, "stop", name, paths)
+            self.note(session, "stop", name, paths)
         return RecorderReply("stopped", name)
 
     def _pin(
         self, session: Session, file: str, wanted: RecorderRequest, *, dry_run: bool
     ) -> RecorderReply:
         kept = self._recorder.writer.catalogue.files.get(file)
-        if kept is None or not self._sees(session.rights, (kept.samples, kept.others)):
+        if kept is None or not self.shows(session.rights, kept.tenant, (kept.samples, kept.others)):
             raise InvalidValue(
                 f"there is no file {file!r:.80}",
                 path=PATH,
@@ -148,10 +147,20 @@ class RecorderService:
         pinned = wanted.pin is not None
         if not dry_run:
             self._recorder.writer.pin(file, pinned=pinned)
-            self._note(session, "pin" if pinned else "unpin", file, kept.samples | kept.others)
+            self.note(session, "pin" if pinned else "unpin", file, kept.samples | kept.others)
         return RecorderReply("pinned" if pinned else "unpinned", file)
 
-    def _note(self, session: Session, do: str, name: str, touches: Iterable[str]) -> None:
+    def is_being_written(self, session: Session, name: str) -> bool:
+        """Return whether an open file that a session may see has a name."""
+        for file in self._recorder.writer.open.values():
+            written = file.progress
+            if file.path.stem == name and written is not None:
+                paths = written.samples, written.others
+                return self.shows(session.rights, file.stream.tenant, paths)
+        return False
+
+    def note(self, session: Session, do: str, name: str, touches: Iterable[str]) -> None:
+        """Put what somebody does with a recording on record."""
         self._host.note(
             "recording",
             principal=session.principal,
@@ -162,19 +171,31 @@ class RecorderService:
             name=name,
         )
 
-    def _sees(self, rights: Rights, paths: _Paths) -> bool:
+    def shows(self, rights: Rights, tenant: str, paths: _Paths) -> bool:
+        """Return whether one may see a file of a tenant.
+
+        One that has nothing but what is told of robots is for whoever may use the recorder there.
+        """
+        if any(paths):
+            return self.sees(rights, paths)
+        places = rights.places(PATH, Operation.READ)
+        return "*" in places or tenant in places
+
+    def sees(self, rights: Rights, paths: _Paths) -> bool:
+        """Return whether one may see samples and other messages of some paths."""
         seen = self._seen.setdefault(rights, {})
         known = seen.get(paths)
         if known is None:
             if len(seen) >= _KNOWN:
                 seen.clear()
             samples, others = paths
-            known = seen[paths] = all(self._mask(rights, path) & _READ for path in samples) and all(
-                self._mask(rights, path) for path in others
+            known = seen[paths] = all(self.mask(rights, path) & _READ for path in samples) and all(
+                self.mask(rights, path) for path in others
             )
         return known
 
-    def _mask(self, rights: Rights, path: str) -> int:
+    def mask(self, rights: Rights, path: str) -> int:
+        """Return the operations allowed on a path in any state of the robots; it may be gone."""
         exists = path in self._host.robots.entries
         return rights.mask(path) if exists else rights.compute_mask(path)
 
@@ -182,6 +203,7 @@ class RecorderService:
 class _Shown(NamedTuple):
     """A file that may be shown; what its item has is made only then."""
 
+    tenant: str
     paths: _Paths
     words: tuple[str | None, ...]
     state: Callable[[], RecordingState]
@@ -197,7 +219,7 @@ def _being_written(file: OpenFile) -> _Shown | None:
     written, stream = file.progress, file.stream
     if written is None:
         return None
-    reason, robot = stream.facts.get("reason"), stream.facts.get("robot")
+    reason, robot, at = (stream.facts.get(name) for name in ("reason", "robot", "at"))
 
     def state() -> RecordingState:
         return RecordingState(
@@ -211,10 +233,12 @@ def _being_written(file: OpenFile) -> _Shown | None:
             paths=tuple(sorted(written.samples | written.others)),
             reason=reason,
             robot=robot,
+            at=at,
+            link=_link(robot, at),
         )
 
     words = (file.path.stem, reason, robot)
-    return _Shown((written.samples, written.others), words, state)
+    return _Shown(stream.tenant, (written.samples, written.others), words, state)
 
 
 def _kept(file: Kept) -> _Shown:
@@ -233,6 +257,14 @@ def _kept(file: Kept) -> _Shown:
             recovered=file.recovered,
             reason=file.reason,
             robot=file.robot,
+            at=file.at,
+            link=_link(file.robot, file.at),
         )
 
-    return _Shown((file.samples, file.others), (file.file, file.reason, file.robot), state)
+    words = (file.file, file.reason, file.robot)
+    return _Shown(file.tenant, (file.samples, file.others), words, state)
+
+
+def _link(robot: str | None, at: str | None) -> str | None:
+    """Return the address of an incident's moment, relative to that of the dashboard."""
+    return None if robot is None or at is None else f"#/log?at={at}&robot={robot}"

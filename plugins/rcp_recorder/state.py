@@ -24,6 +24,7 @@ def state(recorder: Recorder) -> StatusPart:
         "lost": writer.lost or None,
         "too_long": counts.long or None,
         "invalid": counts.invalid or None,
+        "notices_dropped": counts.notices or None,
         "recovered": writer.catalogue.repaired or None,
         "deleted": writer.catalogue.deleted or None,
         "clock_set_back": writer.set_back or None,

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
-from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_kernel.tree.samples import Sample, Source
-from rcp_kernel.values import Encoding
-from rcp_recorder.channels import Channel, Message, note_channel, sample_channel
+from rcp_recorder.channels import Channel, Message, note_channel
+from rcp_recorder.sample_channels import SampleChannels
+from rcp_recordings.names import MessageKind
 
 __all__ = ["SampleCounts", "Tap", "Taps"]
 
-_JSON = Encoding.JSON
 _KIB = 1024
 Take = Callable[[Message], None]
 
@@ -27,18 +27,24 @@ class SampleCounts:
         """Longer than the limit."""
         self.invalid = 0
         """Not of their resource's type."""
+        self.notices = 0
+        """Not samples: what was told of robots, too much at once."""
 
 
 class Tap:
     """One resource that is recorded."""
 
-    def __init__(self, path: str, take: Take, counts: SampleCounts, longest: int) -> None:
+    def __init__(
+        self, path: str, take: Take, counts: SampleCounts, longest: int, topics: dict[str, str]
+    ) -> None:
         self.path = path
         self._take = take
         self._counts = counts
         self._longest = longest
-        self._source: Source | None = None
-        self._channel: Channel | None = None
+        self._topics = topics
+        """By ROS topic, the path that it is recorded of: others have only their part of it."""
+        self._channels: SampleChannels | None = None
+        self._native = False
 
     def offer(self, sample: Sample) -> None:
         """Take a sample as a message."""
@@ -50,26 +56,30 @@ class Tap:
         if native is not None and len(native.data) > self._longest:
             self._counts.long += 1
             return
+        channels = self._channels
+        if channels is None or sample.entry is not channels.entry:
+            channels = self._describe(sample.entry)
         try:
-            data = sample.encoded(_JSON)  # shared with all subscribers in JSON
+            messages = channels.messages(sample, log_time, native=self._native)
         except RcpError:
             self._counts.invalid += 1
             return
-        if len(data) > self._longest:
-            self._counts.long += 1
-            return
-        channel = self._channel
-        if channel is None or sample.entry is not self._source:
-            channel = self._describe(sample.entry)
-        self._take(Message(channel, log_time, sample.timestamp, sample.seq, data))
+        for message in messages:
+            if len(message.data) > self._longest:
+                self._counts.long += 1
+            else:
+                self._take(message)
 
-    def _describe(self, source: Source) -> Channel:
-        """Return the channel of a resource, which may have been declared again."""
-        self._source = source
-        fresh = sample_channel(source)
-        known = self._channel
-        if known is None or known.schema != fresh.schema:
-            self._channel = known = fresh
+    def _describe(self, source: Source) -> SampleChannels:
+        """Return the channels of a resource, which may have been declared again."""
+        assert isinstance(source, Entry)  # of the registry
+        known = self._channels
+        if known is not None and known.same(source):
+            known.entry = source
+            return known
+        self._channels = known = SampleChannels(source)
+        if known.topic is not None:
+            self._native = self._topics.setdefault(known.topic, self.path) == self.path
         return known
 
 
@@ -83,6 +93,9 @@ class Taps:
         self._longest = int(longest * _KIB)
         self._ends: dict[str, Callable[[], None]] = {}
         self._notes: dict[tuple[str, str | None], Channel] = {}
+        self._topics: dict[str, str] = {}
+        self.units: dict[StopGroup, dict[str, bool]] = {}
+        """The robots of which something is recorded, with the paths of each, and whether they are there now."""
 
     @property
     def paths(self) -> list[str]:
@@ -94,17 +107,26 @@ class Taps:
 
     def add(self, entry: Entry) -> None:
         """Record a resource: its samples if it has some, commands and events."""
+        self.units.setdefault(entry.unit, {})[entry.path] = True
         if entry.path in self._ends:
             return
         if not entry.operations & Operation.SUBSCRIBE:
             self._ends[entry.path] = _nothing
             return
-        tap = Tap(entry.path, self._take, self._counts, self._longest)
+        tap = Tap(entry.path, self._take, self._counts, self._longest, self._topics)
         self._ends[entry.path] = self._host.robots.watch(entry.path, tap.offer)
         if entry.latest is not None:  # what does not change is known, too
             tap.take(entry.latest, self._host.clock.now())
 
-    def note(self, kind: str, path: str | None, tenant: str, moment: int, data: bytes) -> None:
+    def remove(self, entry: Entry) -> None:
+        """Take down that a resource is gone; one that comes back is recorded again."""
+        paths = self.units.get(entry.unit, {})
+        if entry.path in paths:
+            paths[entry.path] = False
+
+    def note(
+        self, kind: MessageKind, path: str | None, tenant: str, moment: int, data: bytes
+    ) -> None:
         """Take a command or an event."""
         channel = self._notes.get((kind, path))
         if channel is None:
@@ -116,6 +138,7 @@ class Taps:
         for end in self._ends.values():
             end()
         self._ends.clear()
+        self.units.clear()
 
 
 def _nothing() -> None:

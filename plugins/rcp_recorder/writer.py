@@ -14,7 +14,9 @@ from rcp_kernel.clock import iso
 from rcp_recorder.catalogue import Catalogue
 from rcp_recorder.channels import Message, Stream
 from rcp_recorder.config import RecorderConfig
-from rcp_recorder.mcap_file import ACTIVE, OpenFile
+from rcp_recorder.mcap_file import OpenFile
+from rcp_recorder.turns import take_turns
+from rcp_recordings.names import ACTIVE
 
 __all__ = ["MB", "OVERHEAD", "Writer"]
 
@@ -23,8 +25,6 @@ MB = 1e6
 _POLL = 0.1  # s between looks at the queue
 _FLUSH = 0.5  # s that a message waits in memory at most
 _RETRY = 10.0  # s until writing is tried again
-_TURN = 64  # messages after which the event loop gets the interpreter, if it wants it
-_PAUSE = 0.0002  # s
 _BACK = 1_000_000_000  # ns by which a clock was set back, not only adjusted
 OVERHEAD = 200  # bytes of memory of a message besides its data
 
@@ -159,8 +159,7 @@ class Writer:
                     raise
                 self._taken += len(message.data) + OVERHEAD
                 count += 1
-                if count % _TURN == 0:
-                    time.sleep(_PAUSE)
+                take_turns(count)
 
     def _lose(self, messages: Sequence[Message]) -> None:
         self._taken += sum(len(message.data) + OVERHEAD for message in messages)

@@ -147,6 +147,7 @@ async function ros(session) {
   session.client.unadvertise(channel);
   found.reset = plain(await session.call("/reset", {}, 1));
   found.add = plain(await session.call("/add", given.add, 2));
+  found.refused = plain(await session.call("/set_bool", { data: false }, 3)); // it is so already
   return found;
 }
 

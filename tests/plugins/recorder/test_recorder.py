@@ -26,6 +26,7 @@ from rcp_profiles.messages import BatteryState
 pytestmark = pytest.mark.anyio
 (KIND,) = rcp_recorder.rcp_features()
 PATH = "/system/recorder"
+NOTICES = "/tenant/alpha/notices"
 BOUND = 20.0  # s
 ADMIN, ALPHA, HALF, SECRET = (f"{n}-{n}-{n}-{n}" for n in ("admin", "alpha", "half", "secret"))
 Speed = quantity("m/s", ge=-1, le=1)
@@ -212,7 +213,7 @@ async def test_a_recording_on_request_has_what_its_principal_may_read(
         (item,) = await until(harry, lambda found: [i for i in found if i["state"] == "kept"])
         assert item["paths"] == ["/tenant/alpha/sensor/speed"]
         assert "error" in await do(harry, stop="test")
-    assert topics(*of(folder, "*", "*")) == {"/tenant/alpha/sensor/speed"}
+    assert topics(*of(folder, "*", "*")) <= {"/tenant/alpha/sensor/speed", NOTICES}
 
 
 async def test_what_does_not_change_is_recorded_at_the_start(gateway: Open, folder: Path) -> None:
@@ -229,7 +230,7 @@ async def test_what_does_not_change_is_recorded_at_the_start(gateway: Open, fold
         status = (await admin.request("read", "/system/status"))["body"]["recorder"]
         assert "clock_set_back" not in status
     (file,) = of(folder, "test")
-    assert topics(file) == {"/tenant/alpha/sensor/speed", "/tenant/alpha/param/limit"}
+    assert topics(file) - {NOTICES} == {"/tenant/alpha/sensor/speed", "/tenant/alpha/param/limit"}
 
 
 async def test_nothing_readable_is_no_recording(gateway: Open) -> None:
@@ -318,6 +319,53 @@ async def test_what_mentions_another_path_is_cut(gateway: Open, folder: Path) ->
     assert b"secret" not in b"".join(json.dumps(step).encode() for step in steps)
 
 
+async def test_leases_and_states_are_recorded_as_notices(gateway: Open, folder: Path) -> None:
+    async with gateway(paths=["/tenant/*/actuator/**"]) as served:
+        made, admin = robot_of(served), served.client(ADMIN)
+        drive = {"scope": "/tenant/alpha/actuator/drive"}
+        body = {"do": "acquire"} | drive
+        lease = await admin.request("execute", "/system/leases", body=body)
+        assert lease["status"] == "completed", lease
+        await until(admin, lambda found: [i for i in found if i["messages"] >= 2])
+        made.host.report("the battery is empty, see /tenant/alpha/sensor/secret")
+        await until(admin, lambda found: [i for i in found if i["messages"] >= 3])
+        await admin.request("execute", "/system/leases", body={"do": "release"} | drive)
+    notices = values(lines(*of(folder, "always")), NOTICES)
+    assert [(one["did"], one["scope"]) for one in notices if one["what"] == "lease"] == [
+        ("acquire", drive["scope"]),
+        ("release", drive["scope"]),
+    ]
+    states = [one for one in notices if one["what"] == "state"]
+    assert [one["state"] for one in states] == ["ready", "degraded"]
+    assert "message" not in states[-1]  # which mentions what is not recorded
+
+
+async def test_a_recording_that_is_stopped_has_what_was_told_just_before(
+    gateway: Open, folder: Path
+) -> None:
+    async with gateway() as served:
+        admin = served.client(ADMIN)
+        await do(admin, start={"name": "drive", "paths": ["/tenant/alpha/**"]})
+        body = {"do": "acquire", "scope": "/tenant/alpha/actuator/drive"}
+        lease = await admin.request("execute", "/system/leases", body=body)
+        assert lease["status"] == "completed", lease
+        await do(admin, stop="drive")
+        await until(admin, lambda found: [i for i in found if i["state"] == "kept"])
+    notices = values(lines(*of(folder, "drive")), NOTICES)
+    assert [one["did"] for one in notices if one["what"] == "lease"] == ["acquire"]
+
+
+async def test_a_recording_of_nothing_but_notices_is_its_tenants(
+    gateway: Open, folder: Path
+) -> None:
+    async with gateway(paths=["/tenant/*/sensor/**"]) as served:
+        admin, alfred = served.client(ADMIN), served.client(ALPHA)
+        found = await until(admin, lambda found: len(found) == 2 and found)
+        assert [item["tenant"] for item in await recordings(alfred)] == ["alpha"]
+        (hidden,) = [item["path"] for item in found if item["tenant"] == "beta"]
+        assert (await do(alfred, pin=hidden))["error"]["code"] == "invalid_value"
+
+
 async def test_patterns_that_match_no_robot_are_refused(gateway: Open) -> None:
     with pytest.raises(ConfigError, match="matches no robot"):
         async with gateway(paths=["/sensor/**"]):
@@ -330,7 +378,8 @@ class TestBlackBox:
     async def test_an_estop_writes_what_was_before_and_what_follows(
         self, gateway: Open, folder: Path
     ) -> None:
-        async with gateway(table("features.recorder.black_box", **self.BOX)) as served:
+        box = self.BOX | {"after": 0.6}  # long enough for what is told of the robot
+        async with gateway(table("features.recorder.black_box", **box)) as served:
             made, admin = robot_of(served), served.client(ADMIN)
             for number in range(5):
                 made.measure("sensor/speed", number / 10)
@@ -346,6 +395,16 @@ class TestBlackBox:
         assert values(found, "/tenant/alpha/sensor/speed") == [0.0, 0.1, 0.2, 0.3, 0.4, 0.9]
         assert values(found, "/tenant/alpha/estops")[0]["reason"] == "smoke"
         assert not of(folder, "incident", "beta")
+        # What is told of the robot as a whole is in it too, and where to look at it.
+        notices = values(found, NOTICES)
+        (begin,) = [one for one in notices if one["what"] == "incident"]
+        assert (begin["robot"], "smoke" in begin["reason"]) == ("/tenant/alpha", True)
+        held = [one["estop"] for one in notices if "estop" in one]
+        assert held[0]["reason"] == "smoke"
+        assert held[0]["by"] == "admin"
+        assert [one["outcome"] for one in notices if one["what"] == "stop"] == ["confirmed"]
+        assert item["start"] < item["at"] < item["end"]
+        assert item["link"] == f"#/log?at={item['at']}&robot=/tenant/alpha"
 
     async def test_a_lost_link_is_an_incident(self, gateway: Open, folder: Path) -> None:
         async with gateway(table("features.recorder.black_box", **self.BOX)) as served:

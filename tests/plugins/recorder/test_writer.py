@@ -17,12 +17,14 @@ import pytest
 
 from plugins.recorder.files import lines, message, stream
 from rcp_recorder import writer as writer_module
-from rcp_recorder.catalogue import INCIDENT, Catalogue
+from rcp_recorder.catalogue import Catalogue
 from rcp_recorder.channels import Message, Stream
 from rcp_recorder.config import RecorderConfig
-from rcp_recorder.mcap_file import ACTIVE, OpenFile
+from rcp_recorder.kept import INCIDENT
+from rcp_recorder.mcap_file import OpenFile
 from rcp_recorder.repair import repair
 from rcp_recorder.writer import Writer
+from rcp_recordings.names import ACTIVE
 
 BOUND = 20.0  # s
 HERE = Path(__file__).parent

@@ -1,0 +1,163 @@
+"""A recording is played through the tree as it was: in order, at any speed, and for looking at only."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hurry
+from backends.replay.recorded import written
+from configuration import backend, key
+from hurry import Hurried
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.testing import MemoryClient, serve
+from rcp_replay import rcp_backends
+from rcp_replay.config import ReplayConfig, check
+from rcp_replay.testing import replayed
+
+pytestmark = pytest.mark.anyio
+ADMIN = "admin-admin-admin-admin"
+SPEED, CONTROL = "/tenant/then/sensor/speed", "/tenant/then/service/replay"
+BOUND = 120.0  # s
+
+
+@asynccontextmanager
+async def playing(file: Path, **options: Any) -> AsyncGenerator[MemoryClient]:
+    replay = backend("then", "then", use="replay", files=[str(file)], **options)
+    config = replay + key("admin", ADMIN)
+    async with serve(config, *rcp_backends()) as served:
+        (supervisor,) = served.server.supervisors
+        await asyncio.wait_for(supervisor.settled.wait(), BOUND)
+        yield served.client(ADMIN)
+
+
+async def control(client: MemoryClient, **body: Any) -> dict[str, Any]:
+    reply = await client.request("execute", CONTROL, body=body)
+    assert reply["status"] == "completed", reply
+    return reply["body"]
+
+
+class TestInHurriedTime(Hurried):
+    """On a loop whose timers are not sat out at all: no other process has to keep up."""
+
+    @pytest.fixture(autouse=True)
+    def _leap(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(hurry, "_TIMES", 1e6)
+
+    async def test_an_hour_at_ten_times_its_speed_arrives_in_order(self, tmp_path: Path) -> None:
+        file = written(tmp_path, 3600, rate=2)
+        async with playing(file, speed=10, paused=True) as client:
+            qos = {"reliability": "reliable", "depth": 30_000}
+            id_ = await client.subscribe(SPEED, qos=qos, initial=False)
+            loop = asyncio.get_running_loop()
+            began = loop.time()
+            await control(client, paused=False)
+            found = [await client.update(id_) for _ in range(7200)]
+            took = loop.time() - began
+        assert [update["body"] for update in found] == list(range(7200))
+        assert all("dropped" not in update for update in found)
+        assert 355 < took < 400  # an hour in six minutes
+        times = [update["timestamp"] for update in found]
+        assert times == sorted(times)
+        assert times[0] == "2027-01-15T07:59:59.999999995Z"  # the recording's
+
+    async def test_it_pauses_changes_its_speed_and_begins_again(self, tmp_path: Path) -> None:
+        file = written(tmp_path, 10)
+        async with playing(file, loop=True) as client:
+            state = await control(client, paused=True)
+            assert state["state"] == "paused"
+            assert (await control(client))["position"] == state["position"]
+            id_ = await client.subscribe(SPEED, qos={"reliability": "reliable"}, initial=False)
+            await control(client, speed=50, paused=False)
+            seen = [(await client.update(id_))["body"] for _ in range(250)]
+        assert seen.count(99) >= 2  # it came to the end, and began again
+        place = seen.index(99)
+        assert seen[place + 1 : place + 4] == [0, 1, 2]
+
+    async def test_without_a_loop_it_ends(self, tmp_path: Path) -> None:
+        async with playing(written(tmp_path, 2), speed=10) as client:
+            id_ = await client.subscribe("/tenant/then/sensor/replay")
+            while (state := (await client.update(id_))["body"])["state"] != "ended":
+                pass
+            assert state["elapsed"] == state["duration"]
+            again = await control(client, seek=0.0)
+            assert again["state"] == "playing"
+
+
+async def test_a_moment_shows_what_was_the_case(tmp_path: Path) -> None:
+    async with playing(written(tmp_path, 100), paused=True) as client:
+        state = await control(client, seek=50.05)
+        assert state["elapsed"] == pytest.approx(50.05)
+        speed = await client.request("read", SPEED)
+        pose = await client.request("read", "/tenant/then/sensor/pose")
+        assert (speed["body"], pose["body"]["position"]["x"]) == (500, 500.0)
+        assert speed["source_timestamp"] == "2027-01-15T08:00:49.999999995Z"
+        await control(client, seek="2027-01-15T08:00:10.05Z")
+        assert (await client.request("read", SPEED))["body"] == 100
+        await control(client, step=2)
+        assert (await client.request("read", SPEED))["body"] == 102
+
+
+async def test_what_is_replayed_says_so_and_cannot_be_commanded(tmp_path: Path) -> None:
+    async with playing(written(tmp_path, 1), paused=True) as client:
+        found = (await client.request("discover", "/tenant/then/**"))["body"]["resources"]
+        by_path = {one["path"]: one for one in found}
+        drive = by_path["/tenant/then/actuator/drive"]
+        assert drive["operations"] == ["read", "subscribe"]
+        assert drive["description"].startswith("Replayed: ")
+        assert drive["meta"]["replayed"] is True
+        assert drive["schemas"]["value"]["unit"] == "m/s"
+        assert "/tenant/then/event/action/go/commands" in by_path
+        assert not any("/action/" in path and "/event/" not in path for path in by_path)
+        write = await client.request("write", "/tenant/then/actuator/drive", body=1.0)
+        assert write["error"]["code"] == "unsupported_operation"
+        (robot,) = (await client.request("read", "/system/robots"))["body"]
+        assert robot["kind"] == "replay"
+        stop = await client.request("execute", "/system/estop", body={})
+        assert stop["status"] == "completed"
+        assert (await control(client, step=1))["published"] == 1  # a stop does not blind anybody
+
+
+async def test_ros_messages_are_passed_on_in_their_own_bytes(tmp_path: Path) -> None:
+    async with playing(written(tmp_path, 1), paused=True) as client:
+        path = "/tenant/then/sensor/header"
+        id_ = await client.subscribe(path, encoding="native", initial=False)
+        await control(client, step=10)
+        update = await client.update(id_)
+        assert update["native_type"] == "std_msgs/msg/Header"
+        value = (await client.request("read", path))["body"]
+    assert value == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
+
+
+async def test_a_recording_is_a_fixture(tmp_path: Path) -> None:
+    async with replayed(written(tmp_path, 60)) as replay:
+        assert replay.duration == pytest.approx(59.9)
+        await replay.play_to(30.0)
+        path = "/tenant/replay/sensor/speed"
+        assert (await replay.client.request("read", path))["body"] == 300
+        await replay.play_to()
+        assert (await replay.client.request("read", path))["body"] == 599
+        state = (await replay.client.request("read", "/tenant/replay/sensor/replay"))["body"]
+    assert state["state"] == "ended"
+    assert state["recordings"] == ["drive.alpha.mcap"]
+
+
+async def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
+    async with playing(written(tmp_path, 1), paused=True) as client:
+        for body in ({"speed": 0}, {"seek": "later"}, {"step": 1, "paused": False}, {"stop": True}):
+            reply = await client.request("execute", CONTROL, body=body)
+            assert reply["error"]["remedy"], body
+
+
+@pytest.mark.parametrize("files", [["no.mcap"], ["."]])
+def test_a_configuration_without_files_is_refused(
+    files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="there is no recording"):
+        check(ReplayConfig(tuple(files)))
