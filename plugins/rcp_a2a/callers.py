@@ -25,6 +25,7 @@ __all__ = [
     "Callers",
     "Contexts",
     "caller_of",
+    "context_of",
     "owner_of",
     "owner_text",
 ]
@@ -81,13 +82,17 @@ class Callers(ServerCallContextBuilder):
             query = parse_qs(request.scope["query_string"].decode("latin-1"))
             if (named := query.get(VERSION_HEADER)) is not None:
                 headers[VERSION_HEADER.lower()] = named[0]
-        return ServerCallContext(
-            user=_Named(caller.principal),
-            state={"headers": headers, CALLER: caller},
-            requested_extensions=get_requested_extensions(
-                request.headers.getlist(HTTP_EXTENSION_HEADER)
-            ),
-        )
+        return context_of(caller, headers)
+
+
+def context_of(caller: Caller, headers: dict[str, str]) -> ServerCallContext:
+    """Make the SDK's context of a call; over gRPC the metadata are the headers."""
+    asked = headers.get(HTTP_EXTENSION_HEADER.lower())
+    return ServerCallContext(
+        user=_Named(caller.principal),
+        state={"headers": headers, CALLER: caller},
+        requested_extensions=get_requested_extensions([] if asked is None else [asked]),
+    )
 
 
 def caller_of(context: ServerCallContext) -> Caller:

@@ -35,11 +35,12 @@ from rcp_kernel.api import Session, SharedWork, at_once, gateway_version
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, Unauthenticated
 from rcp_web.asgi import JSON, Headers, Scope, Send, header, respond
+from rcp_web.untrusted import TextMarker
 
 __all__ = ["INPUT_MODES", "OUTPUT_MODES", "Cards"]
 
 INPUT_MODES = ("application/json", "text/plain")
-OUTPUT_MODES = ("application/json", "text/plain")
+OUTPUT_MODES = ("application/json", "text/plain", "image/png", "image/jpeg")
 _KEPT = 64  # number of cached cards
 _STEP = 16  # skills that are written at once: a millisecond
 _HOST = re.compile(r"[A-Za-z0-9.\-_\[\]:]+\Z")
@@ -60,6 +61,9 @@ class Cards:
         self._config = config
         self._client_api = client_api
         self._key = None if config.card_key is None else CardKey(config.card_key)
+        self._marker = TextMarker()
+        self.grpc_port: int | None = None
+        """Port of the gRPC binding, once it listens."""
         self._ready: dict[tuple[Any, ...], tuple[bytes, bytes]] = {}
         self._under_way = SharedWork[None](client_api.loop)
 
@@ -131,13 +135,13 @@ class Cards:
             return None
 
     def _written(self, card: AgentCard, base: str) -> Generator[None, None, dict[str, Any]]:
-        """Write a card as plain data in steps, signed; fields of 0.3 are added only if it is not.
+        """Write a card as plain data in steps, signed; fields of 0.3 are added only to one that is not.
 
         A verifier that checks the whole document would find those fields unsigned.
         """
         if self._key is not None:
             self._key.sign(card, f"{base}{PREFIX}{JWKS}")
-        compatible = self._config.compatible and self._key is None
+        compatible = self._config.old_card and self._key is None
         plain = agent_card_to_dict if compatible else MessageToDict
         part = AgentCard()
         part.CopyFrom(card)
@@ -169,7 +173,7 @@ class Cards:
         self, base: str, session: Session | None, tenant: str | None
     ) -> Generator[None, None, AgentCard]:
         """Build a card in steps."""
-        skills = yield from skills_of(self._client_api, session)
+        skills = yield from skills_of(self._client_api, session, self._marker)
         config = self._config
         name = config.name or self._client_api.title
         card = AgentCard(
@@ -199,6 +203,15 @@ class Cards:
             AgentInterface(url=url, protocol_binding=binding, protocol_version="1.0", tenant=tenant)
             for binding in ("JSONRPC", "HTTP+JSON")
         ]
+        if (grpc := self._config.grpc) is not None:
+            made.append(
+                AgentInterface(
+                    url=grpc.url or f"{grpc.host}:{self.grpc_port or grpc.port}",
+                    protocol_binding="GRPC",
+                    protocol_version="1.0",
+                    tenant=tenant,
+                )
+            )
         if self._config.compatible:
             old = url if tenant is None else f"{url}/{tenant}"
             made += [

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from ipaddress import ip_address
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-__all__ = ["A2aConfig", "Provider", "PushConfig"]
+from rcp_kernel.errors import ConfigError
+
+__all__ = ["A2aConfig", "GrpcConfig", "Provider", "PushConfig", "check"]
 
 
 class Provider(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -38,6 +41,19 @@ class PushConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Delay before the second attempt; doubled before each further one."""
 
 
+class GrpcConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The gRPC binding, on a port of its own."""
+
+    host: Annotated[str, Meta(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65535)] = 50051
+    url: Annotated[str, Meta(min_length=1)] | None = None
+    """Address for the card, as `host:port`; default: `host` and `port`."""
+    certificate: str | None = None
+    """A PEM file with the certificate; required unless `host` is of this machine only."""
+    key: str | None = None
+    """A PEM file with its private key."""
+
+
 class A2aConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The agent. Times in seconds."""
 
@@ -54,6 +70,8 @@ class A2aConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Time for which a card may be cached."""
     compatible: bool = True
     """Whether to serve clients of A2A 0.3 as well."""
+    old_card: bool = False
+    """Whether cards also have the fields of 0.3, which 1.0 does not allow; not if they are signed."""
     message: Annotated[int, Meta(ge=1024)] = 1_048_576
     """Maximum request size, in bytes."""
     tasks_size: Annotated[int, Meta(ge=1024)] = 33_554_432
@@ -65,3 +83,28 @@ class A2aConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     input_timeout: Annotated[float, Meta(gt=0)] = 600.0
     """Time for which a task waits for an answer before it fails."""
     push: PushConfig = PushConfig()
+    grpc: GrpcConfig | None = None
+    """The gRPC binding (extra `grpc`); default: none."""
+
+
+def check(config: A2aConfig) -> None:
+    """Check the gRPC binding.
+
+    :raises ConfigError: tokens would be sent without encryption.
+    """
+    found = config.grpc
+    if found is None:
+        return
+    if (found.certificate is None) != (found.key is None):
+        raise ConfigError("[plugins.a2a.grpc] needs both `certificate` and `key`, or neither")
+    if found.certificate is None and not _is_loopback(found.host):
+        raise ConfigError(
+            f"[plugins.a2a.grpc]: '{found.host}' can be reached by others: set `certificate` and `key`"
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"

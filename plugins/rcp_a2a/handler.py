@@ -33,17 +33,14 @@ from rcp_a2a.callers import NEW_TASK, caller_of, owner_of
 from rcp_a2a.masking import Mask
 from rcp_a2a.messages import check, check_fields
 from rcp_a2a.receipts import Receipts
-from rcp_a2a.tasks import ENDED
+from rcp_a2a.tasks import ENDED, WAITING
 from rcp_kernel.client_api import ClientApi
 
 __all__ = ["Handler"]
 
 
 _HISTORY = 64  # latest messages of a task in a response: each is encoded in one turn
-_AT_REST = ENDED | {
-    TaskState.TASK_STATE_INPUT_REQUIRED,
-    TaskState.TASK_STATE_AUTH_REQUIRED,
-}
+_AT_REST = ENDED | WAITING
 _UNDER_WAY = (TaskState.TASK_STATE_SUBMITTED, TaskState.TASK_STATE_WORKING)
 
 

@@ -16,6 +16,8 @@ from google.protobuf.struct_pb2 import Struct, Value
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.trace import carried
+from rcp_web.untrusted import UNTRUSTED, marked, speaks
 
 __all__ = [
     "VALUES",
@@ -48,6 +50,10 @@ class TaskRequest(msgspec.Struct, frozen=True):
     deadline: float | None = None
     words: bool = False
     """Whether the client accepts data only as text."""
+    images: bool = True
+    """Whether the client accepts images as files; otherwise they stay in the data."""
+    custom: dict[str, Any] | None = None
+    """The trace of the message: W3C trace context of its metadata."""
 
 
 def check_fields(request: SendMessageRequest) -> None:
@@ -103,6 +109,8 @@ def parse_message(request: SendMessageRequest) -> TaskRequest:
         dry_run=options.get("dry_run") is True,
         deadline=float(deadline) if good else None,  # pyright: ignore[reportArgumentType]
         words=_wants_text(request.configuration.accepted_output_modes),
+        images=_wants_images(request.configuration.accepted_output_modes),
+        custom=carried(options),
     )
 
 
@@ -110,6 +118,12 @@ def _wants_text(modes: Iterable[str]) -> bool:
     """Return whether a client that lists its accepted types accepts text, but no data."""
     accepted = {mode.partition(";")[0].strip().lower() for mode in modes}
     return _TEXT in accepted and not accepted & {_DATA, "application/*", "*/*"}
+
+
+def _wants_images(modes: Iterable[str]) -> bool:
+    """Return whether a client accepts images; one that lists no types accepts all."""
+    accepted = [mode.strip().lower() for mode in modes]
+    return not accepted or any(mode.startswith(("image/", "*/")) for mode in accepted)
 
 
 def written(text: str) -> Any:
@@ -166,15 +180,25 @@ def count_values(plain: Any, most: int) -> int:
 
 
 def data_part(value: Any, *, words: bool = False) -> Part:
-    """Build a part from plain data, or from the text that it is."""
+    """Build a part from plain data, or from the text that it is; what robots say is marked."""
     if words:
-        return text_part(value, _TEXT)
-    return Part(data=ParseDict(value, Value()), media_type=_DATA)
+        text = msgspec.json.encode(value).decode()
+        return _noted(
+            Part(text=marked(text, None) if speaks(value) else text, media_type=_TEXT), value
+        )
+    return _noted(Part(data=ParseDict(value, Value()), media_type=_DATA), value)
 
 
-def text_part(value: Any, media_type: str = _DATA) -> Part:
+def text_part(value: Any) -> Part:
     """Build a part with plain data as JSON text, which is cheap for any number of values."""
-    return Part(text=msgspec.json.encode(value).decode(), media_type=media_type)
+    return _noted(Part(text=msgspec.json.encode(value).decode(), media_type=_DATA), value)
+
+
+def _noted(part: Part, value: Any) -> Part:
+    """Note in a part's metadata that its data may have text of a robot: marks would be data too."""
+    if speaks(value):
+        part.metadata.update({UNTRUSTED: True})
+    return part
 
 
 def stamp() -> str:

@@ -11,20 +11,11 @@ from typing import Any
 import msgspec
 import structlog
 from a2a.server.events.event_queue import EventQueue
-from a2a.server.tasks import TaskUpdater
-from a2a.types.a2a_pb2 import Message, Part, Task, TaskState
+from a2a.types.a2a_pb2 import Task, TaskState
 from msgspec import Raw
 
 from rcp_a2a.callers import Caller
-from rcp_a2a.messages import (
-    VALUES,
-    TaskRequest,
-    count_values,
-    data_part,
-    plain_reply,
-    stamp,
-    text_part,
-)
+from rcp_a2a.messages import TaskRequest, plain_reply
 from rcp_a2a.questions import (
     LINES,
     Question,
@@ -34,19 +25,20 @@ from rcp_a2a.questions import (
     question_of,
     with_schemas,
 )
+from rcp_a2a.reports import Reports, is_progress, step_of
 from rcp_a2a.stops import PLANS
+from rcp_a2a.waiting import Pending, WaitingTasks
 from rcp_kernel.api import Query, QueuedRequest, Session, at_once
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.wire import Reply, Request
+from rcp_web.untrusted import TextMarker, robot_said
 
 __all__ = ["Run"]
 
 log = structlog.get_logger("rcp.a2a")
-_PROGRESS = 256  # values of a step's progress that are included
 _PACE = 0.2  # s between updates with progress only
-_STEP_ENDED = frozenset(("completed", "recovered", "failed", "skipped", "cancelled"))
 _FINAL = {
     "completed": TaskState.TASK_STATE_COMPLETED,
     "failed": TaskState.TASK_STATE_FAILED,
@@ -59,16 +51,25 @@ class Run:
     """A plan being executed."""
 
     def __init__(
-        self, client_api: ClientApi, task: Task, patience: float, forget: Callable[[str], object]
+        self,
+        client_api: ClientApi,
+        task: Task,
+        patience: float,
+        forget: Callable[[str], object],
+        waiting: WaitingTasks,
     ) -> None:
         self._client_api = client_api
         self._patience = patience
         self._forget = forget
+        self._waiting = waiting
         self.task = task
         self.question: Question | None = None
         """The pending question to the client."""
         self._plan: TaskRequest
         self._session: Session
+        self._caller: Caller
+        self._key = ""
+        self._unfollow: Callable[[], None] | None = None
         self._lapse: asyncio.TimerHandle | None = None
         self.command: str | None = None
         self.cancelled = False
@@ -80,10 +81,7 @@ class Run:
         """Whether the gateway has replied: a robot may move before it does."""
         self._urgent = asyncio.Event()
         """Whether there is more to report than progress."""
-        self._states: dict[str, str] = {}
-        self._room = VALUES
-        """Values that the task's artifacts may still contain as data."""
-        self._updater: TaskUpdater
+        self._reports = Reports(task)
 
     # -- the gateway's side --------------------------------------------------------------------
 
@@ -91,7 +89,9 @@ class Run:
         self, caller: Caller, plan: TaskRequest, key: str, approval: str | None = None
     ) -> None:
         """Submit the plan to the gateway, which checks and starts it, once for each key."""
-        self._plan, self._session = plan, caller.session
+        self._plan = self._reports.plan = plan
+        self._session = caller.session
+        self._caller, self._key = caller, key
         request = QueuedRequest(
             since=caller.since,
             type="execute",
@@ -102,9 +102,17 @@ class Run:
             # A stop waits for no store, and is always sent again.
             idempotency_key=None if plan.dry_run or caller.stops else key,
             approval=approval,
+            custom=plan.custom,
             body=Raw(msgspec.json.encode(plan.body)),
         )
         self._client_api.submit(caller.session, request, self._take)
+
+    def resume(self, caller: Caller, pending: Pending) -> None:
+        """Take up the question of an earlier run of the gateway."""
+        self._plan, self.question = pending.plan, pending.question
+        self._reports.plan = pending.plan
+        self._session, self._caller = caller.session, caller
+        self._expect_answer()
 
     def answer(self, caller: Caller, answer: TaskRequest, key: str) -> str | None:
         """Continue with a client's answer; return an explanation if it is not usable."""
@@ -132,7 +140,14 @@ class Run:
                 return error.message
             # Somebody else decides; if they have approved, the plan proceeds.
         except UnknownPath:
-            pass  # it has expired: the plan requests a new one
+            if decision == "reject":
+                return (
+                    "The request for approval has ended, and nothing was started: cancel the task."
+                )
+            # It has expired, or the gateway was restarted: the plan requests a new one.
+            self._resume()
+            self.start(caller, self._plan, key)
+            return None
         except RcpError as error:
             return error.message
         self._resume()
@@ -141,6 +156,10 @@ class Run:
 
     def _resume(self) -> None:
         self.question = None
+        self._waiting.forget(self.task.id)
+        if self._unfollow is not None:
+            self._unfollow()
+            self._unfollow = None
         if self._lapse is not None:
             self._lapse.cancel()
             self._lapse = None
@@ -149,11 +168,16 @@ class Run:
         self.command = reply.command or self.command
         self._known.set()
         last = self._replies[-1] if self._replies else None
-        if last is not None and _passing(last) and _passing(reply) and _step(last) == _step(reply):
+        if (
+            last is not None
+            and is_progress(last)
+            and is_progress(reply)
+            and step_of(last) == step_of(reply)
+        ):
             self._replies.pop()  # newer progress replaces older for a slow client
         self._replies.append(reply)
         self._arrived.set()
-        if not _passing(reply):
+        if not is_progress(reply):
             self._urgent.set()
 
     async def cancel(self, caller: Caller) -> None:
@@ -173,7 +197,7 @@ class Run:
 
     def listen(self, queue: EventQueue) -> None:
         """Send updates to a queue from now on."""
-        self._updater = TaskUpdater(queue, self.task.id, self.task.context_id)
+        self._reports.listen(queue)
 
     async def attend(self) -> None:
         """Send updates until the plan has ended or there is a question to the client."""
@@ -187,7 +211,7 @@ class Run:
                 reply = self._replies.popleft()
                 await self._report_step(reply)
                 final = final or reply.final
-                passing = _passing(reply)
+                passing = is_progress(reply)
             if passing and not final:
                 self._urgent.clear()
                 with suppress(TimeoutError):
@@ -199,40 +223,9 @@ class Run:
         if reply.final:
             await self._conclude(facts)
         elif reply.status == "in_progress" and isinstance(facts.get("body"), dict):
-            await self._tell_step(facts)
+            await self._reports.step(facts)
         else:
-            await self._working(facts)
-
-    async def _working(self, facts: dict[str, Any]) -> None:
-        metadata = {"command": facts["command"]} if "command" in facts else None
-        message = self._message("The plan was checked and starts.")
-        await self._status(TaskState.TASK_STATE_WORKING, message, metadata=metadata)
-
-    async def _tell_step(self, facts: dict[str, Any]) -> None:
-        step: dict[str, Any] = facts["body"]
-        id_, state = str(step.get("step")), str(step.get("state"))
-        data = {key: step[key] for key in ("step", "do", "path", "state") if key in step}
-        if state in _STEP_ENDED:
-            await self._artifact(id_, step)
-            data["artifact"] = f"step-{id_}"
-        if self._states.get(id_) == state:
-            # Progress goes into the metadata only, where the newest replaces the previous.
-            if count_values(step, _PROGRESS) > _PROGRESS:
-                del step["feedback"]
-            metadata = {"step": step, "progress": facts.get("progress")}
-            await self._status(TaskState.TASK_STATE_WORKING, metadata=metadata)
-            return
-        self._states[id_] = state
-        await self._status(TaskState.TASK_STATE_WORKING, self._message(_line(id_, step), data))
-
-    async def _artifact(self, id_: str, step: dict[str, Any]) -> None:
-        await self._updater.add_artifact(
-            [self._data(step)],
-            artifact_id=f"step-{id_}",
-            name=step.get("path") or step.get("do"),
-            metadata={"step": id_, "state": step.get("state")},
-            last_chunk=True,
-        )
+            await self._reports.working(facts)
 
     async def _conclude(self, facts: dict[str, Any]) -> None:
         status: str = facts["status"]
@@ -243,16 +236,16 @@ class Run:
             return
         state = _FINAL[status]
         text = facts.get("message") or f"The plan has {status}."
+        if robot_said(facts.get("error") or {}):
+            text = TextMarker().text(text)
         if status == "completed" and not facts.get("dry_run"):
             text = "The plan completed."
         if status == "cancelled" and not self.cancelled and self._client_api.closing:
             state, text = TaskState.TASK_STATE_FAILED, "The gateway stopped during the task."
         if facts.get("dry_run"):
-            parts = [self._data(facts.get("body"))]
-            await self._updater.add_artifact(parts, "check", "check", last_chunk=True)
-        elif status == "completed" and not self._states and "body" in facts:
-            parts = [self._data(facts["body"])]
-            await self._updater.add_artifact(parts, "result", "result", last_chunk=True)
+            await self._reports.artifact("check", facts.get("body"))
+        elif status == "completed" and not self._reports.has_steps and "body" in facts:
+            await self._reports.artifact("result", facts["body"])
         await self._end(state, text, facts.get("error"))
 
     def _schema(self, path: str) -> Any:
@@ -264,10 +257,43 @@ class Run:
     async def ask(self, question: Question, text: str) -> None:
         """Ask the client, whose answer may take a while."""
         self.question = question
+        self._expect_answer()
+        self._waiting.keep(self.task.id, self._plan, question)
+        state = TaskState.TASK_STATE_INPUT_REQUIRED
+        if question.approval is not None and self._needs_another(question.approval):
+            state = TaskState.TASK_STATE_AUTH_REQUIRED
+        await self._reports.state(state, text, question.plain)
+
+    def _expect_answer(self) -> None:
         loop = asyncio.get_running_loop()
         self._lapse = loop.call_later(self._patience, self._lapsed)
-        message = self._message(text, question.plain)
-        await self._status(TaskState.TASK_STATE_INPUT_REQUIRED, message)
+
+    def _needs_another(self, approval: str) -> bool:
+        """Return whether somebody else has to approve; then the plan goes on once they have."""
+        session = self._session
+        if session.rights.may_approve_own(session.tenant):
+            return False
+        approvals = self._client_api.service(APPROVALS) or NoApprovals()
+        self._unfollow = approvals.follow(approval, self._decided)
+        return True
+
+    def _decided(self) -> None:
+        """Continue: the plan learns what was decided."""
+        if self.question is None:  # its own client has decided
+            return
+        approval = self.question.approval
+        self._resume()
+        self.start(self._caller, self._plan, self._key, approval)
+        self._late = asyncio.ensure_future(self._attend_alone())
+
+    async def _attend_alone(self) -> None:
+        """Send updates of a plan that goes on without a message of its client."""
+        try:
+            await self.attend()
+        finally:
+            if self.question is None:
+                self._forget(self.task.id)
+                self.ended.set()
 
     async def ask_again(self, text: str) -> None:
         """Tell a client that its answer is not usable."""
@@ -282,46 +308,9 @@ class Run:
         self._late = asyncio.ensure_future(self._end(TaskState.TASK_STATE_FAILED, text))
 
     async def _end(self, state: TaskState, text: str, data: Any = None) -> None:
-        await self._status(state, self._message(text, data))
+        await self._reports.state(state, text, data)
         self._forget(self.task.id)
         self.ended.set()
-
-    async def _status(self, state: TaskState, message: Message | None = None, **more: Any) -> None:
-        await self._updater.update_status(state, message, stamp(), **more)
-
-    def _data(self, value: Any) -> Part:
-        """Build a data part, or a text part with JSON if the task would have too many values."""
-        count = count_values(value, self._room)
-        if count > self._room:
-            return text_part(value)
-        self._room -= count
-        return data_part(value, words=self._plan.words)
-
-    def _message(self, text: str, data: Any = None) -> Message:
-        parts = [Part(text=text)]
-        if data is not None:
-            parts.append(data_part(data, words=self._plan.words))
-        return self._updater.new_agent_message(parts)
-
-
-def _passing(reply: Reply) -> bool:
-    """Return whether a reply contains progress only."""
-    return reply.status == "in_progress" and _state(reply) not in _STEP_ENDED
-
-
-def _state(reply: Reply) -> Any:
-    return getattr(reply.body, "state", None)
-
-
-def _step(reply: Reply) -> Any:
-    return getattr(reply.body, "step", None), _state(reply)
-
-
-def _line(id_: str, step: dict[str, Any]) -> str:
-    what = " ".join(str(step[key]) for key in ("do", "path") if step.get(key))
-    why = step.get("message") or (step.get("error") or {}).get("message")
-    ended = step.get("state") == "completed"  # the text for this code is less specific
-    return f"Step {id_}, {what}: {step.get('state')}" + (f", {why}" if why and not ended else "")
 
 
 def _reason(answer: TaskRequest) -> str | None:

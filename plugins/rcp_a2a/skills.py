@@ -10,6 +10,7 @@ from a2a.types.a2a_pb2 import AgentSkill
 
 from rcp_kernel.api import Query, Session
 from rcp_kernel.client_api import ClientApi
+from rcp_web.untrusted import TextMarker, speaks
 
 __all__ = ["PLAN", "ROBOTS", "STOP", "skills_of"]
 
@@ -74,7 +75,7 @@ _OF_SYSTEM = (
 
 
 def skills_of(
-    client_api: ClientApi, session: Session | None
+    client_api: ClientApi, session: Session | None, marker: TextMarker
 ) -> Generator[None, None, list[AgentSkill]]:
     """List what a session may execute in its tenant, in steps; without one, only general skills.
 
@@ -91,7 +92,8 @@ def skills_of(
         if page["resources"]:
             found.append(skill)
     if session.tenant is not None:
-        found += yield from _of_tenant(client_api, session, f"/tenant/{session.tenant}")
+        root = f"/tenant/{session.tenant}"
+        found += yield from _of_tenant(client_api, session, root, marker)
     examples = [one for skill in reversed(found) if skill is not STOP for one in skill.examples]
     return [_plan_skill(examples=examples[:2]), *found]
 
@@ -106,7 +108,7 @@ def _plan_skill(note: str = "", examples: Sequence[str] = ()) -> AgentSkill:
 
 
 def _of_tenant(
-    client_api: ClientApi, session: Session, root: str
+    client_api: ClientApi, session: Session, root: str, marker: TextMarker
 ) -> Generator[None, None, list[AgentSkill]]:
     """List a tenant's actions and services, in steps."""
     found: list[AgentSkill] = []
@@ -115,7 +117,7 @@ def _of_tenant(
         query = Query(op="execute", limit=_PAGE, cursor=cursor)
         page = yield from client_api.discover(session, f"{root}/**", query)
         for number, resource in enumerate(page["resources"], 1):
-            found.append(_skill(resource, root))
+            found.append(_skill(resource, root, marker))
             if not number % _STEP:
                 yield
         cursor = page.get("cursor")
@@ -123,14 +125,18 @@ def _of_tenant(
             return found
 
 
-def _skill(resource: Node, root: str) -> AgentSkill:
+def _skill(resource: Node, root: str, marker: TextMarker) -> AgentSkill:
+    """Describe one action or service; a robot may have written its description and its schema."""
     short = resource["path"].removeprefix(root)
     kind, *names = short.strip("/").split("/")
     examples = resource["examples"][:2] or _inputs(resource["schemas"].get("input"))
+    examples = [one for one in examples if not speaks(msgspec.to_builtins(one))]
     return AgentSkill(
         id=".".join((kind, *names)),
         name=" ".join(names).replace("_", " "),
-        description=resource["description"] + _parameters(resource["schemas"].get("input")),
+        description=marker.text(
+            resource["description"] + _parameters(resource["schemas"].get("input"))
+        ),
         tags=[kind, *names[:-1], *(one.partition("/")[0] for one in resource.get("profiles", ()))],
         examples=[
             *(_plan(short, value) for value in examples),

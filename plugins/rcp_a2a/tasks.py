@@ -25,7 +25,7 @@ from rcp_a2a.messages import stamp
 from rcp_kernel.api import PluginStore
 from rcp_kernel.clock import now
 
-__all__ = ["ENDED", "Tasks"]
+__all__ = ["ENDED", "WAITING", "Tasks"]
 
 log = structlog.get_logger("rcp.a2a")
 ENDED = frozenset(
@@ -36,8 +36,10 @@ ENDED = frozenset(
         TaskState.TASK_STATE_REJECTED,
     )
 )
+WAITING = frozenset((TaskState.TASK_STATE_INPUT_REQUIRED, TaskState.TASK_STATE_AUTH_REQUIRED))
 _PAGE = 98_304  # bytes of tasks per page, unless a single one is larger
 _S = 1_000_000_000  # ns
+_NO_ANSWER = "nobody answered in time, since the gateway was restarted"
 _CUT_OFF = "the gateway was restarted during the task; it commanded the robot to halt"
 
 
@@ -61,8 +63,11 @@ class Tasks(InMemoryTaskStore):
     def _owners(self) -> dict[str, dict[str, Task]]:
         return self._impl.tasks
 
-    def restore(self) -> None:
-        """Load the tasks of earlier runs; those that were running have failed."""
+    def restore(self, waits: Callable[[str], bool]) -> None:
+        """Load the tasks of earlier runs; those that were running have failed.
+
+        `waits` says whether a task still waits for its client, with a question that was kept.
+        """
         for key, row in self._shelf.load().items():
             if (task := _read(key, row)) is None:
                 self._shelf.put(key, None)
@@ -70,11 +75,21 @@ class Tasks(InMemoryTaskStore):
             owner = row["owner"]
             self._owners.setdefault(owner, {})[task.id] = task
             self._weigh(owner, task)
-            if task.status.state not in ENDED:
-                _cut_off(task)
+            if task.status.state not in ENDED | (WAITING if waits(task.id) else frozenset()):
+                _cut_off(task, _CUT_OFF)
                 self._keep(owner, task)
         for owner in list(self._owners):
             self._make_room(owner)
+
+    def expire(self, waits: Callable[[str], bool]) -> None:
+        """End the tasks of earlier runs that have waited for their client for too long."""
+        for owner, known in self._owners.items():
+            for task in known.values():
+                if task.status.state in WAITING and waits(task.id):
+                    _cut_off(task, _NO_ANSWER)
+                    self._keep(owner, task)
+                    for callback in self.saved:
+                        callback(task)
 
     def has(self, owner: str, task_id: str) -> bool:
         """Return whether an owner has a task."""
@@ -151,7 +166,7 @@ def _read(key: str, row: Any) -> Task | None:
         return None
 
 
-def _cut_off(task: Task) -> None:
+def _cut_off(task: Task, why: str) -> None:
     task.status.state = TaskState.TASK_STATE_FAILED
     task.status.timestamp.FromJsonString(stamp())
     task.status.message.CopyFrom(
@@ -160,6 +175,6 @@ def _cut_off(task: Task) -> None:
             role=Role.ROLE_AGENT,
             task_id=task.id,
             context_id=task.context_id,
-            parts=[Part(text=_CUT_OFF)],
+            parts=[Part(text=why)],
         )
     )

@@ -11,15 +11,13 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, encode_body, error_body
 from rcp_mcp.config import McpConfig
-from rcp_mcp.content import UNTRUSTED, Block, marked, show, speaks
+from rcp_mcp.content import Block, show
+from rcp_mcp.pictures import View
+from rcp_mcp.remedies import in_tools
 from rcp_mcp.stops import ESTOP, Report
+from rcp_web.untrusted import UNTRUSTED, marked, robot_said
 
 __all__ = ["answered", "body_of", "failed", "plain_of", "refused", "replied"]
-
-_ROBOTS = frozenset(("device_rejected", "device_timeout"))
-"""Errors whose message comes from the robot."""
-_OF_SCHEMA = ("unit", "bound", "pointer", "missing", "allowed")
-"""Details from a robot's schema, which the message repeats."""
 
 
 def body_of(reply: Reply) -> Any:
@@ -47,14 +45,15 @@ def refused(error: RcpError) -> types.CallToolResult:
 
 def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolResult:
     """Return the contract's `error` object as a result."""
-    code, message, remedy = error["code"], error["message"], error.get("remedy")
-    cause = error.get("details") or {}
-    untrusted = code in _ROBOTS or any(speaks(cause.get(key)) for key in _OF_SCHEMA)
+    code, message, remedy = error["code"], error["message"], in_tools(error)
+    untrusted = robot_said(error)
     text = f"{status}: {code}: "
     text += marked(message, error.get("path")) if untrusted else message
     if remedy:
         text += f"\nWhat to do: {remedy}"
     details = {key: item for key, item in error.items() if key != "trace_id"}
+    if remedy is not None:
+        details["remedy"] = remedy
     known = {key: item for key, item in facts.items() if item is not None}
     structured: dict[str, Any] = {"status": status, **known, "error": details}
     if untrusted:
@@ -77,7 +76,13 @@ def replied(reply: Reply, config: McpConfig) -> types.CallToolResult:
     blocks: list[Block] = []
     body = body_of(reply)
     if body is not None and not reply.dry_run:
-        shown = show(body, reply.path or "", budget=config.budget, image=config.image)
+        shown = show(
+            body,
+            reply.path or "",
+            budget=config.budget,
+            image=config.image,
+            view=View(config.pixels),
+        )
         facts["result" if shown.whole else "summary"] = shown.plain
         facts["untrusted"] = True if shown.untrusted else None
         blocks = [*shown.blocks]

@@ -17,16 +17,20 @@ from rcp_kernel.values import value_type
 from rcp_kernel.wire import NO_BODY, Reply, Request
 from rcp_mcp.answers import answered, body_of, failed, replied
 from rcp_mcp.approval_tools import ApprovalTools
+from rcp_mcp.aside import aside
 from rcp_mcp.caller import takes_tasks
 from rcp_mcp.catalogue import Catalogue, Typed, matches
 from rcp_mcp.command_replies import Following
 from rcp_mcp.config import McpConfig
-from rcp_mcp.content import marked, speaks
+from rcp_mcp.content import text
 from rcp_mcp.fixed import PLANS, Cancel, Execute, Plan, Write, WriteAll
+from rcp_mcp.logs import Logs
 from rcp_mcp.offers import Context, Outcome
 from rcp_mcp.repeats import with_key
 from rcp_mcp.stops import is_hold
 from rcp_mcp.tasks import Tasks
+from rcp_protocol.trace import carried
+from rcp_web.untrusted import marked, speaks
 
 __all__ = ["CommandTools"]
 
@@ -46,8 +50,11 @@ _OPTIONS = value_type(_Options)
 class CommandTools:
     """The handlers."""
 
-    def __init__(self, config: McpConfig, client_api: ClientApi, catalogue: Catalogue) -> None:
+    def __init__(
+        self, config: McpConfig, client_api: ClientApi, catalogue: Catalogue, logs: Logs
+    ) -> None:
         self.config = config
+        self.logs = logs
         self.client_api = client_api
         self.catalogue = catalogue
         self.tasks = Tasks(config, client_api)
@@ -127,6 +134,8 @@ class CommandTools:
         self, ctx: Context, session: Session, request: Request, wait: float | None
     ) -> Outcome:
         """Run a command until it ends or the caller's time limit expires."""
+        if request.custom is None:
+            request.custom = carried((ctx.params or {}).get("_meta"))
         with_key(ctx, request, _whole(session, request.path))
         self._approving.returned(ctx, session, request)
         found = await self._tried(ctx, session, request, wait)
@@ -136,7 +145,17 @@ class CommandTools:
                 return decision
             if decision:
                 found = await self._tried(ctx, session, request, wait)
-        return replied(found, self.config) if isinstance(found, Reply) else found
+        if not isinstance(found, Reply):
+            return found
+        await self._log(ctx, found)
+        return await aside(body_of(found), lambda: replied(found, self.config))
+
+    async def _log(self, ctx: Context, reply: Reply) -> None:
+        """Tell a client that wants log messages what became of its command."""
+        level = "info" if reply.error is None else "error"
+        code = None if reply.error is None else reply.error["code"]
+        facts = {"path": reply.path, "status": reply.status, "command": reply.command, "code": code}
+        await self.logs.send(ctx, level, {k: v for k, v in facts.items() if v is not None})
 
     async def _tried(
         self, ctx: Context, session: Session, request: Request, wait: float | None
@@ -199,7 +218,12 @@ def _going_on(following: Following) -> types.CallToolResult:
         "The command is still running. Call `status` with command "
         f"{following.command} and `wait`, or `cancel`."
     )
-    return answered({key: item for key, item in facts.items() if item is not None})
+    found = {key: item for key, item in facts.items() if item is not None}
+    if not found.get("untrusted"):
+        return answered(found)
+    said = types.TextContent(type="text", text=facts["message"])
+    feedback = text(found["feedback"], found.get("path"), untrusted=True)
+    return answered(found, said, feedback)
 
 
 def _whole(session: Session, path: str | None) -> str:

@@ -1,4 +1,4 @@
-"""Completion of tenants and names that the caller may see."""
+"""Completion of tenants, robots, places and names that the caller may see."""
 
 from __future__ import annotations
 
@@ -7,19 +7,25 @@ from collections.abc import Iterable
 from mcp import types
 
 from rcp_kernel.api import Session
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import tenant_of
+from rcp_kernel.wire import Request
+from rcp_mcp.answers import body_of
 from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.robots import RobotTools
+from rcp_protocol.plain import is_list
 
 __all__ = ["Completion"]
 
+_PLACES = "/system/places"
 _MOST = 100  # maximum number of values in a response
 
 
 class Completion:
     """Completes arguments of templates and prompts."""
 
-    def __init__(self, catalogue: Catalogue, robots: RobotTools) -> None:
+    def __init__(self, client_api: ClientApi, catalogue: Catalogue, robots: RobotTools) -> None:
+        self._client_api = client_api
         self._catalogue = catalogue
         self._robots = robots
 
@@ -30,9 +36,13 @@ class Completion:
         begun = params.argument.value
         chosen = (params.context.arguments if params.context is not None else None) or {}
         if isinstance(params.ref, types.PromptReference):
-            if params.argument.name != "robot":
-                return _of((), begun)
-            return _of(await self._robots.names(session), begun)
+            match params.argument.name:
+                case "robot":
+                    return _of(await self._robots.names(session), begun)
+                case "destination":
+                    return _of(await self._places(session), begun)
+                case _:
+                    return _of((), begun)
         if not params.ref.uri.startswith("rcp://"):
             return None
         paths = [one["path"] for one in self._catalogue.all(session)]
@@ -43,6 +53,12 @@ class Completion:
         tenant = chosen.get("tenant", session.tenant)
         prefix = "/system/" if branch == "system" else f"/tenant/{tenant}/{branch}/"
         return _of((p[len(prefix) :] for p in paths if p.startswith(prefix)), begun)
+
+    async def _places(self, session: Session) -> list[str]:
+        """Return the names of places; none without that feature."""
+        reply = await self._client_api.request(session, Request(type="read", path=_PLACES))
+        found = None if reply.error is not None else body_of(reply)
+        return [str(one["name"]) for one in found] if is_list(found) else []
 
 
 def _of(values: Iterable[str], begun: str) -> types.Completion:

@@ -35,6 +35,8 @@ class McpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Approximate number of tokens per response; longer ones are cut or summarised."""
     image: Annotated[int, Meta(ge=1024)] = 1_000_000
     """Maximum size of an image, in bytes."""
+    pixels: Annotated[int, Meta(ge=16, le=4096)] = 640
+    """Longest side of an image or map, unless the call asks for another `size`."""
     wait: Annotated[float, Meta(gt=0, le=3600)] = 45.0
     """Time after which a call returns while its command continues."""
     feedback: Annotated[float, Meta(gt=0, le=50)] = 4.0

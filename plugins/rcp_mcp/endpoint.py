@@ -25,6 +25,7 @@ from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
 from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.config import McpConfig
+from rcp_mcp.remedies import in_tools
 from rcp_mcp.urgent import Urgent
 from rcp_web.asgi import (
     Receive,
@@ -180,7 +181,9 @@ def _user(session: Session) -> AuthenticatedUser:
 
 async def _refuse(config: McpConfig, scope: Scope, send: Send, error: RcpError) -> None:
     details = error_body(error)
-    message = f"{error.message}. {error.remedy}" if error.remedy else error.message
+    if (remedy := in_tools(details)) is not None:
+        details["remedy"] = remedy
+    message = f"{error.message}. {remedy}" if remedy else error.message
     code = _UNAUTHORIZED if error.http == 401 else _REFUSED
     body = {
         "jsonrpc": "2.0",

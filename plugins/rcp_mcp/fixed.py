@@ -32,8 +32,9 @@ PLANS = "/system/plans"
 
 _Seconds = Meta(gt=0, le=86_400, extra_json_schema={"unit": "s"})
 _PATH = "Such as `/sensor/pose`, or with its tenant `/tenant/alpha/sensor/pose`."
-_APPROVAL = "Id of the approval for exactly this command, from the refusal."
-_KEY = "Idempotency key: a repeated call with the same key is not executed again."
+_APPROVAL = "Id of the approval, from the refusal."
+_KEY = "The same key is not executed twice."
+_CURSOR = "From the previous result."
 
 
 _ValidFor = Annotated[
@@ -68,10 +69,7 @@ class Robots(_Call, frozen=True):
         bool, Meta(description="Include vendor, model, limits, dimensions and frames (long).")
     ] = False
     limit: Annotated[int, Meta(ge=1, le=200)] = 50
-    cursor: (
-        Annotated[str, Meta(description="`cursor` from the previous result, for the next page.")]
-        | None
-    ) = None
+    cursor: Annotated[str, Meta(description=_CURSOR)] | None = None
 
 
 class Discover(_Call, frozen=True):
@@ -88,38 +86,57 @@ class Discover(_Call, frozen=True):
     op: Literal["read", "write", "execute", "subscribe"] | None = None
     schemas: Annotated[bool, Meta(description="Include schemas and examples (long).")] = False
     limit: Annotated[int, Meta(ge=1, le=200)] = 50
-    cursor: (
-        Annotated[str, Meta(description="`cursor` from the previous result, for the next page.")]
-        | None
-    ) = None
+    cursor: Annotated[str, Meta(description=_CURSOR)] | None = None
+
+
+_Part = Annotated[float, Meta(ge=0, le=1)]
 
 
 class Read(_Call, frozen=True):
-    """The value to read."""
+    """The values to read."""
 
-    path: Annotated[str, Meta(description=_PATH + " A pattern reads several values.")]
+    path: Annotated[
+        Annotated[str, Meta(min_length=1)]
+        | Annotated[tuple[str, ...], Meta(min_length=1, max_length=20)],
+        Meta(description=_PATH + " A pattern or a list reads several."),
+    ]
     fields: (
         Annotated[tuple[str, ...], Meta(description="Only these, such as `position.x`.")] | None
     ) = None
-    fresh: Annotated[
-        bool, Meta(description="Read from the robot, even if a recent value is available.")
-    ] = False
+    fresh: Annotated[bool, Meta(description="Ask the robot, even if a recent value is known.")] = (
+        False
+    )
     frame: (
         Annotated[
             str,
             Meta(
-                description="Frame of the values: `map`, `base_link`, `earth` (latitude, longitude). "
-                "`frames` of a resource lists them."
+                description="Frame of the values: `map`, `base_link`, `earth` (latitude, longitude)."
             ),
         ]
         | None
     ) = None
-    cursor: (
+    size: (
+        Annotated[int, Meta(ge=16, le=4096, description="Longest side of pictures, in pixels.")]
+        | None
+    ) = None
+    crop: (
         Annotated[
-            str, Meta(description="`cursor` from the previous result, for the rest of a pattern.")
+            tuple[_Part, ...],
+            Meta(
+                min_length=4,
+                max_length=4,
+                description="Part of pictures: left, top, width, height, as fractions.",
+            ),
         ]
         | None
     ) = None
+    since: (
+        Annotated[
+            str, Meta(description="`mark` of an earlier result: only what has changed since.")
+        ]
+        | None
+    ) = None
+    cursor: Annotated[str, Meta(description=_CURSOR)] | None = None
 
 
 class Write(_Call, frozen=True):
@@ -222,6 +239,7 @@ class Watch(_Call, frozen=True):
     on_change: Annotated[
         bool, Meta(description="Only samples that differ from the previous one.")
     ] = False
+    each: Annotated[bool, Meta(description="Return every sample.")] = False
 
 
 class Fixed(NamedTuple):
@@ -279,17 +297,18 @@ FIXED: dict[str, Fixed] = {
         _fixed(
             "discover",
             Discover,
-            "List the resources: paths of sensors, actuators, parameters, actions, services and "
-            "events, with the operations you may use, the unit and the tool for each; "
-            "search with `q`; use `schemas` for one path before you write to it.",
+            "List resources (sensors, actuators, parameters, actions, services, events) with the "
+            "operations you may use, the unit and an example; search with `q`; `schemas` of one "
+            "path describe its input.",
             [{}, {"q": "battery"}, {"path": "/action/*", "schemas": True}],
         ),
         _fixed(
             "read",
             Read,
-            "Read the current value of a sensor, actuator, parameter or event; cameras return "
-            "images. `discover` returns the schema with units.",
-            [{"path": "/sensor/pose"}, {"path": "/sensor/*", "fields": ["timestamp"]}],
+            "Read current values, also of several robots: cameras and maps return pictures with "
+            "the robot's pose, scans the nearest obstacle by sector (`fields` for the raw values), "
+            "`/system/places` the named places.",
+            [{"path": "/sensor/pose"}, {"path": ["/sensor/camera", "/sensor/scan"], "size": 320}],
             needs="read",
         ),
         _fixed(
@@ -315,7 +334,7 @@ FIXED: dict[str, Fixed] = {
             Execute,
             "Run an action or service by its path; `discover` with `schemas` describes its input. A "
             "long action returns `in_progress` with a command id.",
-            [{"path": "/action/move_to", "input": {"position": {"x": 2, "y": 1}}}],
+            [{"path": "/action/move_to", "input": {"position": {"place": "dock", "distance": 1}}}],
             needs="execute",
             changes=True,
         ),
@@ -348,7 +367,7 @@ FIXED: dict[str, Fixed] = {
         _fixed(
             "watch",
             Watch,
-            "Record values for a number of samples or seconds and return them with timestamps.",
+            "Record values for a number of samples or seconds and return the trend of each number.",
             [{"paths": ["/sensor/battery"], "samples": 3, "seconds": 10}],
             needs="subscribe",
         ),

@@ -37,7 +37,8 @@ def _go_to(given: dict[str, str]) -> str:
     where = given["destination"]
     about = f" with the robot '{given['robot']}'" if given.get("robot") else ""
     return (
-        f"Go to {where}{about}. First `read` the pose, and the map if the place has a name. Find "
+        f"Go to {where}{about}. First `read` the pose. `/system/places` lists the named places: a goal "
+        'takes one as `{"position": {"place": "NAME"}}`. Find '
         "the action that moves (`discover` with kind `action` and `schemas`), `execute` it with "
         "`dry_run` first, then without. While the result is `in_progress`, call `status` with the "
         "command's id and `wait`. If it fails, say why and what would help, and retry only once. "

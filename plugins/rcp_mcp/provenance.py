@@ -8,11 +8,10 @@ call; it is taken out of any text that contains it.
 
 from __future__ import annotations
 
-import secrets
 from typing import Any
 
-from rcp_mcp.content import speaks
 from rcp_protocol.plain import is_list, is_map
+from rcp_web.untrusted import TextMarker, speaks
 
 __all__ = ["Marker", "is_own"]
 
@@ -28,18 +27,8 @@ def is_own(path: str) -> bool:
     return path.startswith("/system/")
 
 
-class Marker:
-    """Marks texts with one number, which no robot can guess, for its lifetime."""
-
-    def __init__(self) -> None:
-        self._mark = secrets.token_hex(4)
-
-    def text(self, written: str) -> str:
-        """Enclose a robot's text; a single short word needs no marks."""
-        if not speaks(written):
-            return written
-        bare = written.replace(self._mark, "…")
-        return f"[robot-data {self._mark}: {bare} :{self._mark}]"
+class Marker(TextMarker):
+    """Marks descriptions, units and schemas."""
 
     def schema(self, node: Any) -> Any:
         """Mark the texts in a schema.

@@ -1,4 +1,4 @@
-"""The read-only tools: discover, read, status."""
+"""The tools `discover` and `status`."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from typing import Any
 
 import msgspec
 from mcp import types
-from msgspec import Raw
 
 from rcp_kernel.api import Command, Query, Session
-from rcp_kernel.api.pages import cursor_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Kind
 from rcp_kernel.wire import Reply, Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.catalogue import Catalogue, Facts
 from rcp_mcp.config import McpConfig
-from rcp_mcp.content import Block, show, speaks, text
-from rcp_mcp.fixed import Discover, Read, Status
+from rcp_mcp.content import text
+from rcp_mcp.fixed import Discover, Status
 from rcp_mcp.naming import tool_name
 from rcp_mcp.offers import Context, Outcome
 from rcp_mcp.provenance import is_own
-from rcp_mcp.schemas import worded
+from rcp_mcp.schemas import without_defaults, worded
 from rcp_mcp.summary import PER_TOKEN, cut, size
+from rcp_mcp.typed import is_read_only
+from rcp_web.untrusted import speaks
 
-__all__ = ["ReadTools", "sampled"]
+__all__ = ["ReadTools"]
 
 _STEPS = 5  # entries of a command's history in a result
 _RUNNING = 20
-_HEAVY = 200_000  # bytes of JSON above which images and summaries are made in a thread
+_COMMANDED = frozenset(("write", "execute"))
+_SHORT = 160  # bytes of an example in a list
 
 
 class ReadTools:
@@ -81,36 +82,6 @@ class ReadTools:
             if left < 0:
                 return max(count, 1)
         return len(found)
-
-    async def read(self, ctx: Context, session: Session, arguments: Read) -> Outcome:
-        """Read one value, or those of a pattern."""
-        names = ("fields", "fresh", "frame", "cursor")
-        options = {name: getattr(arguments, name) for name in names}
-        body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
-        reply = await self._client_api.request(
-            session, Request(type="read", path=arguments.path, body=body)
-        )
-        if reply.error is not None:
-            return failed(reply.error, reply.status)
-        found = body_of(reply)
-        if "*" in arguments.path:
-            samples = [_renamed(one) for one in found]
-        else:
-            samples = [
-                {
-                    "path": reply.path,
-                    "status": reply.status,
-                    "value": found,
-                    "timestamp": reply.source_timestamp,
-                    "state": reply.state,
-                }
-            ]
-        many = "*" in arguments.path
-        if size(samples) < _HEAVY:
-            return sampled("values", samples, self._config, pages=many, more=reply.truncated)
-        return await asyncio.to_thread(
-            sampled, "values", samples, self._config, pages=many, more=reply.truncated
-        )
 
     async def _ended(self, command: Command, patience: float) -> None:
         """Wait until a command has ended, or for so long."""
@@ -165,63 +136,6 @@ class ReadTools:
         return _bounded(facts, self._config.budget)
 
 
-def sampled(
-    key: str,
-    samples: list[dict[str, Any]],
-    config: McpConfig,
-    *,
-    pages: bool = False,
-    more: bool = False,
-    **facts: Any,
-) -> types.CallToolResult:
-    """Return samples as a result, each with its share of the space.
-
-    Those of `pages` are ordered by path, so that a cursor leads to the omitted ones, and to the
-    next page if there is `more`.
-    """
-    share = max(config.budget // max(len(samples), 1), 40)
-    items: list[dict[str, Any]] = []
-    blocks: list[Block] = []
-    shown_as: list[Block] = []
-    left = config.budget * PER_TOKEN
-    for sample in samples:
-        one = {name: item for name, item in sample.items() if item is not None}
-        if "value" in one:
-            shown = show(one.pop("value"), one["path"], budget=share, image=config.image)
-            one["value" if shown.whole else "summary"] = shown.plain
-            if shown.untrusted:
-                one["untrusted"] = True
-            shown_as += shown.blocks[1:]
-        left -= size(one)
-        if left < 0 and items:
-            facts["note"] = (
-                f"{len(samples) - len(items)} more are omitted: use fewer paths, or `fields`."
-            )
-            more = True
-            break
-        items.append(one)
-        blocks.append(text(one, one["path"], untrusted=bool(one.get("untrusted"))))
-    if more:
-        facts["truncated"] = True
-    if more and pages:
-        facts["cursor"] = cursor_of(items[-1]["path"])
-        facts["note"] = (
-            "There are more results: use fewer paths, or `fields`, or continue with `cursor`."
-        )
-    head = facts.get("note")
-    content = [types.TextContent(type="text", text=head)] if head else []
-    result = answered({key: items, **facts}, *blocks, *shown_as, *content)
-    if not samples:
-        return answered({key: [], "note": "No matching resource that you may read."})
-    return result
-
-
-def _renamed(item: dict[str, Any]) -> dict[str, Any]:
-    """Convert an item of a multiple read to the form of `read`."""
-    kept = ("path", "status", "timestamp", "state", "error")
-    return {"value": item.get("body")} | {key: item[key] for key in kept if key in item}
-
-
 def _line(one: Facts, tenant: str | None, typed: set[str]) -> dict[str, Any]:
     """Describe one resource briefly, or with its schemas if requested."""
     line: dict[str, Any] = {
@@ -230,18 +144,37 @@ def _line(one: Facts, tenant: str | None, typed: set[str]) -> dict[str, Any]:
         "description": one["description"],
     }
     line |= {key: one[key] for key in ("unit", "atomic") if key in one}
+    if "schemas" not in one and (example := _example(one)) is not None:
+        line["example"] = example
+    if is_read_only(one):
+        line["read_only"] = True
     if one.get("state") in ("stale", "down", "never"):
         line["state"] = one["state"]
     name = tool_name(one["path"], tenant)
     if name in typed:
         line["tool"] = name
     if "schemas" in one:
-        schemas = dict(one["schemas"])
-        if "command_schema" in one:
-            schemas["command"] = one["command_schema"]
-        line["schemas"] = worded(schemas)
+        line["schemas"] = worded(_schemas(one))
         line["examples"] = msgspec.json.decode(msgspec.json.encode(one["examples"]))
     return line
+
+
+def _schemas(one: Facts) -> Facts:
+    """Return what a model needs to know before it acts; a result explains itself."""
+    schemas: Facts = one["schemas"]
+    if "execute" not in one["operations"]:
+        return schemas
+    given = one.get("command_schema") or schemas.get("input")
+    return {"input": None if given is None else without_defaults(given)}
+
+
+def _example(one: Facts) -> Any:
+    """Return a short input of what can be commanded: often all that a model needs of its schema."""
+    examples: list[Any] = one.get("examples") or []
+    if not examples or _COMMANDED.isdisjoint(one["operations"]):
+        return None
+    example = msgspec.to_builtins(examples[0])
+    return example if size(example) <= _SHORT else None
 
 
 def _bounded(facts: dict[str, Any], budget: int) -> types.CallToolResult:
@@ -249,4 +182,5 @@ def _bounded(facts: dict[str, Any], budget: int) -> types.CallToolResult:
         facts = {key: cut(item, budget // len(facts)) for key, item in facts.items()}
     if not speaks({key: facts.get(key) for key in ("command", "backends", "warnings")}):
         return answered(facts)
+    facts["untrusted"] = True
     return answered(facts, text(facts, None, untrusted=True))

@@ -13,10 +13,11 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.config import McpConfig
-from rcp_mcp.content import speaks, text
+from rcp_mcp.content import text
 from rcp_mcp.fixed import INVENTORY, Robots
 from rcp_mcp.offers import Context, Outcome
 from rcp_mcp.summary import PER_TOKEN, size
+from rcp_web.untrusted import speaks
 
 __all__ = ["RobotTools"]
 
@@ -58,7 +59,8 @@ class RobotTools:
             facts["note"] = "There are more robots: search with `q`, or continue with `cursor`."
         elif not robots:
             facts["note"] = "No robot matches; try fewer words in `q`."
-        if speaks(facts):  # a mode or a model is a text of the robot's
+        if speaks(facts["robots"]):  # a mode or a model is a text of the robot's
+            facts["untrusted"] = True
             return answered(facts, text(facts, None, untrusted=True))
         return answered(facts)
 
@@ -75,10 +77,11 @@ def _brief(robot: _Robot) -> _Robot:
     """Shorten a robot to what one needs to choose it."""
     brief = {key: robot[key] for key in _BRIEF if key in robot}
     if (battery := robot.get("battery")) is not None:
-        brief["battery"] = battery["value"]["percentage"]
+        brief["battery"] = round(battery["value"]["percentage"], 2)
     if (pose := robot.get("pose")) is not None:
         value = pose["value"]
-        brief["position"] = {**value["position"], "frame": value.get("frame_id")}
+        at = {name: round(one, 2) for name, one in value["position"].items()}
+        brief["position"] = {**at, "frame": value.get("frame_id")}
     if (control := robot.get("control")) is not None:
         brief["control"] = f"{control['principal']} ({control['by']})"
     return brief

@@ -6,9 +6,11 @@ from typing import Any, NamedTuple
 
 from rcp_protocol.plain import is_list, is_map
 
-__all__ = ["Arguments", "arguments", "result", "worded"]
+__all__ = ["Arguments", "arguments", "result", "without_defaults", "worded"]
 
 _DEFS = "$defs"
+_DATA = ("default", "examples", "enum", "const", "required")
+"""Keys whose content is values and not schemas."""
 
 
 class Arguments(NamedTuple):
@@ -60,6 +62,26 @@ def _brief(schema: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def without_defaults(node: Any) -> Any:
+    """Leave out of a whole schema what a model need not read: see `_brief`."""
+    if is_list(node):
+        return [without_defaults(item) for item in node]
+    if not is_map(node):
+        return node
+    out: dict[str, Any] = {
+        key: item if key in _DATA else without_defaults(item)
+        for key, item in node.items()
+        if (key, item) not in (("default", None), ("unit", "1"), ("required", []))
+        and not (key in ("$id", "title") and isinstance(item, str))
+    }
+    choices = out.get("anyOf", [])
+    rest = [item for item in choices if item != {"type": "null"}]
+    if len(rest) == 1 and len(choices) > 1:
+        del out["anyOf"]
+        out = {**rest[0], **out}
+    return out
+
+
 def result(
     schema: dict[str, Any] | None, feedback: dict[str, Any] | None = None
 ) -> dict[str, Any] | None:
@@ -88,8 +110,7 @@ def worded(node: Any) -> Any:
         return [worded(item) for item in node]
     if not is_map(node):
         return node
-    kept = ("default", "examples", "enum", "const", "required")
-    out = {key: item if key in kept else worded(item) for key, item in node.items()}
+    out = {key: item if key in _DATA else worded(item) for key, item in node.items()}
     unit = out.get("unit")
     if isinstance(unit, str) and unit != "1":
         text = out.get("description")

@@ -18,6 +18,7 @@ from rcp_kernel.api import gateway_version
 from rcp_mcp.caller import modern, session_of
 from rcp_mcp.cost import fitting
 from rcp_mcp.listeners import ListenerRegistry
+from rcp_mcp.logs import Logs
 from rcp_mcp.offers import Context, Offer
 
 __all__ = ["McpServer"]
@@ -41,7 +42,12 @@ class McpServer(Server[dict[str, Any]]):
     """The server of the endpoint; its responses depend on the caller."""
 
     def __init__(
-        self, name: str, offers: Sequence[Offer], listening: ListenerRegistry, page: int
+        self,
+        name: str,
+        offers: Sequence[Offer],
+        listening: ListenerRegistry,
+        logs: Logs,
+        page: int,
     ) -> None:
         """Collect the offers; `page` is the maximum number of tokens in a page of tools."""
         self._offers = offers
@@ -67,6 +73,7 @@ class McpServer(Server[dict[str, Any]]):
         self.add_notification_handler(
             "notifications/initialized", types.NotificationParams, listening.greeted
         )
+        self.add_request_handler("logging/setLevel", types.SetLevelRequestParams, logs.set_level)
         for offer in offers:
             self.extensions.update(offer.extensions())
             for method in offer.methods():

@@ -13,6 +13,7 @@ from rcp_mcp.config import McpConfig, check
 from rcp_mcp.endpoint import WELL_KNOWN, Endpoint, Metadata
 from rcp_mcp.journal import Manager
 from rcp_mcp.listeners import ListenerRegistry
+from rcp_mcp.logs import Logs
 from rcp_mcp.offers import Offer
 from rcp_mcp.server import McpServer
 from rcp_mcp.tree import Tree
@@ -28,8 +29,9 @@ async def open_mcp(
     check(config)
     catalogue = Catalogue(config, client_api)
     listening = ListenerRegistry(client_api, catalogue)
-    tree = Tree(config, client_api, CommandTools(config, client_api, catalogue))
-    server = McpServer("RCP gateway", [tree, *more], listening, config.page)
+    logs = Logs()
+    tree = Tree(config, client_api, CommandTools(config, client_api, catalogue, logs))
+    server = McpServer("RCP gateway", [tree, *more], listening, logs, config.page)
     manager = Manager(
         client_api.outbound,
         server,

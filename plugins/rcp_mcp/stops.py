@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
-from rcp_mcp.content import marked
 from rcp_protocol.plain import is_list, is_map
+from rcp_web.untrusted import marked
 
 __all__ = ["ESTOP", "Report", "is_hold", "stop_arguments", "stop_result", "stop_words"]
 

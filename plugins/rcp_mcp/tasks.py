@@ -18,7 +18,8 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.wire import Request
-from rcp_mcp.answers import replied
+from rcp_mcp.answers import body_of, replied
+from rcp_mcp.aside import aside
 from rcp_mcp.caller import TASKS, modern, session_of, takes_tasks
 from rcp_mcp.config import McpConfig
 from rcp_mcp.offers import Context, Method
@@ -71,7 +72,8 @@ class Tasks:
             data = {key: item for key, item in error.items() if key != "trace_id"}
             details = {"code": types.INTERNAL_ERROR, "message": error["message"], "data": data}
             return {**facts, "status": "failed", "error": details}
-        result = replied(command.reply(), self._config)
+        reply = command.reply()
+        result = await aside(body_of(reply), lambda: replied(reply, self._config))
         plain = result.model_dump(by_alias=True, mode="json", exclude_none=True)
         return {**facts, "status": "completed", "result": plain}
 

@@ -24,7 +24,9 @@ from rcp_mcp.guidance import with_nearest
 from rcp_mcp.naming import as_path
 from rcp_mcp.offers import Context, Method, Offer, Outcome
 from rcp_mcp.prompts import PROMPTS, written
+from rcp_mcp.read_tool import ReadTool
 from rcp_mcp.read_tools import ReadTools
+from rcp_mcp.remedies import in_tools
 from rcp_mcp.resources import Resources
 from rcp_mcp.robots import RobotTools
 from rcp_mcp.urgent import Urgent
@@ -82,12 +84,12 @@ class Tree(Offer):
         self._resources = Resources(config, client_api, self._catalogue)
         self._urgent = Urgent(self._catalogue)
         robots = RobotTools(config, client_api)
-        self._completing = Completion(self._catalogue, robots)
+        self._completing = Completion(client_api, self._catalogue, robots)
         looking = ReadTools(config, client_api, self._catalogue)
         self._handlers: dict[str, Handler] = {
             "robots": robots.robots,
             "discover": looking.discover,
-            "read": looking.read,
+            "read": ReadTool(config, client_api, self._catalogue).read,
             "status": looking.status,
             "write": commanding.write,
             "write_all": commanding.write_all,
@@ -129,7 +131,8 @@ class Tree(Offer):
         arguments = _with_paths(params.name, params.arguments or {})
         found = await self._called(ctx, session, params.name, arguments)
         if isinstance(found, types.CallToolResult) and found.is_error:
-            asked = [arguments.get("path"), *(arguments.get("paths") or ())]
+            named = [arguments.get("path"), arguments.get("paths")]
+            asked = [one for given in named for one in (given if is_list(given) else [given])]
             known = self._catalogue.all(session)
             return await with_nearest(found, [one for one in asked if isinstance(one, str)], known)
         return found
@@ -192,7 +195,8 @@ class Tree(Offer):
             self._client_api.charge(session)
         except RcpError as error:
             details = {key: item for key, item in error_body(error).items() if key != "trace_id"}
+            details["remedy"] = in_tools(details)
             raise MCPError(
-                types.INVALID_REQUEST, f"{error.message}. {error.remedy}", details
+                types.INVALID_REQUEST, f"{error.message}. {details['remedy']}", details
             ) from None
         return session

@@ -8,13 +8,13 @@ import msgspec
 from mcp import types
 
 from rcp_mcp.config import McpConfig
-from rcp_mcp.content import speaks
 from rcp_mcp.naming import tool_name
 from rcp_mcp.provenance import Marker, is_own
 from rcp_mcp.schemas import Arguments, arguments, result
 from rcp_mcp.stops import ESTOP, is_hold, stop_arguments, stop_result, stop_words
+from rcp_web.untrusted import speaks
 
-__all__ = ["OPTIONS", "typed_tool"]
+__all__ = ["OPTIONS", "is_read_only", "typed_tool"]
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "deadline": {
@@ -114,14 +114,25 @@ def _words(facts: dict[str, Any], config: McpConfig, marker: Marker, *, stops: b
     return " ".join(sentences)
 
 
+def is_read_only(facts: dict[str, Any]) -> bool:
+    """Return whether a command changes nothing, as its backend says."""
+    return bool(_declared(facts).get("read_only", False))
+
+
+def _declared(facts: dict[str, Any]) -> dict[str, Any]:
+    meta = facts.get("meta", {})
+    hints = meta.get("hints", {}) if isinstance(meta, dict) else {}  # pyright: ignore[reportUnknownVariableType, reportUnknownMemberType]
+    return hints if isinstance(hints, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+
+
 def _hints(facts: dict[str, Any]) -> types.ToolAnnotations:
     """Return the hints about a call's effects, as far as the resource declares them."""
-    meta = facts.get("meta", {})
-    hints: dict[str, Any] = meta.get("hints", {}) if isinstance(meta, dict) else {}
+    hints = _declared(facts)
     stop = facts["path"] == ESTOP or is_hold(facts["path"])
+    reads = is_read_only(facts)
     return types.ToolAnnotations(
-        read_only_hint=bool(hints.get("read_only", False)),
-        destructive_hint=bool(hints.get("destructive", not stop)),
-        idempotent_hint=bool(hints.get("idempotent", stop)),
+        read_only_hint=reads,
+        destructive_hint=bool(hints.get("destructive", not stop and not reads)),
+        idempotent_hint=bool(hints.get("idempotent", stop or reads)),
         open_world_hint=facts["kind"] == "action",
     )

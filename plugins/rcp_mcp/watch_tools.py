@@ -10,11 +10,14 @@ import msgspec
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_mcp.answers import failed
+from rcp_mcp.aside import aside
 from rcp_mcp.config import McpConfig
 from rcp_mcp.feed import ResourceFeed
 from rcp_mcp.fixed import Watch
 from rcp_mcp.offers import Context, Outcome
-from rcp_mcp.read_tools import sampled
+from rcp_mcp.pictures import View
+from rcp_mcp.sample_results import sampled
+from rcp_mcp.trends import trends
 
 __all__ = ["WatchTools"]
 
@@ -40,7 +43,14 @@ class WatchTools:
             ended = await self._collect(ctx, feed, arguments, found)
         finally:
             feed.close()
-        return sampled("updates", found, self._config, ended=ended)
+        view = View(self._config.pixels)
+
+        def make() -> Outcome:
+            if arguments.each:
+                return sampled("updates", found, self._config, view, ended=ended)
+            return sampled("trends", trends(found), self._config, view, ended=ended)
+
+        return await aside(found, make)
 
     async def _collect(
         self, ctx: Context, feed: ResourceFeed, arguments: Watch, found: list[dict[str, Any]]

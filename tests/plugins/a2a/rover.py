@@ -26,6 +26,7 @@ CONFIG = (
     + table(
         "plugins.a2a",
         card_key=CARD_KEY,
+        grpc={"port": 0},
         push={"http": True, "private": ["127.0.0.0/8"], "backoff": 0.05},
     )
     + backend("rover-alpha", use="sim", world="empty", noise=0, time_scale=10)

@@ -27,6 +27,7 @@ from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
 from rcp_kernel.api import Query
 from rcp_kernel.errors import ConfigError
+from rcp_web.untrusted import TextMarker
 from transports.robot import Site
 
 pytestmark = pytest.mark.anyio
@@ -95,7 +96,23 @@ async def test_the_card_names_each_binding_and_version(gateway: Site) -> None:
     ]  # fmt: skip
     assert card["supportedInterfaces"][0]["url"] == f"{gateway.url}/a2a"
     assert card["supportedInterfaces"][0]["tenant"] == "alpha"
-    assert card["url"] == f"{gateway.url}/a2a/alpha"  # where clients of 0.3 look
+
+
+@pytest.mark.parametrize("tenant", ["", "/a2a/alpha"])
+async def test_a_card_has_nothing_that_1_0_does_not_allow(gateway: Site, tenant: str) -> None:
+    async with caller(gateway, None) as client:
+        card = (await client.get(f"{tenant}{CARD}")).json()
+        ParseDict(card, AgentCard())  # refuses unknown fields, as the schema of 1.0 does
+    async with caller(gateway) as client:
+        ParseDict((await client.get("/a2a/alpha/extendedAgentCard")).json(), AgentCard())
+
+
+async def test_a_client_of_the_version_before_finds_the_address_where_it_looks() -> None:
+    async with agent("old_card = true") as site, caller(site, None) as client:
+        card = (await client.get(f"/a2a/alpha{CARD}")).json()
+        assert card["url"] == f"{site.url}/a2a/alpha"
+        assert card["protocolVersion"].startswith("0.3")
+        assert card["supportedInterfaces"][0]["protocolVersion"] == "1.0"
 
 
 async def test_the_card_is_found_from_outside_where_the_configuration_says() -> None:
@@ -235,7 +252,7 @@ class Many:
 def test_very_many_skills_are_described_in_steps() -> None:
     session: Any = SimpleNamespace(tenant="alpha")
     client_api: Any = Many()
-    work, steps = skills_of(client_api, session), 0
+    work, steps = skills_of(client_api, session, TextMarker()), 0
     try:
         while True:
             next(work)
@@ -263,10 +280,12 @@ async def test_a_card_of_very_many_skills_is_written_in_turns_and_as_in_one(
         turns.append(0)
         asyncio.get_running_loop().call_soon(turn)
 
-    def skills(_client_api: Any, session: Any) -> Generator[None, None, list[AgentSkill]]:
-        return skills_of(many, session)
+    def skills(
+        _client_api: Any, session: Any, marker: TextMarker
+    ) -> Generator[None, None, list[AgentSkill]]:
+        return skills_of(many, session, marker)
 
-    async with agent(more=MOVERS) as site, caller(site, None) as client:
+    async with agent("old_card = true", MOVERS) as site, caller(site, None) as client:
         monkeypatch.setattr("rcp_a2a.cards.skills_of", skills)
         monkeypatch.setattr("rcp_a2a.cards.agent_card_to_dict", counted)
         turn()

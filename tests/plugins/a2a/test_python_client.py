@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 from uuid import uuid4
 
+import grpc
+import grpc.aio
 import httpx
 import pytest
 from a2a.client import Client, ClientConfig, ClientFactory
@@ -35,7 +38,7 @@ from plugins.a2a.receiver import BOUND, receiver
 from plugins.a2a.rover import BETA, CAREFUL, OPERATOR, rovers
 
 pytestmark = pytest.mark.anyio
-BINDINGS = ["JSONRPC", "HTTP+JSON"]
+BINDINGS = ["JSONRPC", "HTTP+JSON", "GRPC"]
 NEAR = {"do": "execute", "path": "/action/move_to", "value": {"position": {"x": 0.5, "y": 0}}}
 FAR: dict[str, Any] = {
     "do": "execute",
@@ -55,11 +58,41 @@ async def url() -> AsyncGenerator[str]:
         yield made
 
 
+class _WithKey:
+    """Adds a key to the metadata of a call."""
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+
+    async def _sent(self, continuation: Any, details: Any, request: Any) -> Any:
+        metadata = grpc.aio.Metadata(*(details.metadata or ()))
+        metadata.add("authorization", f"Bearer {self._key}")
+        return await continuation(details._replace(metadata=metadata), request)
+
+
+class _Unary(_WithKey, grpc.aio.UnaryUnaryClientInterceptor):
+    async def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
+        return await self._sent(continuation, details, request)
+
+
+class _Stream(_WithKey, grpc.aio.UnaryStreamClientInterceptor):
+    async def intercept_unary_stream(self, continuation: Any, details: Any, request: Any) -> Any:
+        return await self._sent(continuation, details, request)
+
+
+def channel(address: str, *, key: str) -> grpc.aio.Channel:
+    return grpc.aio.insecure_channel(address, interceptors=[_Unary(key), _Stream(key)])
+
+
 @asynccontextmanager
 async def client_of(url: str, binding: str, key: str = OPERATOR) -> AsyncGenerator[Client]:
     headers = {"authorization": f"Bearer {key}"}
     async with httpx.AsyncClient(headers=headers, timeout=BOUND) as http:
-        config = ClientConfig(httpx_client=http, supported_protocol_bindings=[binding])
+        config = ClientConfig(
+            httpx_client=http,
+            supported_protocol_bindings=[binding],
+            grpc_channel_factory=partial(channel, key=key),
+        )
         yield await ClientFactory(config).create_from_url(url)
 
 

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
+from pathlib import Path
 from typing import Any
 
+import pytest
+from a2a.server.events.event_queue import EventQueue
+from a2a.types.a2a_pb2 import Task, TaskState
+
+from rcp_a2a.callers import Caller
 from rcp_a2a.messages import TaskRequest
 from rcp_a2a.questions import Question, mended, question_of
+from rcp_a2a.run import Run
+from rcp_a2a.waiting import Pending, WaitingTasks
 from rcp_plans.lines import plain_steps
+from rcp_store.disk_store import DiskStore
+from rcp_store.plugin_store import PluginStore
 
 
 def lacking(*steps: str) -> Question:
@@ -69,3 +80,34 @@ def test_only_what_a_client_can_give_is_asked_for() -> None:
     assert refused(lacks, wrong) is None
     assert refused() is None
     assert question_of({}) is None
+
+
+class Events(EventQueue):
+    """What a client is told."""
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+
+    async def enqueue_event(self, event: Any) -> None:
+        self.told.append(event)
+
+
+@pytest.mark.anyio
+async def test_a_question_taken_up_after_a_restart_has_its_own_end(tmp_path: Path) -> None:
+    forgotten: list[str] = []
+    nobody: Any = None
+    store = DiskStore(tmp_path / "store.db", asyncio.get_running_loop())
+    waiting = WaitingTasks(PluginStore(store, "a2a.questions"))
+    run = Run(nobody, Task(id="t", context_id="c"), 0.01, forgotten.append, waiting)
+    events = Events()
+    run.listen(events)
+    run.resume(Caller(nobody, "http://here"), Pending(TaskRequest({}), lacking("1")))
+    async with asyncio.timeout(20):
+        await run.ended.wait()
+    (event,) = events.told
+    assert event.status.state == TaskState.TASK_STATE_FAILED
+    assert "No answer within" in event.status.message.parts[0].text
+    assert forgotten == ["t"]
+    assert run.question is None
+    await asyncio.sleep(0)  # the loop's turn hands over what was put
+    store.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 import re
 from collections.abc import AsyncGenerator, AsyncIterator
@@ -11,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import msgspec
 import pytest
 
 from configuration import key, role
 from expiring import brief_key
 from plugins.a2a.agent import KEY_BETA, agent, caller, data, rpc, sent, text
 from plugins.a2a.receiver import BOUND
+from rcp_kernel.model import Resource
 from transports.robot import Site, until
 
 pytestmark = pytest.mark.anyio
@@ -31,6 +34,13 @@ CAREFUL = (
 CAREFUL_KEY, ALONE_KEY, BOSS_KEY = (
     "key-of-who-is-careful", "key-of-who-is-alone", "key-of-the-boss-of-all",
 )  # fmt: skip
+
+
+class View(msgspec.Struct, frozen=True):
+    """A picture."""
+
+    format: str
+    data: bytes
 
 
 def state(task: dict[str, Any]) -> str:
@@ -163,7 +173,8 @@ async def test_a_client_that_takes_text_only_gets_no_data(client: httpx.AsyncCli
     modes = {"acceptedOutputModes": ["text/plain"]}
     task = await sent(client, text("execute /service/add 1", configuration=modes))
     (part,) = task["artifacts"][0]["parts"]
-    assert json.loads(part["text"])["result"] == 2.0
+    _, written, _ = re.split(r"\n?\[(?:end of )?robot-data \w+\]\n?", part["text"])
+    assert json.loads(written)["result"] == 2.0
 
 
 async def test_who_does_not_wait_gets_the_task_at_once(
@@ -392,16 +403,90 @@ async def test_an_approval_is_asked_for_and_given_by_the_client_where_a_rule_let
 async def test_a_client_never_approves_its_own_without_such_a_rule(careful: Site) -> None:
     async with caller(careful, CAREFUL_KEY) as client, caller(careful, BOSS_KEY) as boss:
         task = await sent(client, text(GO))
+        assert state(task) == "AUTH_REQUIRED"
+        again = await sent(client, text("approve", taskId=task["id"]))
+        assert state(again) == "AUTH_REQUIRED"
+        assert careful.robot.started.empty()
+        await decide(boss, facts(again)["approval"], "approve")
+        done = await ended(client, task["id"])  # without another message
+        assert state(done) == "COMPLETED", said(done)
+
+
+async def decide(boss: httpx.AsyncClient, approval: str, decision: str) -> None:
+    body = {"id": approval, "decision": decision, "reason": "because"}
+    decided = await boss.post("/rcp/v1/context/system/approvals?wait=5", json=body)
+    assert decided.status_code == 200, decided.text
+
+
+async def test_a_task_ends_when_somebody_else_rejects_it(careful: Site) -> None:
+    async with caller(careful, CAREFUL_KEY) as client, caller(careful, BOSS_KEY) as boss:
+        task = await sent(client, text(GO))
+        await decide(boss, facts(task)["approval"], "reject")
+        over = await ended(client, task["id"])
+        assert state(over) == "REJECTED"
+        assert "because" in said(over)
+        assert careful.robot.started.empty()
+
+
+async def test_a_task_that_waits_survives_a_restart(tmp_path: Path) -> None:
+    async with agent(folder=tmp_path) as first, caller(first) as client:
+        task = await sent(client, text("execute /action/go"))
+        assert state(task) == "INPUT_REQUIRED"
+        other = await sent(client, text("execute /action/go"))
+    async with agent(folder=tmp_path) as second, caller(second) as client:
+        second.robot.release.set()
+        found = (await client.get(f"/a2a/tasks/{task['id']}")).json()
+        assert state(found) == "INPUT_REQUIRED"
+        assert facts(found)["question"] == "parameters"
+        done = await sent(client, data({"1": 2}, taskId=task["id"]))
+        assert state(done) == "COMPLETED", said(done)
+        gone = await client.post(f"/a2a/tasks/{other['id']}:cancel", json={})
+        assert state(gone.json()) == "CANCELED"
+        running = await begun(client, second, text("execute /service/add 1"))
+        assert state(await ended(client, running)) == "COMPLETED"
+
+
+async def test_a_task_that_waited_for_too_long_over_a_restart_has_failed(tmp_path: Path) -> None:
+    async with agent(folder=tmp_path) as first, caller(first) as client:
+        task = await sent(client, text("execute /action/go"))
+    async with agent("input_timeout = 0.05", folder=tmp_path) as second, caller(second) as client:
+        over = await ended(client, task["id"])
+        assert state(over) == "FAILED"
+        assert "answered" in said(over)
+
+
+async def test_an_approval_is_asked_for_again_after_a_restart(tmp_path: Path) -> None:
+    async with agent(more=CAREFUL, folder=tmp_path) as first, caller(first, ALONE_KEY) as client:
+        task = await sent(client, text(GO))
+        assert state(task) == "INPUT_REQUIRED"
+    async with agent(more=CAREFUL, folder=tmp_path) as second, caller(second, ALONE_KEY) as client:
+        second.robot.release.set()
         again = await sent(client, text("approve", taskId=task["id"]))
         assert state(again) == "INPUT_REQUIRED"
-        assert careful.robot.started.empty()
-        decided = await boss.post(
-            "/rcp/v1/context/system/approvals?wait=5",
-            json={"id": facts(task)["approval"], "decision": "approve"},
-        )
-        assert decided.status_code == 200, decided.text
+        assert facts(again)["approval"] != facts(task)["approval"]
         done = await sent(client, text("approve", taskId=task["id"]))
         assert state(done) == "COMPLETED", said(done)
+
+
+@pytest.mark.parametrize("modes", [None, ["image/png", "application/json"], ["application/json"]])
+async def test_an_image_is_a_file_part(
+    gateway: Site, client: httpx.AsyncClient, modes: list[str] | None
+) -> None:
+    pixels = b"\x89PNG" + bytes(100)
+    gateway.robot.host.declare(
+        Resource(name="sensor/picture", description="A view.", value=View, live=True)
+    )
+    gateway.robot.host.publish("sensor/picture", View("png", pixels))
+    configuration = None if modes is None else {"acceptedOutputModes": modes}
+    task = await sent(client, text("read /sensor/picture", configuration=configuration))
+    parts = task["artifacts"][0]["parts"]
+    if modes == ["application/json"]:
+        assert base64.b64decode(parts[0]["data"]["result"]["data"]) == pixels
+        return
+    step, picture = parts
+    assert (picture["mediaType"], picture["filename"]) == ("image/png", "step-1-1.png")
+    assert base64.b64decode(picture["raw"]) == pixels
+    assert "step-1-1.png" in step["data"]["result"]["data"]
 
 
 async def test_a_rejected_approval_ends_the_task_with_the_reason(careful: Site) -> None:

@@ -44,6 +44,7 @@ async def test_the_default_list_is_short_for_any_number_of_robots(robots: str) -
         (tools,) = await pages(operator)
     assert [one["name"] for one in tools] == COMPACT
     assert tokens(tools) <= BUDGET
+    assert {one["name"] for one in tools if "outputSchema" in one} <= {"system-estop"}
 
 
 async def test_tools_that_are_not_listed_can_be_called_and_described() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from configuration import backend, key, role, rule
+from configuration import backend, key, role, rule, table
 from plugins.mcp.rig import OPERATOR, Caller, Site, caller, site
 from rcp_mcp.guidance import nearest
 
@@ -102,6 +102,22 @@ async def test_a_prompts_robot_is_completed_with_robots(operator: Caller, fleet:
         assert await complete(narrow, "") == ["r1"]
     async with site(robots=backend("one", use="sim"), mcp="") as single, caller(single) as by:
         assert await complete(by, "") == ["/tenant/alpha"]
+
+
+async def test_a_prompt_knows_the_places() -> None:
+    given = table("features.places.given.dock", position={"latitude": 1.0, "longitude": 2.0})
+    async with site(more=given) as made, caller(made) as by:
+        ref = {"type": "ref/prompt", "name": "go_to"}
+        argument = {"name": "destination", "value": "d"}
+        found = await by.ask("completion/complete", ref=ref, argument=argument)
+        assert found["completion"]["values"] == ["dock"]
+        prompt = await by.ask("prompts/get", name="go_to", arguments={"destination": "dock"})
+        text = prompt["messages"][0]["content"]["text"]
+        assert "Go to dock." in text
+        assert '{"position": {"place": "NAME"}}' in text
+    async with site(more="[features]\nplaces = false\n") as made, caller(made) as by:
+        found = await by.ask("completion/complete", ref=ref, argument=argument)
+        assert found["completion"]["values"] == []
 
 
 async def test_robots_come_first(operator: Caller) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from plugins.mcp.rig import BOUND, ROVER, Caller, Site, caller, site
+from plugins.mcp.rig import ROVER, Caller, Site, caller, site
 from rcp_kernel.model import Resource
 
 FIXED = [
@@ -258,10 +258,12 @@ async def test_watching_ends_after_samples_or_seconds(operator: Caller, gateway:
             await asyncio.sleep(0.01)
 
     publishing = asyncio.create_task(publish())
-    result = await operator.call("watch", paths=["/sensor/level"], samples=3, seconds=BOUND)
+    result = await operator.call("watch", paths=["/sensor/level"], samples=3, each=True)
     publishing.cancel()
     assert len(result["structuredContent"]["updates"]) == 3
-    short = await operator.call("watch", paths=["/sensor/level"], samples=50, seconds=0.2)
+    short = await operator.call(
+        "watch", paths=["/sensor/level"], samples=50, seconds=0.2, each=True
+    )
     assert short["structuredContent"]["ended"] == "0.2 s are over"
     assert len(short["structuredContent"]["updates"]) >= 1
 

@@ -18,6 +18,7 @@ from rcp_kernel.types import quantity
 from rcp_mcp import McpConfig
 from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.command_tools import CommandTools
+from rcp_mcp.logs import Logs
 from rcp_mcp.offers import Context, Offer, Outcome
 from rcp_mcp.tree import Tree
 
@@ -73,7 +74,9 @@ class Named(Offer):
     def __init__(self, client_api: ClientApi) -> None:
         config = McpConfig(tools=("/**",))
         self._tree = Tree(
-            config, client_api, CommandTools(config, client_api, Catalogue(config, client_api))
+            config,
+            client_api,
+            CommandTools(config, client_api, Catalogue(config, client_api), Logs()),
         )
 
     async def tools(self, ctx: Context) -> Sequence[types.Tool]:
