@@ -14,6 +14,7 @@ from rcp_foxglove.views import ESTOP, View
 from rcp_kernel.errors import QueueFull, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, Request, encode_body
+from rcp_ros_messages import refused_response
 
 __all__ = ["Calls"]
 
@@ -53,7 +54,10 @@ class Calls:
                 deadline=self._timeout,
             )
             reply = await self._requests.request(request)
-            if reply.error is not None or reply.status != "completed":
+            answered = refused_response(reply.error)
+            if answered is not None:
+                self._put(call_response(call, _encoded(call, service, answered)))
+            elif reply.error is not None or reply.status != "completed":
                 self._fail(call, refusal_text(reply))
             else:
                 self._put(call_response(call, _result(call, service, reply)))
@@ -76,7 +80,13 @@ def _result(call: Call, service: Service, reply: Reply) -> bytes:
     """Return the result in the encoding of the call."""
     if call.encoding == "json":
         return b"{}" if reply.body is NO_BODY else encode_body(reply.body, Encoding.JSON)
-    native = service.natives["output"]
-    assert native.encode is not None
     value = None if reply.body is NO_BODY else getattr(reply.body, "value", reply.body)
-    return native.encode(value)
+    return _encoded(call, service, value)
+
+
+def _encoded(call: Call, service: Service, value: Any) -> bytes:
+    if call.encoding == "json":
+        return msgspec.json.encode(value)
+    encode = service.natives["output"].encode
+    assert encode is not None
+    return encode(value)

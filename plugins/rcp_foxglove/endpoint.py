@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import secrets
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import parse_qs
 
-import msgspec
-
 from rcp_foxglove.client import FoxgloveClient
 from rcp_foxglove.config import FoxgloveConfig, check
+from rcp_foxglove.server_info import ServerInfo
 from rcp_foxglove.views import Views
-from rcp_kernel.api import Peer, Principal, gateway_version
+from rcp_kernel.api import Peer, Principal
 from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.clock import now
 from rcp_kernel.errors import BadRequest, RcpError
@@ -24,14 +22,6 @@ __all__ = ["SUBPROTOCOLS", "open_foxglove"]
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 _LOOK = 0.25  # s between two looks at the tree
-_CAPABILITIES = (
-    "clientPublish",
-    "parameters",
-    "parametersSubscribe",
-    "services",
-    "connectionGraph",
-    "assets",
-)
 
 
 class Endpoint:
@@ -41,8 +31,7 @@ class Endpoint:
         self._config = config
         self._client_api = client_api
         self._views = Views(config, client_api)
-        self._session_id = secrets.token_hex(8)
-        """Another one after each start: clients then forget what they know of the channels."""
+        self._info = ServerInfo(client_api.title, timed=config.time > 0)
         self.clients: set[FoxgloveClient] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -52,7 +41,9 @@ class Endpoint:
             subprotocol = _choose(scope["subprotocols"])
             who = await self._identify(scope)
             socket = scope["extensions"]["rcp.socket"]
-            client = FoxgloveClient(self._client_api, self._config, self._views, who, socket)
+            client = FoxgloveClient(
+                self._client_api, self._config, self._views, self._info, who, socket
+            )
         except RcpError as error:
             self._client_api.refused("hello", error.code)
 
@@ -70,8 +61,10 @@ class Endpoint:
         self.clients.add(client)
         try:
             view = await self._views.view(client.connection.session)
+            client.playback.states = subprotocol == SUBPROTOCOLS[0]
+            await client.playback.renew(view)
             await send({"type": "websocket.accept", "subprotocol": subprotocol})
-            client.opened(self._server_info(), view)
+            client.opened(view)
             await client.gone.wait()
         finally:
             self.clients.discard(client)
@@ -93,18 +86,6 @@ class Endpoint:
         if path == prefix or path.startswith(prefix + "/"):
             path = path[len(prefix) :]
         return path.strip("/") or None
-
-    def _server_info(self) -> bytes:
-        capabilities = [*_CAPABILITIES, *(["time"] if self._config.time else [])]
-        facts = {
-            "op": "serverInfo",
-            "name": self._client_api.title,
-            "capabilities": capabilities,
-            "supportedEncodings": ["json", "cdr"],
-            "metadata": {"server": f"rcp-gateway {gateway_version()}"},
-            "sessionId": self._session_id,
-        }
-        return msgspec.json.encode(facts)
 
     async def look(self) -> None:
         """Have each client look at its view of the tree, periodically."""

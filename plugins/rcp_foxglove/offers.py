@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from rcp_foxglove.renderings import Tail, as_json, as_serialised, as_well_known
-from rcp_foxglove.well_known import well_known
+from rcp_foxglove.renderings import Tail, as_json, as_serialised, as_well_known, replayed
+from rcp_foxglove_types import well_known
 from rcp_kernel.model import NativeType
 
 __all__ = ["Channel", "Facts", "ParameterOffer", "Service", "Target", "channel_of", "service_of"]
@@ -78,6 +78,8 @@ def channel_of(one: Facts, topic: str, native: NativeType | None, number: Number
             name, schema = _title(one, "value"), _text(_as_object(published))
         else:
             name, schema, tail = known.name, _text(known.schema), as_well_known(known.convert)
+    if one.get("meta", {}).get("replayed"):
+        tail = replayed(tail)
     id_ = number((topic, one["path"], encoding, name, schema))
     facts = {
         "id": id_,

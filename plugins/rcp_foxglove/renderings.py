@@ -1,6 +1,6 @@
 """How samples are written: in a robot's own bytes, as JSON, or as a well-known Foxglove type.
 
-Tails are shared by all subscribers of a channel, and renderings by those with equal numbers.
+The time of a message is that of its receipt, or the recording's where it is replayed. Tails are shared by all subscribers of a channel, and renderings by those with equal numbers.
 """
 
 from __future__ import annotations
@@ -13,16 +13,25 @@ from typing import Any
 import msgspec
 
 from rcp_foxglove.frames import message_head
-from rcp_foxglove.plain_fields import with_fields
+from rcp_foxglove_types import with_fields
 from rcp_kernel.api import Rendering, Sample
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.values import Encoding
 
-__all__ = ["Tail", "as_json", "as_serialised", "as_well_known", "of_parameter", "of_subscription"]
+__all__ = [
+    "Tail",
+    "as_json",
+    "as_serialised",
+    "as_well_known",
+    "of_parameter",
+    "of_subscription",
+    "replayed",
+]
 
 Tail = Callable[[Sample], bytes]
 _JSON = Encoding.JSON
 _time = struct.Struct("<Q").pack
+_TIME_SIZE, _LAST_TIME = 8, 2**64 - 1
 
 
 def as_json(sample: Sample) -> bytes:
@@ -39,6 +48,17 @@ def as_serialised(sample: Sample) -> bytes:
     if native is None:
         raise Overrun(f"a sample of {sample.entry.path} has no serialised form")
     return _time(sample.received) + native.data
+
+
+@lru_cache(maxsize=64)
+def replayed(tail: Tail) -> Tail:
+    """Return what writes the samples of a recording, at the times that they had."""
+
+    def at_its_time(sample: Sample) -> bytes:
+        moment = min(max(sample.timestamp, 0), _LAST_TIME)
+        return _time(moment) + memoryview(tail(sample))[_TIME_SIZE:]
+
+    return at_its_time
 
 
 @lru_cache(maxsize=64)

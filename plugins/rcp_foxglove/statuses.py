@@ -8,7 +8,7 @@ from typing import Literal
 
 import msgspec
 
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.wire import Reply
 
 __all__ = ["ERROR", "INFO", "WARNING", "Statuses", "refusal_text"]
@@ -17,13 +17,15 @@ INFO, WARNING, ERROR = 0, 1, 2
 Level = Literal[0, 1, 2]
 _STANDING = 256  # problems that a client is shown at the same time
 _BURST = 20  # single messages in a period
+_OPERATION = "See the description of the operation in the Foxglove WebSocket protocol."
 _PERIOD = 1.0  # s
 
 
 def refusal_text(error: RcpError | Reply) -> str:
     """Return what went wrong and what to do next."""
     if isinstance(error, RcpError):
-        parts = [error.message, error.remedy]
+        remedy = _OPERATION if error.remedy == BadRequest.default_remedy else error.remedy
+        parts = [error.message, remedy]
     else:
         facts = error.error or {}
         parts = [facts.get("message") or error.message or error.status, facts.get("remedy")]

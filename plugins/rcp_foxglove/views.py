@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
 from itertools import chain, count
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 from rcp_foxglove.config import FoxgloveConfig
@@ -20,11 +21,22 @@ from rcp_kernel.api import Query, Rights, Session, SharedWork
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import NativeType, Pattern, tenant_of
 
-__all__ = ["ESTOP", "View", "Views"]
+__all__ = ["ESTOP", "Replay", "View", "Views"]
 
 _PAGE = 10  # resources read per step
 ESTOP = "/system/estop"
 _MARKS = {"number": "float64"}
+_PARTS = {"state": "subscribe", "control": "execute"}
+"""What is done with the parts of a replay."""
+
+
+class Replay(NamedTuple):
+    """A recording that is replayed."""
+
+    state: str
+    """Path of where it is."""
+    control: str | None
+    """Path of the service that changes it, for those who may."""
 
 
 class View:
@@ -41,6 +53,16 @@ class View:
         """Services that return files of a robot's description."""
         self.publishers: dict[str, str] = {}
         """The backend of each topic."""
+        self.replays: dict[str, dict[str, str]] = {}
+        """Paths of each replay, by what they are for."""
+
+    @property
+    def replay(self) -> Replay | None:
+        """The replay, if there is exactly one: a viewer has one time."""
+        if len(self.replays) != 1:
+            return None
+        (paths,) = self.replays.values()
+        return Replay(paths["state"], paths.get("control")) if "state" in paths else None
 
 
 class Views:
@@ -118,6 +140,11 @@ class Views:
         self, view: View, names: _Names, one: Facts, natives: Mapping[str, NativeType]
     ) -> None:
         kind, operations = one["kind"], one["operations"]
+        part = one.get("meta", {}).get("replay")
+        may = isinstance(part, str) and _PARTS.get(part) in operations
+        if may and names.tenant in (None, tenant_of(one["path"])):
+            place = one["path"].replace(f"/{kind}/", "/", 1)
+            view.replays.setdefault(place, {})[part] = one["path"]
         if "execute" in operations:
             self._add_service(view, names, one, natives)
         elif kind == "param":
@@ -176,6 +203,7 @@ class _Names:
     """The names of one view: each is given once."""
 
     def __init__(self, tenant: str | None, *, ros: bool) -> None:
+        self.tenant = tenant
         self._start = None if tenant is None else f"/tenant/{tenant}/"
         self._ros = ros
         self._taken: set[str] = set()

@@ -8,12 +8,13 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
-from rcp_kernel.values import to_plain
-from rcp_kernel.wire import Body, Reply, Request
+from rcp_kernel.wire import Reply, Request
+from rcp_ros_messages import refused_response
 from rcp_rosbridge.compatibility import decoded, has_bytes, modern
 from rcp_rosbridge.context import Context, Packing
 from rcp_rosbridge.graph import Graph, RosAction, RosService
 from rcp_rosbridge.operations import CallService, CancelActionGoal, SendActionGoal
+from rcp_rosbridge.replies import complaint, plain
 from rcp_rosbridge.rosapi import Rosapi
 from rcp_rosbridge.status import sentence
 
@@ -148,7 +149,10 @@ class Calls:
     def _feedback(self, op: SendActionGoal, action: RosAction, reply: Reply) -> None:
         if self._context.connection.outbox.crowded:  # the client does not read
             return
-        values = _plain(reply) or {}
+        values = plain(reply)
+        if values is None and reply.progress is None:  # it has begun
+            return
+        values = values or {}
         if action.mapping is not None:
             values = action.mapping.to_feedback(values)
         feedback = {"op": "action_feedback", "action": op.action, "id": op.id_, "values": values}
@@ -156,9 +160,9 @@ class Calls:
 
     def _finished(self, op: SendActionGoal, action: RosAction, reply: Reply) -> None:
         if reply.error is not None and reply.status != "cancelled":
-            self._end(op, _complaint(reply), _ABORTED, succeeded=False)
+            self._end(op, complaint(reply), _ABORTED, succeeded=False)
             return
-        values = _plain(reply)
+        values = plain(reply)
         if action.mapping is not None:
             values = action.mapping.to_result(values or {})
         state = _STATES.get(reply.status, _ABORTED)
@@ -229,27 +233,13 @@ def _deadline(timeout: float | None) -> float | None:
     return min(timeout, _LONGEST) if timeout is not None and timeout > 0 else None
 
 
-def _plain(reply: Reply) -> Any:
-    """Return the body of a reply as plain data, whose numbers are numbers in JSON too."""
-    body = reply.body
-    if isinstance(body, msgspec.Raw):
-        return msgspec.json.decode(body) if body else None
-    return to_plain(body.value if isinstance(body, Body) else body)
-
-
-def _complaint(reply: Reply) -> str:
-    error = reply.error or {}
-    text = str(error.get("message") or reply.message or reply.status)
-    return f"{text.removesuffix('.')}. {error['remedy']}" if error.get("remedy") else text
-
-
 def _response(service: RosService, reply: Reply) -> tuple[Any, bool]:
     if reply.error is not None:
-        answered = (reply.error.get("details") or {}).get("result")
-        if service.type and not service.triggers and isinstance(answered, dict):
-            return answered, True  # with `success` false, which is a response in ROS
-        return _complaint(reply), False
-    values = _plain(reply)
+        answered = refused_response(reply.error)
+        if answered is not None:
+            return answered, True
+        return complaint(reply), False
+    values = plain(reply)
     if service.triggers:
         found: dict[str, Any] = {"success": True, "message": reply.message or ""}
         return found | values if isinstance(values, dict) else found, True

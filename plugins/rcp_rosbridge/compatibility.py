@@ -28,9 +28,12 @@ def modern(body: msgspec.Raw, schema: dict[str, Any], *, has_bytes: bool) -> msg
     if not old and not has_bytes:
         return body
     value = decoded(body)
-    if old:
-        value = _renamed(value)
-    return msgspec.Raw(msgspec.json.encode(_with_bytes(value, schema, schema)))
+    try:
+        if old:
+            value = _renamed(value)
+        return msgspec.Raw(msgspec.json.encode(_with_bytes(value, schema, schema)))
+    except RecursionError:
+        raise BadRequest("the message is nested too deep") from None
 
 
 def decoded(body: msgspec.Raw) -> Any:

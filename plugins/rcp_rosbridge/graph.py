@@ -6,7 +6,7 @@ type that ROS robots use. Everything else has its place in the tree as its name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,6 +77,8 @@ class RosTopic:
     """Of the values, where they are the messages."""
     has_bytes: bool = False
     """Whether they have bytes somewhere."""
+    text: str | None = None
+    """The definition of the type, where the robot has one."""
     publishers: list[str] = field(default_factory=list[str])
     subscribers: list[str] = field(default_factory=list[str])
 
@@ -93,6 +95,8 @@ class RosService:
     output: Facts | None
     triggers: bool
     """Whether its response is that of a trigger: `success` and `message`."""
+    texts: Mapping[str, str] = field(default_factory=dict[str, str])
+    """The definitions of `input` and `output`, where the robot has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,17 +131,25 @@ class Graph:
         self.actions: dict[str, RosAction] = {}
         self.parameters: dict[str, RosParameter] = {}
         self.nodes: set[str] = set()
+        self.offering: str | None = None
+        """Path of the action by which clients offer services and actions; first choice: a ROS graph."""
         self._by_path: dict[str, Facts] = {}
 
     def build(self, resources: Iterable[Facts]) -> Iterator[None]:
         """Add all resources, in steps."""
         others: list[Facts] = []
+        offered: list[Facts] = []
         for facts in resources:
             if facts["path"].startswith("/tenant/"):
                 self._by_path[facts["path"]] = facts
                 self.nodes.add(f"/{facts['backend']}")
         for facts in self._by_path.values():
-            if not self._add_own(facts):
+            meta: Facts = facts.get("meta") or {}
+            if "offers" in meta:
+                self._add_offering(facts, meta["offers"])
+            elif "offered" in meta:
+                offered.append(facts)
+            elif not self._add_own(facts):
                 others.append(facts)
             yield
         taken: set[str] = set()
@@ -148,6 +160,9 @@ class Graph:
             yield
         for facts in others:
             self._add_other(facts, covered=facts["path"] in taken)
+            yield
+        for facts in offered:  # last: no client takes the name of a robot's own
+            self._add_offered(facts, facts["meta"]["offered"])
             yield
 
     def topic(self, name: str) -> RosTopic | None:
@@ -196,10 +211,29 @@ class Graph:
             return False
         return True
 
+    def _add_offering(self, facts: Facts, where: str) -> None:
+        may = facts["kind"] == "action" and "execute" in facts["operations"]
+        if may and (self.offering is None or where == "graph"):
+            self.offering = facts["path"]
+
+    def _add_offered(self, facts: Facts, offered: Facts) -> None:
+        """Add what a client offers, by the name that it chose."""
+        name = self._name(facts, offered["name"])
+        type_ = offered["type"]
+        if facts["kind"] == "service":
+            type_ = type_ or f"rcp/srv/{_camel(name.rpartition('/')[2])}"
+            self._add_service(name, facts, type_)
+        elif "execute" in facts["operations"]:
+            type_ = type_ or f"rcp/action/{_camel(name.rpartition('/')[2])}"
+            node = f"/{facts['backend']}"
+            action = RosAction(name, type_, facts["path"], node, None, facts["schemas"])
+            self.actions.setdefault(name, action)
+
     def _add_ros_topic(self, facts: Facts, name: str, type_: str, node: str) -> None:
         topic = self.topics.get(name)
         if topic is None:
-            topic = self.topics[name] = RosTopic(name, type_)
+            text = facts.get("texts", {}).get("value")
+            topic = self.topics[name] = RosTopic(name, type_, text=text)
         schema = facts["schemas"]["value"]
         if not topic.schema and not facts.get("profiles"):  # else these are the profile's fields
             topic.schema, topic.has_bytes = schema, has_bytes(schema)
@@ -380,7 +414,14 @@ def _service(name: str, facts: Facts, type_: str | None = None) -> RosService:
     shown = type_ or (_TRIGGER if triggers else f"rcp/srv/{_camel(name.rpartition('/')[2])}")
     node = f"/{facts['backend']}"
     return RosService(
-        name, shown, facts["path"], node, input_, schemas.get("output"), triggers=triggers
+        name,
+        shown,
+        facts["path"],
+        node,
+        input_,
+        schemas.get("output"),
+        triggers=triggers,
+        texts=facts.get("texts", {}),
     )
 
 

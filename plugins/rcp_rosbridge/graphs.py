@@ -42,7 +42,14 @@ class Graphs:
         pattern = "/tenant/**" if tenant is None else f"/tenant/{tenant}/**"
         while query is not None:
             page = yield from self._client_api.discover(session, pattern, query)
-            resources += page["resources"]
+            for facts in page["resources"]:
+                natives = self._client_api.native_types(session, facts["path"])
+                texts = {
+                    part: one.schema
+                    for part, one in natives.items()
+                    if one.schema_encoding == "ros2msg"
+                }
+                resources.append({**facts, "texts": texts})
             cursor = page.get("cursor")
             query = None if cursor is None else Query(limit=_PAGE, cursor=cursor)
             yield

@@ -1,4 +1,4 @@
-"""The gateway's notices, as status messages."""
+"""The gateway's notices, and the outcome of `auth`, as status messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 from rcp_rosbridge.config import Level
 from rcp_rosbridge.status import StatusMessages
 
-__all__ = ["explained"]
+__all__ = ["Notices", "tell_outcome"]
 
 _LEVELS: dict[str, Level] = {
     "stale": "warning",
@@ -25,27 +25,32 @@ _LEVELS: dict[str, Level] = {
 }
 
 
-def explained(data: bytes, status: StatusMessages, lost: Callable[[str, str], bool]) -> None:
-    """Tell a client what a notice, or the reply to `hello`, says.
+class Notices:
+    """Tells one client what the gateway's notices say."""
 
-    `lost` is called with a lease that the client lost and who ended it; it returns whether to tell.
-    """
-    found: dict[str, Any] = msgspec.json.decode(data)
-    if found["type"] == "hello":
-        _tell_outcome(found, status)
-        return
-    code = str(found.get("code", ""))
-    if code == "lease_lost" and not lost(str(found.get("lease")), str(found.get("by"))):
-        return
-    level = _LEVELS.get(code)
-    if level is None:
-        return
-    text = str(found.get("message") or found.get("reason") or code.replace("_", " "))
-    path = found.get("path") or found.get("scope")
-    status.tell(level, f"{path}: {text}" if path else text, None, f"{code} {path}")
+    def __init__(self, status: StatusMessages, lost: Callable[[str, str], bool]) -> None:
+        """Call `lost` with a lease that the client lost and who ended it; it returns whether to tell."""
+        self._status = status
+        self._lost = lost
+
+    def notice(self, code: str, facts: dict[str, Any]) -> None:
+        """Tell a notice, if it concerns what clients of rosbridge do."""
+        if code == "lease_lost" and not self._lost(str(facts.get("lease")), str(facts.get("by"))):
+            return
+        level = _LEVELS.get(code)
+        if level is None:
+            return
+        text = str(facts.get("message") or facts.get("reason") or code.replace("_", " "))
+        path = facts.get("path") or facts.get("scope")
+        self._status.tell(level, f"{path}: {text}" if path else text, None, f"{code} {path}")
+
+    def skipped(self, subscription: str, path: str, count: int) -> None:
+        """Do nothing: the subscriptions count what a client misses that does not read."""
 
 
-def _tell_outcome(reply: dict[str, Any], status: StatusMessages) -> None:
+def tell_outcome(data: bytes, status: StatusMessages) -> None:
+    """Tell a client what the reply to its `auth` says."""
+    reply: dict[str, Any] = msgspec.json.decode(data)
     id_ = str(reply.get("id") or "").removeprefix("auth:") or None
     error = reply.get("error")
     if error is not None:

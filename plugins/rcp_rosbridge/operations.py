@@ -150,12 +150,16 @@ class ActionFeedback(_Op, frozen=True, tag="action_feedback"):
     """Feedback of an action that a client offers."""
 
     action: Name
+    values: Raw = Raw()
 
 
 class ActionResult(_Op, frozen=True, tag="action_result"):
-    """The result of an action that a client offers."""
+    """The result of an action that a client offers; `status` is that of action_msgs/GoalStatus."""
 
     action: Name
+    values: Raw = Raw()
+    status: int | None = None
+    result: bool = True
 
 
 class Fragment(_Op, frozen=True, tag="fragment"):
@@ -168,6 +172,8 @@ class Fragment(_Op, frozen=True, tag="fragment"):
 
 class Png(_Op, frozen=True, tag="png"):
     """A message as a picture."""
+
+    data: str
 
 
 class SetLevel(_Op, frozen=True, tag="set_level"):

@@ -17,7 +17,7 @@ from rcp_ros_messages.message_type import parse
 from rcp_rosbridge.compatibility import decoded
 from rcp_rosbridge.context import Context
 from rcp_rosbridge.graph import Graph, RosTopic, same_type
-from rcp_rosbridge.typedefs import Typedef, text_of, typedefs, typedefs_of_schema
+from rcp_rosbridge.typedefs import Typedef, text_of, typedefs, typedefs_of_schema, typedefs_of_text
 
 __all__ = ["NAMES", "Rosapi"]
 
@@ -129,7 +129,7 @@ def _topics(graph: Graph, _: Args) -> Any:
 
 
 def _topics_and_raw_types(graph: Graph, args: Args) -> Any:
-    texts = [text_of(t.type, t.schema) for _, t in sorted(graph.topics.items())]
+    texts = [t.text or text_of(t.type, t.schema) for _, t in sorted(graph.topics.items())]
     return {**_topics(graph, args), "typedefs_full_text": texts}
 
 
@@ -222,8 +222,18 @@ def _message_details(graph: Graph, args: Args) -> Any:
         topic = next((t for t in graph.topics.values() if full_name(t.type) == name), None)
         if topic is None:
             raise UnknownPath(f"the type {name} is not known")
-        found = typedefs_of_schema(name, topic.schema)
+        found = _described(name, topic.text, topic.schema)
     return {"typedefs": found}
+
+
+def _described(name: str, text: str | None, schema: dict[str, Any]) -> list[Typedef]:
+    """Describe a type by its definition, which has the widths of numbers, or else by its schema."""
+    if text is not None:
+        try:
+            return typedefs_of_text(name, text)
+        except ValueError:  # written in a way that is not known
+            pass
+    return typedefs_of_schema(name, schema)
 
 
 def _details(graph: Graph, args: Args, part: int) -> Any:
@@ -238,7 +248,8 @@ def _details(graph: Graph, args: Args, part: int) -> Any:
     schema = service.input if part == 0 else service.output
     if schema is None:
         return {"typedefs": [_flat(name + half, [])]}
-    return {"typedefs": typedefs_of_schema(name + half, schema)}
+    text = service.texts.get("input" if part == 0 else "output")
+    return {"typedefs": _described(name + half, text, schema)}
 
 
 def _flat(name: str, fields: list[tuple[str, str]]) -> Typedef:

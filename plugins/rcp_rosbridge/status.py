@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import BadRequest, RcpError
 from rcp_rosbridge.config import Level
 
 __all__ = ["StatusMessages", "sentence"]
@@ -14,13 +14,15 @@ __all__ = ["StatusMessages", "sentence"]
 _RANKS: dict[Level, int] = {"none": 0, "error": 1, "warning": 2, "info": 3}
 _PERIOD = 1.0  # s
 _AT_ONCE = 5  # messages of a kind in that time
+_OPERATION = "See the description of the operation in rosbridge v2."
 _KINDS = 256  # kinds of messages that are remembered
 
 
 def sentence(error: RcpError) -> str:
     """Return what went wrong, and what to do."""
     text = error.message if error.message.endswith(".") else f"{error.message}."
-    return f"{text} {error.remedy}".strip() if error.remedy else text
+    remedy = _OPERATION if error.remedy == BadRequest.default_remedy else error.remedy
+    return f"{text} {remedy}".strip() if remedy else text
 
 
 class StatusMessages:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from rcp_ros_messages import MessageType, full_name, message_text, message_type
+from rcp_ros_messages import MessageType, full_name, message_text, message_type, parse_all
 
-__all__ = ["Typedef", "text_of", "typedefs", "typedefs_of_schema"]
+__all__ = ["Typedef", "text_of", "typedefs", "typedefs_of_schema", "typedefs_of_text"]
 
 Typedef = dict[str, Any]
 _PRIMITIVES = {"number": "float64", "integer": "int64", "boolean": "boolean", "string": "string"}
@@ -18,11 +19,24 @@ def typedefs(name: str) -> list[Typedef]:
     first = message_type(name)
     found: dict[str, Typedef] = {}
     if first is not None:
-        _collect(first, found)
+        _collect(first, found, message_type)
     return list(found.values())
 
 
-def _collect(type_: MessageType, found: dict[str, Typedef]) -> None:
+def typedefs_of_text(name: str, text: str) -> list[Typedef]:
+    """Describe a type by its definition with those of the types that it contains.
+
+    :raises ValueError: it cannot be read.
+    """
+    known = parse_all(name, text)
+    found: dict[str, Typedef] = {}
+    _collect(known[full_name(name)], found, lambda inner: known.get(inner) or message_type(inner))
+    return list(found.values())
+
+
+def _collect(
+    type_: MessageType, found: dict[str, Typedef], find: Callable[[str], MessageType | None]
+) -> None:
     if type_.name in found:
         return
     found[type_.name] = {
@@ -35,9 +49,9 @@ def _collect(type_: MessageType, found: dict[str, Typedef]) -> None:
         "constvalues": [constant.value for constant in type_.constants],
     }
     for field in type_.fields:
-        inner = message_type(field.type)
+        inner = find(field.type)
         if inner is not None:
-            _collect(inner, found)
+            _collect(inner, found, find)
 
 
 def _example(type_: str, length: int | None) -> str:

@@ -101,6 +101,7 @@ RESOURCES = (
         meta={"topic": "/cmd_vel"},
     ),
     Resource(name="actuator/arm/cmd_vel", description="Jogs.", value=Twist, safe=Twist()),
+    Resource(name="actuator/screen", description="Shows a text.", value=str),
     Resource(name="service/double", description="Doubles.", input=int, output=int),
     Resource(name="service/refuse", description="Refuses."),
     Resource(name="action/go", description="Goes.", input=quantity("m"), output=quantity("m")),
@@ -144,7 +145,12 @@ class Site:
 
 @asynccontextmanager
 async def site(
-    *, port: int = 0, own_port: int | None = None, more: str = "", **options: Any
+    *,
+    port: int = 0,
+    own_port: int | None = None,
+    more: str = "",
+    kinds: tuple[BackendKind, ...] = (),
+    **options: Any,
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the options are those of the adapter."""
     if own_port is not None:
@@ -171,6 +177,6 @@ async def site(
     )
     kind = BackendKind("robot", NoOptions, open_robot)
     config = parse(text, "test")
-    async with serve(config, kind, adapters=tuple(rcp_adapters())) as served:
+    async with serve(config, kind, *kinds, adapters=tuple(rcp_adapters())) as served:
         await asyncio.wait_for(opened.wait(), 10)
         yield Site(served, made)

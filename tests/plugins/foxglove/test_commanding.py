@@ -224,6 +224,44 @@ async def test_of_velocities_a_slow_robot_gets_the_newest_one(
     assert "98 messages were skipped" in (await viewer.op("status", level=1))["message"]
 
 
+async def test_of_other_messages_a_slow_robot_gets_all_that_fit_into_the_bytes_of_a_client(
+    gateway: Site, viewer: Viewer
+) -> None:
+    release = asyncio.Event()
+
+    async def slow(value: Any) -> None:
+        await release.wait()
+
+    async def published(messages: list[str]) -> None:
+        for text in messages:
+            await viewer.publish(3, text)
+        await viewer.send("getParameters", parameterNames=["/param/limit"], id=messages[-1][-9:])
+        await viewer.op("parameterValues", id=messages[-1][-9:])
+
+    robot = gateway.robot
+    robot.takes["actuator/screen"] = slow
+    await advertised(viewer, "/actuator/screen")
+    dear = [f"{'x' * 1_000_000}{n:09}" for n in range(14)]  # fewer than may wait if they are short
+    await published(dear)
+    release.set()
+    status = await viewer.op("status", level=1)
+
+    async def last_one_shown() -> bool:
+        return robot.writes[-1][1][-9:] == dear[-1][-9:]
+
+    await eventually(last_one_shown, "the newest text is shown")
+    shown = len(robot.writes)
+    assert shown <= 6  # the first one, and those of 4 MiB
+    assert f"{len(dear) - shown} messages were skipped" in status["message"]
+
+    release.clear()
+    robot.writes.clear()
+    short = [f"{n:09}" for n in range(16)]
+    await published(short)
+    release.set()
+    assert await written(gateway, len(short)) == short
+
+
 async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
     async with site(valid_for=0.1) as made, viewing(made.url, OPERATOR) as viewer:
         release = asyncio.Event()

@@ -10,8 +10,10 @@ from contextlib import suppress
 
 import pytest
 
+import rcp_asgi.socket
 from plugins.foxglove.rig import OPERATOR, Site, site
-from plugins.foxglove.viewer import Viewer, viewing
+from plugins.foxglove.viewer import BOUND, Viewer, viewing
+from rcp_foxglove import requests
 from rcp_kernel.testing import eventually
 
 pytestmark = pytest.mark.anyio
@@ -48,6 +50,32 @@ async def test_what_is_wrong_is_told_and_the_connection_kept(
     assert (await viewer.op("status"))["message"]
     await viewer.subscribe("/sensor/level")
     assert (await viewer.message())[1] == b"1.25"
+
+
+async def test_a_client_with_too_much_under_way_is_not_read_until_some_of_it_is_done(
+    gateway: Site, viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paused, release = asyncio.Event(), asyncio.Event()
+    usual = rcp_asgi.socket.Socket.pause_reading
+
+    def pause_reading(self: rcp_asgi.socket.Socket) -> None:
+        usual(self)
+        paused.set()
+
+    async def slow(value: object) -> None:
+        await release.wait()
+
+    monkeypatch.setattr(rcp_asgi.socket.Socket, "pause_reading", pause_reading)
+    monkeypatch.setattr(requests, "_TASKS", 4)
+    gateway.robot.takes["param/limit"] = slow
+    for number in range(4):  # one by one, so that none of them ends a turn
+        wish = [{"name": "/param/limit", "value": float(number % 2)}]
+        await viewer.send("setParameters", parameters=wish, id=f"{number}")
+    async with asyncio.timeout(BOUND):
+        await paused.wait()
+    await viewer.send("getParameters", parameterNames=["/param/limit"], id="after")
+    release.set()
+    await viewer.op("parameterValues", id="after")
 
 
 async def test_ten_megabytes_are_told_and_the_connection_kept() -> None:

@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from configuration import backend
 from node import node, npm_packages
 from plugins.rosbridge.rig import OPEN, OPERATOR, ROVER, Site, site
+from rcp_clients import CLIENTS
 
 _HERE = Path(__file__).parent
 _LIMIT = 120.0  # s
@@ -45,12 +47,35 @@ async def run(*command: str, cwd: Path | None = None) -> dict[str, Any]:
     return json.loads(out.splitlines()[-1])
 
 
-async def roslib(folder: Path, url: str, token: str, facts: dict[str, Any]) -> dict[str, Any]:
-    """Run the page."""
+async def in_node(folder: Path, script: str, *arguments: str) -> dict[str, Any]:
+    """Run a page."""
     (folder / "node_modules").symlink_to(npm_packages("rosbridge") / "node_modules")
-    page = folder / "page.mjs"
-    page.write_text((_HERE / "page.mjs").read_text())
-    return await run(node(), "--no-warnings", str(page), url, token, json.dumps(facts), cwd=folder)
+    page = folder / script
+    page.write_text((_HERE / script).read_text())
+    return await run(node(), "--no-warnings", str(page), *arguments, cwd=folder)
+
+
+async def roslib(folder: Path, url: str, token: str, facts: dict[str, Any]) -> dict[str, Any]:
+    """Run the page that uses everything."""
+    return await in_node(folder, "page.mjs", url, token, json.dumps(facts))
+
+
+async def roslib_offers(folder: Path, url: str) -> None:
+    """Have roslib offer what another page calls, and check what that got."""
+    found = await in_node(folder, "offers.mjs", url)
+    assert found["set"] == {"success": True, "message": "set to true"}
+    assert found["later"] == {"success": True, "message": "later"}
+    assert found["counted"] == {"sequence": [0, 1, 1]}
+    assert found["fed"] == [[0]]
+    assert found["failed"]
+    assert found["cancelled"] in ("result", "ended")
+
+
+async def roslibpy_offers(port: int) -> None:
+    """Have roslibpy offer what another script calls, and check what that got."""
+    script = str(_HERE / "offers.py")
+    found = await run(sys.executable, "-W", "ignore", script, "127.0.0.1", str(port))
+    assert found["set"] == {"success": True, "message": "set to True"}
 
 
 async def roslibpy(port: int, facts: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +114,7 @@ async def test_roslib_does_all_it_can(tmp_path: Path) -> None:
 
 async def test_roslibpy_does_all_it_can() -> None:
     async with site(OPEN, ROVER, status="error") as gateway:
-        found = await roslibpy(_port(gateway), ROVER_FACTS)
+        found = await roslibpy(port_of(gateway), ROVER_FACTS)
     assert found["topics"]
     assert found["services"]
     assert found["type"] == "nav_msgs/msg/Odometry"
@@ -103,6 +128,12 @@ async def test_roslibpy_does_all_it_can() -> None:
     assert found["connected"]
 
 
-def _port(gateway: Site) -> int:
+async def test_roslibpy_offers_what_others_call() -> None:
+    offers = backend("offered", use="clients")
+    async with site(OPEN, ROVER, offers, kinds=(CLIENTS,)) as gateway:
+        await roslibpy_offers(port_of(gateway))
+
+
+def port_of(gateway: Site) -> int:
     assert gateway.port
     return int(gateway.port)

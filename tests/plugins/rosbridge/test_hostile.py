@@ -42,6 +42,13 @@ BAD = [
     ('{"op": "publish", "topic": "/cmd_vel", "msg": [1, 2]}', "/cmd_vel"),
     ('{"op": "publish", "topic": "/cmd_vel", "msg": {"linear": {"x": "fast"}}}', "/cmd_vel"),
     ('{"op": "publish", "topic": "/odom", "msg": {}}', "takes no messages"),
+    (
+        '{"op": "publish", "topic": "/cmd_vel", "msg": {"secs": 1, "nsecs": 2, "x": '
+        + "[" * 900
+        + "]" * 900
+        + "}}",
+        "nested too deep",
+    ),
     ('{"op": "publish", "topic": "/goal_pose", "msg": 3}', "/goal_pose"),
     ('{"op": "subscribe", "topic": "/odom", "compression": "zip"}', "malformed subscribe"),
     ('{"op": "subscribe", "topic": "/odom", "throttle_rate": -1}', "malformed subscribe"),
@@ -57,7 +64,16 @@ BAD = [
     ('{"op": "fragment", "id": "f", "data": "x", "num": 0, "total": 1e9}', "at most"),
     ('{"op": "auth"}', "no token"),
     ('{"op": "auth", "token": "nonsense"}', "authentication failed"),
-    ('{"op": "png", "data": "x"}', "not supported"),
+    ('{"op": "png"}', "malformed png"),
+    ('{"op": "png", "data": "x"}', "the picture cannot be read"),
+    ('{"op": "png", "data": "iVBORw0KGgo="}', "the picture cannot be read"),
+    ('{"op": "service_response", "service": "/x", "id": "1"}', "waits for an answer"),
+    ('{"op": "service_response", "service": "/x", "id": {"a": 1}}', "not an operation"),
+    ('{"op": "action_feedback", "action": "/x"}', "waits for an answer"),
+    ('{"op": "action_result", "action": "/x", "id": 3, "status": "done"}', "malformed action"),
+    ('{"op": "action_result", "action": "/x", "id": 3}', "waits for an answer"),
+    ('{"op": "unadvertise_action", "action": "/x"}', "was not advertised"),
+    ('{"op": "advertise_service", "service": "/x", "type": 5}', "malformed advertise_service"),
 ]
 
 

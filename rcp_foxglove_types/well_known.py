@@ -9,9 +9,9 @@ import base64
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from rcp_kernel.clock import parse_time
+from rcp_protocol.clock import parse_time
 
-__all__ = ["WellKnown", "well_known"]
+__all__ = ["WellKnown", "fields_of", "well_known"]
 
 Convert = Callable[[Any, int], dict[str, Any]]
 _SECOND = 1_000_000_000
@@ -64,19 +64,21 @@ class WellKnown(NamedTuple):
     """JSON Schema."""
     convert: Convert
     """From a value and the time of its sample, ns."""
+    same: frozenset[str]
+    """Fields of the result that are those of the value, in JSON."""
 
 
 def well_known(schema: dict[str, Any]) -> WellKnown | None:
     """Return the type as which values of a published schema are sent; None: as they are."""
-    fields = _fields(schema)
+    fields = fields_of(schema)
     return next((known for needs, known in _KNOWN if needs <= fields), None)
 
 
-def _fields(schema: dict[str, Any]) -> set[str]:
+def fields_of(schema: dict[str, Any]) -> set[str]:
     """Return the names of a value's fields, also if it may be null."""
     named = schema.get("$ref", "")
     if named.startswith("#/$defs/"):
-        return _fields(schema.get("$defs", {}).get(named.removeprefix("#/$defs/"), {}))
+        return fields_of(schema.get("$defs", {}).get(named.removeprefix("#/$defs/"), {}))
     return set(schema.get("properties", ()))
 
 
@@ -203,10 +205,10 @@ def _points(value: Any, _sampled: int) -> dict[str, Any]:
     }
 
 
-def _of(name: str, convert: Convert, **properties: Any) -> WellKnown:
-    return WellKnown(
-        f"foxglove.{name}", {"title": f"foxglove.{name}", **_object(**properties)}, convert
-    )
+def _of(name: str, convert: Convert, same: str, **properties: Any) -> WellKnown:
+    title = f"foxglove.{name}"
+    schema = {"title": title, **_object(**properties)}
+    return WellKnown(title, schema, convert, frozenset(same.split()))
 
 
 _STAMPED = {"timestamp": _TIME, "frame_id": _TEXT}
@@ -217,6 +219,7 @@ _KNOWN: list[tuple[set[str], WellKnown]] = [
         _of(
             "LaserScan",
             _scan,
+            "ranges intensities",
             **_POSE_PROPERTIES,
             start_angle=_NUMBER,
             end_angle=_NUMBER,
@@ -226,13 +229,14 @@ _KNOWN: list[tuple[set[str], WellKnown]] = [
     ),
     (
         {"data", "format", "width", "height", "frame_id"},
-        _of("CompressedImage", _image, **_STAMPED, data=_BYTES, format=_TEXT),
+        _of("CompressedImage", _image, "data format", **_STAMPED, data=_BYTES, format=_TEXT),
     ),
     (
         {"latitude", "longitude", "altitude", "fix"},
         _of(
             "LocationFix",
             _fix,
+            "latitude longitude altitude",
             **_STAMPED,
             latitude=_NUMBER,
             longitude=_NUMBER,
@@ -246,6 +250,7 @@ _KNOWN: list[tuple[set[str], WellKnown]] = [
         _of(
             "Grid",
             _grid,
+            "data",
             **_POSE_PROPERTIES,
             column_count=_INTEGER,
             cell_size=_object(x=_NUMBER, y=_NUMBER),
@@ -260,19 +265,21 @@ _KNOWN: list[tuple[set[str], WellKnown]] = [
         _of(
             "PointCloud",
             _points,
+            "data",
             **_POSE_PROPERTIES,
             point_stride=_INTEGER,
             fields=_list(_FIELD),
             data=_BYTES,
         ),
     ),
-    ({"transforms"}, _of("FrameTransforms", _transforms, transforms=_list(_TRANSFORM))),
+    ({"transforms"}, _of("FrameTransforms", _transforms, "", transforms=_list(_TRANSFORM))),
     (
         {"header", "child_frame_id", "transform"},
         WellKnown(
             "foxglove.FrameTransform",
             {"title": "foxglove.FrameTransform", **_TRANSFORM},
             _transform,
+            frozenset(),
         ),
     ),
     (
@@ -281,11 +288,12 @@ _KNOWN: list[tuple[set[str], WellKnown]] = [
             "foxglove.FrameTransform",
             {"title": "foxglove.FrameTransform", **_TRANSFORM},
             _flat_transform,
+            frozenset(("child_frame_id", "translation", "rotation")),
         ),
     ),
     (
         {"position", "orientation", "frame_id"},
-        _of("PoseInFrame", _pose_in_frame, **_POSE_PROPERTIES),
+        _of("PoseInFrame", _pose_in_frame, "", **_POSE_PROPERTIES),
     ),
 ]
 """The first one whose fields a value has."""

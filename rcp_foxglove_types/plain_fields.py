@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 __all__ = ["with_fields"]
 
@@ -25,7 +25,10 @@ class _Fields:
 def with_fields(value: Any) -> Any:
     """Return a value whose fields can be read as attributes, also if it is plain data."""
     if isinstance(value, dict):
-        return _Fields(value)
-    if isinstance(value, list) and value and isinstance(value[0], dict):
-        return [with_fields(one) for one in value]
+        return _Fields(cast("dict[str, Any]", value))
+    if isinstance(value, list):
+        items = cast("list[Any]", value)
+        return (
+            [with_fields(one) for one in items] if items and isinstance(items[0], dict) else items
+        )
     return value
