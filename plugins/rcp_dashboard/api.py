@@ -11,8 +11,9 @@ from litestar.types import ASGIApp
 from rcp_dashboard.camera import Cameras
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
+from rcp_dashboard.past import Past
 from rcp_dashboard.request import DashboardRequest
-from rcp_dashboard.schemas import CAMERA, LATEST, LAYOUT, NONE, SERIES, STREAM, answer
+from rcp_dashboard.schemas import CAMERA, LATEST, LAYOUT, NONE, PAST, SERIES, STREAM, answer
 from rcp_dashboard.telemetry import Telemetry
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
@@ -40,6 +41,7 @@ class Services:
         self.client_api = client_api
         self.layout_size = config.layout_size
         self.telemetry = Telemetry(client_api, config)
+        self.past = Past(client_api)
         self.cameras = Cameras(client_api, config)
         self.layouts = layouts
 
@@ -91,6 +93,25 @@ class Values(Controller):
     ) -> ASGIApp:
         """Answer with the current values of resources."""
         return response(200, await services.telemetry.latest(asked), headers=_NO_STORE)
+
+    @get(
+        "/past",
+        **call(
+            "Recorded samples of several resources.",
+            query("path", {"type": "array", "items": _TEXT}, "A resource; repeatable, 1 to 64."),
+            query("from", _TEXT, "The first moment, ISO 8601 or s since the epoch.", required=True),
+            query("to", _TEXT, "The end, which is not a part of it. Default: now."),
+            query("before", _INTEGER, "Samples of each resource before `from`, 0 to 200."),
+            query("every", _NUMBER, "Only the first sample of each interval of so many seconds."),
+            query("cursor", _TEXT, "`cursor` from the previous page."),
+            responses=answer("Recorded samples, one page of them.", PAST),
+        ),
+    )
+    async def past(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Answer with what was recorded, as the process that reads it writes it."""
+        return response(200, await services.past.page(asked), headers=_NO_STORE)
 
     @get(
         "/camera",
@@ -192,7 +213,7 @@ class Api:
         self._services.cameras.close()
 
 
-_PLACES = ("/series", "/latest", "/camera", "/camera/stream", "/layout")
+_PLACES = ("/series", "/latest", "/past", "/camera", "/camera/stream", "/layout")
 
 
 async def _identify(request: Asked, services: NamedDependency[Services]) -> DashboardRequest:

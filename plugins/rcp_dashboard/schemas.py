@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rcp_web.calls import Node
 
-__all__ = ["CAMERA", "LATEST", "LAYOUT", "NONE", "SERIES", "STREAM", "answer"]
+__all__ = ["CAMERA", "LATEST", "LAYOUT", "NONE", "PAST", "SERIES", "STREAM", "answer"]
 
 _REFUSED: Node = {"description": "Refused, with an envelope."}
 _NUMBERS: Node = {"type": "array", "items": {"type": "number"}}
@@ -66,6 +66,27 @@ _LATEST_BODY: Node = {
         "cursor": {"type": "string"},
     },
 }
+_PAST_BODY: Node = {
+    "type": "object",
+    "required": ["samples"],
+    "properties": {
+        "samples": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["path", "timestamp", "received", "seq", "body"],
+                "properties": {
+                    "path": {"type": "string"},
+                    "timestamp": {"type": "string", "description": "The source's time."},
+                    "received": {"type": "string", "description": "When the gateway had it."},
+                    "seq": {"type": "integer"},
+                    "body": {},
+                },
+            },
+        },
+        "cursor": {"type": "string", "description": "There are more: continue with it."},
+    },
+}
 
 
 def _json(schema: Node) -> Node:
@@ -74,6 +95,7 @@ def _json(schema: Node) -> Node:
 
 SERIES = _json(_SERIES_BODY)
 LATEST = _json(_LATEST_BODY)
+PAST = _json(_PAST_BODY)
 LAYOUT = _json({})
 CAMERA: Node = {
     media: {"schema": {"type": "string", "format": "binary"}}

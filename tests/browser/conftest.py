@@ -11,6 +11,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, async_playwright
 
+from browser.accessible import AXE
 from browser.watched import Watched, signed_in
 from docs.demo import Demo, demo
 
@@ -50,6 +51,17 @@ def chromium() -> str:
             pytest.fail(reason)
         pytest.skip(reason)
     return found
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    """Return axe-core, which is there where the pages were built."""
+    if not AXE.is_file():
+        reason = "no axe-core: build the pages here (make dashboard)"
+        if os.environ.get("RCP_CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return AXE.read_text()
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,18 @@ from playwright.async_api import CDPSession, Locator, Page, expect
 
 from browser.watched import Watched
 
-__all__ = ["UNSEEN", "Touch", "drives", "push", "shift", "stands", "take", "touching", "unsafe"]
+__all__ = [
+    "UNSEEN",
+    "Touch",
+    "drives",
+    "held",
+    "push",
+    "shift",
+    "stands",
+    "take",
+    "touching",
+    "unsafe",
+]
 
 UNSEEN = """
 window.pads = [];
@@ -151,3 +162,15 @@ async def touching(page: Page) -> AsyncGenerator[Touch]:
         yield Touch(session)
     finally:
         await session.detach()
+
+
+@asynccontextmanager
+async def held(button: Locator) -> AsyncGenerator[None]:
+    """Hold a button with the mouse while entered."""
+    page = button.page
+    await button.hover()
+    await page.mouse.down()
+    try:
+        yield
+    finally:
+        await page.mouse.up()

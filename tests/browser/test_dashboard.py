@@ -25,7 +25,19 @@ from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms
-PAGES = ("", "explore", "teleop", "camera", "scene", "map", "plot", "commands", "log")
+PAGES = (
+    "",
+    "fleet",
+    "explore",
+    "teleop",
+    "camera",
+    "scene",
+    "map",
+    "plot",
+    "commands",
+    "log",
+    "people",
+)
 SHOWN = {
     "explore": "path=/tenant/alpha/sensor/pose",
     "plot": urlencode(
@@ -41,6 +53,7 @@ SHOWN = {
 """What the pages show that show nothing by themselves."""
 SEEN = {
     "": "rover-alpha",
+    "fleet": "rover-alpha",
     "explore": "orientation",
     "teleop": "Take control",
     "camera": " Hz",
@@ -49,6 +62,7 @@ SEEN = {
     "plot": "linear_acceleration.x",
     "commands": "action/move_to",
     "log": "boot",
+    "people": "this page",
 }
 """What of its own each page has to show."""
 POSING = {"plot": 10_000, "scene": 5000, "camera": 3000} if "RCP_SCREENSHOTS" in os.environ else {}

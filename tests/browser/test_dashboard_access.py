@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
+from browser.accessible import SMALL, WIDER, violations
 from browser.watched import Watched, log_in, watched
 from docs.demo import Demo
-from rcp_dashboard.pages import STATIC
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms
-AXE = STATIC.parent / "web" / "node_modules" / "axe-core" / "axe.min.js"
 PAGES = (
     "",
+    "fleet",
+    "teleop?robot=head-delta",
     "explore?path=/tenant/alpha/action/move_to",
     "explore?path=/tenant/alpha/sensor/pose",
     "teleop?robot=rover-alpha",
@@ -28,15 +28,8 @@ PAGES = (
     "plot?p=/tenant/alpha/sensor/pose%23position.x",
     "commands",
     "log",
+    "people",
 )
-_RUN = """
-async (rules) => (await axe.run(document, {
-  runOnly: rules,
-  resultTypes: ["violations"],
-})).violations
-  .filter((one) => ["serious", "critical"].includes(one.impact))
-  .map((one) => [one.id, ...one.nodes.slice(0, 3).map((node) => `${node.html} ${node.failureSummary}`)].join("\\n    "))
-"""
 _FOCUS = """
 () => {
   const at = document.activeElement;
@@ -46,33 +39,6 @@ _FOCUS = """
   return { what: at.outerHTML.slice(0, 160), seen };
 }
 """
-_SMALL = """
-() => [...document.querySelectorAll(
-    "button, a.button, nav a, summary, select, input:not([type=checkbox])")]
-  .filter((one) => one.checkVisibility() && one.getBoundingClientRect().width > 0)
-  .filter((one) => one.getBoundingClientRect().height < 43.5)
-  .map((one) => one.outerHTML.slice(0, 120))
-"""
-_WIDER = """
-() => [document.documentElement, document.querySelector("main")]
-  .some((one) => one.scrollWidth > one.clientWidth)
-"""
-
-
-@pytest.fixture(scope="module")
-def axe() -> str:
-    """Return axe-core, which is there where the pages were built."""
-    if not AXE.is_file():
-        reason = "no axe-core: build the pages here (make dashboard)"
-        if os.environ.get("RCP_CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    return AXE.read_text()
-
-
-async def violations(page: Page, rules: list[str]) -> list[str]:
-    found: list[str] = await page.evaluate(_RUN, rules)
-    return found
 
 
 async def settled(page: Page) -> None:
@@ -195,5 +161,5 @@ async def test_on_tablet_and_phone_all_fits_and_is_large_enough_for_fingers(
             await tab.open(name)
             await settled(tab.page)
             await expect(tab.page.get_by_test_id("estop")).to_be_in_viewport(ratio=1)
-            assert not await tab.page.evaluate(_WIDER), f"{name} has to be scrolled sideways"
-            assert not (small := await tab.page.evaluate(_SMALL)), f"{name}: {small}"
+            assert not await tab.page.evaluate(WIDER), f"{name} has to be scrolled sideways"
+            assert not (small := await tab.page.evaluate(SMALL)), f"{name}: {small}"

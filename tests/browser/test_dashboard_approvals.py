@@ -11,6 +11,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
+from browser.input_helpers import held
 from browser.machines import Machines, key_of, machines, person
 
 pytestmark = pytest.mark.anyio
@@ -194,7 +195,8 @@ async def test_what_a_button_asks_for_is_sent_when_it_is_approved(
     ada = Asking(told, "ada")
     async with person(browser, told, "lena", "teleop?robot=one") as tab:
         buttons = tab.page.get_by_test_id("actions")
-        await buttons.get_by_role("button", name="Dock").click()
+        async with held(buttons.get_by_role("button", name="Dock")):
+            await expect(buttons.get_by_test_id("kept")).to_be_visible()
         await expect(buttons.get_by_test_id("kept")).to_have_text("null")
         await buttons.get_by_role("button", name="Ask for approval").click()
         await expect(buttons).to_contain_text("Waiting for approval")
@@ -231,6 +233,8 @@ async def test_a_second_press_and_a_held_key_send_nothing_a_second_time(
 ) -> None:
     async with person(browser, told, "otto", f"explore?path={_MOVE}") as tab:
         form = tab.page.get_by_test_id("ask-execute")
+        for axis in "xyz":
+            await field(form, f"/position/{axis}").fill("1")
         words = field(form, "/words")
         await words.fill("twice")
         await form.evaluate(_TWICE)

@@ -96,6 +96,7 @@ PAGES = {
     "explore?path=/tenant/alpha/sensor/pose": len(ODD),
     "explore": 8,
     "log": 8,
+    "fleet": len(ODD),
     "camera": len(PICTURES),
     "plot?p=/tenant/alpha/sensor/pose%23position.x": 4,
     "commands": 1,
@@ -203,7 +204,7 @@ async def test_a_layout_that_is_none_or_names_what_is_gone_leaves_the_plots_usab
             (await client.put("/dashboard/api/layout", content=layout)).raise_for_status()
         async with tab.page.expect_response("**/dashboard/api/layout"):
             await tab.page.get_by_role("button", name="Load").click()
-        await tab.page.get_by_role("combobox", name="Path").fill("/tenant/alpha/sensor/level")
+        await tab.page.get_by_role("searchbox", name="Path").fill("/tenant/alpha/sensor/level")
         gateway.publish("tank", "sensor/level", 2.5)
         await expect(tab.page.get_by_role("heading", name="Plot", exact=True)).to_be_visible()
         await expect(tab.page.get_by_test_id("broken")).to_have_count(0)

@@ -10,10 +10,10 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
+from browser.accessible import violations
 from browser.input_helpers import UNSEEN, drives, push, stands, take
 from browser.movers import Movers, key_of, movers, person
 from browser.robots import until
-from browser.test_dashboard_access import AXE, violations
 
 pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 expect.set_options(timeout=60_000)  # ms
@@ -306,14 +306,12 @@ async def small(page: Page) -> list[str]:
 
 
 async def test_while_robots_are_stopped_everybody_can_use_the_page(
-    browser: Browser, gateway: Movers
+    browser: Browser, gateway: Movers, axe: str
 ) -> None:
-    if not AXE.is_file():
-        pytest.skip("no axe-core: build the pages here (make dashboard)")
     gateway.by["far"].lose()
     async with person(browser, gateway, "ada") as tab:
         page = tab.page
-        await page.evaluate(AXE.read_text())
+        await page.evaluate(axe)
         wrong: list[str] = []
         for theme in ("dark", "light"):
             await page.evaluate(

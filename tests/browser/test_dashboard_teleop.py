@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.input_helpers import UNSEEN, take, unsafe
+from browser.input_helpers import UNSEEN, held, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
@@ -157,10 +157,11 @@ async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
     await until(robot, "/tenant/gamma/sensor/prearm", lambda found: found["ready"], FLIGHT)
     await actions.get_by_role("button", name="Mode").click()
     await expect(status).to_contain_text("Mode: completed")
-    await actions.get_by_role("button", name="Arm", exact=True).click()
-    await expect(status).to_contain_text("Arm: completed")
+    async with held(actions.get_by_role("button", name="Arm", exact=True)):
+        await expect(status).to_contain_text("Arm: completed")
     await actions.get_by_label("altitude of Take off").fill("3")
-    await actions.get_by_role("button", name="Take off").click()
+    async with held(actions.get_by_role("button", name="Take off")):
+        await expect(status).to_contain_text("Take off:")
     await expect(status).to_contain_text("Take off: completed", timeout=FLIGHT * 1000)
     place = "/tenant/gamma/sensor/position/global"
     height = (await until(robot, place, bool))["relative_alt"]

@@ -122,7 +122,7 @@ async def test_a_command_is_watched_and_cancelled(tab: Watched, robot: Robot) ->
     await form.locator("[data-pointer='/position/x'] input").fill("8")
     await form.locator("[data-pointer='/position/y'] input").fill("0")
     await form.get_by_role("button", name="Execute", exact=True).click()
-    await expect(form.get_by_test_id("running")).to_contain_text("in_progress")
+    await expect(form.get_by_test_id("running")).to_contain_text("running")
     await tab.open("commands")
     running = tab.page.locator("tr[data-status=in_progress]")
     await expect(running).to_contain_text("alpha action/move_to")

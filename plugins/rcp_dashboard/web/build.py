@@ -19,7 +19,7 @@ CLIENT = WEB.parents[2] / "clients" / "typescript" / "src"
 _MADE = WEB / ".made"
 _LOCK = WEB / "package-lock.json"
 _INSTALLED = WEB / "node_modules" / ".lock"
-_SKIPPED = {"node_modules", ".made", ".svelte-kit", "__pycache__"}
+_SKIPPED = {"node_modules", ".made", ".svelte-kit", "__pycache__", "test"}
 _PATIENCE = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-timeout=60000")
 _COMPRESSED = {".html", ".js", ".css", ".svg", ".json", ".md", ".webmanifest"}
 

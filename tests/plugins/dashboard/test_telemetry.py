@@ -259,10 +259,19 @@ async def test_a_layout_that_cannot_be_kept_is_refused(
         assert "Log in" in refused.json()["error"]["remedy"]
 
 
+async def test_a_gateway_without_a_recorder_says_that_there_is_no_past(
+    http: httpx.AsyncClient,
+) -> None:
+    answer = await http.get(f"{API}/past", params={"path": "/tenant/alpha/sensor/x", "from": "-1m"})
+    assert answer.status_code == 501
+    assert answer.json()["error"]["code"] == "not_implemented"
+
+
 async def test_the_api_stands_in_the_openapi_document(http: httpx.AsyncClient) -> None:
     paths = (await http.get("/openapi.json")).json()["paths"]
     ours = {path for path in paths if path.startswith(API)}
-    assert ours == {f"{API}/{x}" for x in ("series", "latest", "camera", "camera/stream", "layout")}
+    calls = ("series", "latest", "past", "camera", "camera/stream", "layout")
+    assert ours == {f"{API}/{x}" for x in calls}
     nothing = await http.get(f"{API}/nothing")
     assert nothing.status_code == 404
     assert f"{API}/series" in nothing.json()["error"]["remedy"]

@@ -8,5 +8,5 @@ import { theme } from "./lib/theme.svelte.ts";
 const target = document.getElementById("app");
 if (target === null) throw new Error("index.html has no #app");
 theme.apply();
-app.start();
+void app.open();
 mount(App, { target });

@@ -6,6 +6,7 @@ import { msgpack } from "rcp-client/msgpack";
 import { forget, keep, kept } from "./kept.ts";
 import { robotsOf } from "./robots.ts";
 import { latchedOf } from "./stops.ts";
+import { Tabs } from "./tabs.ts";
 import { onWake } from "./wake.ts";
 
 const TOKEN = "rcp.token";
@@ -77,6 +78,8 @@ class App {
   /** When the gateway began, as its status tells, in ms since the epoch. */
   #began: number | undefined;
 
+  readonly #tabs = new Tabs(BASE, () => this.token, () => this.#change(undefined));
+
   constructor() {
     onWake(() => this.client.session.check());
   }
@@ -91,6 +94,16 @@ class App {
   #make(): Client {
     const token = this.token;
     return new Client({ url: BASE, name: "dashboard", ping: 2, codec: msgpack, encoding: "json", ...(token && { token }) });
+  }
+
+  /** Connect with the token that is kept here or that another tab has, or as nobody. */
+  async open(): Promise<void> {
+    const found = this.token === null ? await this.#tabs.token() : undefined;
+    if (found !== undefined) {
+      keep(TOKEN, found, "tab");
+      this.client = this.#make();
+    }
+    this.start();
   }
 
   /** Connect with the token that is kept, or as nobody. */
@@ -214,6 +227,12 @@ class App {
 
   /** Log in with a token, or out without one; `remember` keeps it on this computer. */
   login(token: string | undefined, remember = false): void {
+    const before = this.token;
+    if (token === undefined && before !== null) this.#tabs.logOut(before);
+    this.#change(token, remember);
+  }
+
+  #change(token: string | undefined, remember = false): void {
     forget(TOKEN);
     if (token) keep(TOKEN, token, remember ? "computer" : "tab");
     this.client.close();

@@ -4,19 +4,19 @@ import { main, resolve } from "./schema.ts";
 import { isHold } from "./stops.ts";
 
 /** What robots commonly can do at the press of a button, by the last part of its path; in the order of the buttons. */
-const KNOWN: [name: RegExp, label: string][] = [
+const KNOWN: [name: RegExp, label: string, guarded?: true][] = [
   [/^enable$/, "Enable"],
   [/^disable$/, "Disable"],
-  [/^arm$/, "Arm"],
-  [/^disarm$/, "Disarm"],
-  [/^take_?off$/, "Take off"],
+  [/^arm$/, "Arm", true],
+  [/^disarm$/, "Disarm", true],
+  [/^take_?off$/, "Take off", true],
   [/^land$/, "Land"],
   [/^(rtl|return_to_(home|launch))$/, "Return"],
   [/^(hold|pause_motion|stop)$/, "Hold"],
-  [/^home$/, "Home"],
-  [/^dock$/, "Dock"],
-  [/^undock$/, "Undock"],
-  [/^stand(_up)?$/, "Stand"],
+  [/^home$/, "Home", true],
+  [/^dock$/, "Dock", true],
+  [/^undock$/, "Undock", true],
+  [/^stand(_up)?$/, "Stand", true],
   [/^sit(_down)?$/, "Sit"],
   [/^set_(flight_)?mode$/, "Mode"],
   [/^clear_faults$/, "Clear faults"],
@@ -35,6 +35,8 @@ export interface Button {
   resource: Resource;
   label: string;
   field: Field | undefined;
+  /** Whether it sets a robot in motion, or its motors free: then it has to be held. */
+  guarded: boolean;
 }
 
 function inputOf(resource: Resource): { fields: [string, Schema][]; required: string[]; root: Schema } {
@@ -63,7 +65,7 @@ export function buttonsOf(resources: Resource[], groups: string[]): Button[] {
   const able = resources.filter(
     (one) => one.operations.includes("execute") && (one.kind === "action" || one.kind === "service") && !(holds && /\/hold$/.test(one.path)),
   );
-  return KNOWN.flatMap(([name, label]) => {
+  return KNOWN.flatMap(([name, label, guarded]) => {
     const found = able.filter((one) => name.test(one.path.split("/").at(-1) ?? ""));
     const of = (one: Resource): string => one.path.split("/").slice(4, -1).join(" ");
     const grouped = found.filter((one) => groups.includes(of(one)));
@@ -72,7 +74,7 @@ export function buttonsOf(resources: Resource[], groups: string[]): Button[] {
       const { required } = inputOf(resource);
       // What needs more than one thing filled in has its form on Explore.
       if (required.length > (field ? 1 : 0)) return [];
-      return [{ resource, label: of(resource) ? `${label} ${of(resource)}` : label, field }];
+      return [{ resource, label: of(resource) ? `${label} ${of(resource)}` : label, field, guarded: guarded === true }];
     });
   });
 }

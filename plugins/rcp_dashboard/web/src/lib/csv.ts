@@ -18,7 +18,12 @@ export function csv(all: { name: string; series: Series }[], from: number, to: n
 
 /** Hand a text to the person as a file. */
 export function download(name: string, text: string, type: string): void {
-  const url = URL.createObjectURL(new Blob([text], { type }));
+  save(name, new Blob([text], { type }));
+}
+
+/** Hand bytes to the person as a file. */
+export function save(name: string, data: Blob): void {
+  const url = URL.createObjectURL(data);
   const link = document.createElement("a");
   link.href = url;
   link.download = name;

@@ -2,6 +2,7 @@ import { RcpError, type Resource } from "rcp-client";
 
 import { app } from "./app.svelte.ts";
 import { away } from "./away.ts";
+import { past } from "./past.svelte.ts";
 import type { Control } from "./control.svelte.ts";
 import { type Speeds, type Steering, STILL } from "./twist.ts";
 
@@ -47,7 +48,7 @@ export class Drive<W> {
     if (this.source === source) return void (this.#wish = wish);
     if (this.#held.has(source)) return;
     this.#held.add(source);
-    if (this.#held.size > 1 || !this.#control.held || app.client.state !== "open") return this.#tell();
+    if (this.#held.size > 1 || !this.#control.held || app.client.state !== "open" || past.active) return this.#tell();
     this.error = undefined;
     this.#wish = wish;
     this.source = source;

@@ -1,4 +1,7 @@
+import type { Resource } from "rcp-client";
+
 import type { Entry } from "./severity.ts";
+import { shapes } from "./shapes.ts";
 
 const MOST = 500;
 const MANY = 20; // of one path
@@ -57,4 +60,17 @@ export class Entries {
     if (times.length > MANY) times.shift();
     return times.length === MANY && Math.abs((times.at(-1) as number) - (times[0] as number)) < SOON;
   }
+}
+
+/** What to follow for all events that operators read: tenants as a whole, or path by path where some are raw frames of a bus. */
+export function eventPatterns(resources: Resource[]): string[] {
+  const tenants = new Map<string, Resource[]>();
+  for (const one of resources) {
+    const tenant = one.path.split("/")[2] ?? "";
+    if (one.kind === "event" && one.path.startsWith("/tenant/")) tenants.set(tenant, [...(tenants.get(tenant) ?? []), one]);
+  }
+  return [...tenants].flatMap(([tenant, events]) => {
+    const readable = events.filter((one) => !shapes(one).has("frame"));
+    return readable.length === events.length ? [`/tenant/${tenant}/event/**`] : readable.map((one) => one.path);
+  });
 }

@@ -35,6 +35,13 @@ export function clock(timestamp: string | undefined): string {
   return today ? time : `${when.toISOString().slice(0, 10)} ${time}`;
 }
 
+/** A moment to the tenth of a second, with its day. */
+export function moment(ms: number): string {
+  const when = new Date(ms);
+  const day = when.toLocaleDateString([], { day: "numeric", month: "short", year: "numeric" });
+  return `${day}, ${when.toLocaleTimeString([], { hour12: false })}.${Math.floor(when.getMilliseconds() / 100)}`;
+}
+
 export function bytes(count: number | undefined): string {
   if (count === undefined) return "–";
   if (count < 1024) return `${count} B`;
@@ -73,6 +80,12 @@ function one(value: unknown, room: number): string {
     if (text.length > room) break;
   }
   return text;
+}
+
+/** What of a value was given: without the members that are null. */
+export function given(value: unknown): unknown {
+  if (value === null || typeof value !== "object" || Array.isArray(value)) return value;
+  return Object.fromEntries(Object.entries(value).filter(([, part]) => part !== null).map(([key, part]) => [key, given(part)]));
 }
 
 /** The value as text, with what is long cut: for a person to look at. */

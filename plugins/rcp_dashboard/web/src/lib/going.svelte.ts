@@ -1,6 +1,7 @@
 import { type Command, RcpError } from "rcp-client";
 
 import { app } from "./app.svelte.ts";
+import { past } from "./past.svelte.ts";
 
 /** One errand at a time that a page has sent a robot on, with how it stands. */
 export class Going {
@@ -18,6 +19,7 @@ export class Going {
 
   /** Send it, and return when it has ended, well or not. */
   async go(path: string, input: unknown, approval?: string): Promise<void> {
+    if (past.active) return this.refuse("this page shows the past", "Press Back to live, then send it again.");
     const command = app.client.execute(path, input, { ...(approval && { approval }) });
     this.#command = command;
     this.error = undefined;

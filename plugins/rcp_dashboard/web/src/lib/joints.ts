@@ -43,3 +43,14 @@ export function jointsOf(resource: Resource): Joints | undefined {
   // A speed that nothing ends when the hand is gone is none to be set by a slider.
   return kind === "speed" && resource.safe === undefined ? undefined : { resource, kind, joints: found as Joint[] };
 }
+
+/** Round steps for jogging: about 1/500, 1/50 and 1/10 of the widest range. */
+export function stepsOf(joints: Joint[]): number[] {
+  const range = Math.max(...joints.map(({ least, most }) => most - least));
+  return [500, 50, 10].map((parts) => {
+    const size = range / parts;
+    const unit = 10 ** Math.floor(Math.log10(size));
+    const factor = [1, 2, 5, 10].find((one) => one * unit >= size * 0.75) as number;
+    return Number((factor * unit).toPrecision(1));
+  });
+}

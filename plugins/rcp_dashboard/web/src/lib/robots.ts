@@ -42,6 +42,20 @@ export function scopesOf(robots: Robot[], listed: ReadonlySet<string>): Map<stri
   );
 }
 
+/** The robot of a name, or of a path as the inventory and incidents have it: `/tenant/alpha` or `/tenant/alpha/rover`. */
+export function robotNamed(robots: Robot[], text: string): Robot | undefined {
+  const [, branch, tenant, place] = text.split("/");
+  const named = robots.find((one) => one.name === text);
+  if (named || branch !== "tenant") return named;
+  const within = (robot: Robot): boolean =>
+    place === undefined ||
+    robot.resources.some(({ path }) => {
+      const [, , , , own, ...more] = path.split("/");
+      return own === place && more.length > 0;
+    });
+  return robots.find((one) => one.tenant === tenant && within(one));
+}
+
 /** The path below its tenant and branch: what tells resources of one robot apart. */
 export function shortName(path: string): string {
   return path.startsWith("/tenant/") ? path.split("/").slice(3).join("/") : path.slice(1);

@@ -19,7 +19,7 @@ class Route {
 
   /** Change what the address says beside the page, without a step in the history. */
   set(change: Record<string, string | undefined>): void {
-    const query = new URLSearchParams(untrack(() => this.query)); // who sets it does not follow it
+    const query = new URLSearchParams(this.#read.split("?")[1] ?? ""); // with what was written beside it
     for (const [key, value] of Object.entries(change)) {
       if (value === undefined || value === "") query.delete(key);
       else query.set(key, value);

@@ -60,6 +60,34 @@ export function initial(schema: Schema, root: Schema): unknown {
   }
 }
 
+/** A value in which nothing is chosen yet but what the schema sets by default: the rest is for a person to enter. */
+export function blank(schema: Schema, root: Schema): unknown {
+  const whole = resolve(schema, root);
+  if ("default" in whole) return structuredClone(whole["default"]);
+  if ("const" in whole) return whole["const"];
+  const { schema: one, nullable } = main(whole, root);
+  if (nullable) return null;
+  if (one["type"] === "array") return [];
+  if (one["type"] !== "object") return undefined;
+  const required: string[] = one["required"] ?? [];
+  const parts = Object.entries((one["properties"] ?? {}) as Record<string, Schema>).filter(([key]) => required.includes(key));
+  return Object.fromEntries(parts.map(([key, part]) => [key, blank(part, root)] as const).filter(([, part]) => part !== undefined));
+}
+
+/** Fields that are required, and have not been entered. */
+export function missing(value: unknown, schema: Schema, root: Schema, pointer = ""): Fault[] {
+  const whole = resolve(schema, root);
+  const { schema: one, nullable } = main(whole, root);
+  if (value === null && nullable) return [];
+  if (["number", "integer", "string", "boolean"].includes(one["type"]) || one["enum"]) return value === undefined || (value === "" && one["type"] !== "string") ? [{ pointer, message: "Enter a value." }] : [];
+  if (one["type"] !== "object" || !one["properties"]) return [];
+  const required: string[] = one["required"] ?? [];
+  const there = (value ?? {}) as Record<string, unknown>;
+  return Object.entries(one["properties"] as Record<string, Schema>).flatMap(([key, part]) =>
+    required.includes(key) || (there[key] !== undefined && there[key] !== null) ? missing(there[key], part, root, `${pointer}/${key}`) : [],
+  );
+}
+
 /** What was typed, as a number; as the text itself where no number is just that: the gateway takes the digits of a long one. */
 export function numberOf(text: string): number | string {
   const found = Number(text);

@@ -17,6 +17,11 @@ export class Series {
     this.#values[this.#to++] = value;
   }
 
+  /** Forget all. */
+  clear(): void {
+    this.#from = this.#to = 0;
+  }
+
   /** Put what was before the first value in front of it; both in the order of time. */
   prepend(times: number[], values: number[]): void {
     const first = this.#to > this.#from ? (this.#times[this.#from] as number) : Infinity;

@@ -4,7 +4,7 @@ import { properties } from "./schema.ts";
 
 /** What a page can make of a resource, told by the fields of its schema and not by its name. */
 export type Shape =
-  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets" | "ned" | "attitude";
+  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets" | "ned" | "attitude" | "frame";
 
 const cache = new WeakMap<Resource, Set<Shape>>();
 
@@ -27,6 +27,7 @@ function* look(resource: Resource): Generator<Shape> {
   if (all("latitude", "longitude") || all("lat", "lon")) yield "geo";
   if (all("x", "y", "z", "vx", "vy", "vz") && /NED/.test(String(resource.native))) yield "ned";
   if (all("roll", "pitch", "yaw")) yield "attitude";
+  if (resource.kind === "event" && all("id", "data")) yield "frame";
   if (has.has("transforms")) yield "transforms";
   if (all("transform", "child_frame_id")) yield "transform";
   if (all("name", "position") && !has.has("orientation")) yield "joints";

@@ -1,4 +1,5 @@
 import { app } from "./app.svelte.ts";
+import { past } from "./past.svelte.ts";
 
 /** A clock that ticks four times a second: ages are shown by it. */
 class Ticking {
@@ -29,9 +30,16 @@ export function age(timestamp: string | undefined): number | undefined {
   return Math.max(0, seconds, met === undefined ? 0 : (now - met) / 1000);
 }
 
+/** Seconds that a value of a robot is old at the moment that the page shows: the present, or one in the past. */
+export function ageShown(timestamp: string | undefined): number | undefined {
+  if (!past.shown) return age(timestamp);
+  const seconds = timestamp === undefined ? NaN : ((past.at ?? 0) - Date.parse(timestamp)) / 1000;
+  return Number.isNaN(seconds) ? undefined : Math.max(0, seconds);
+}
+
 /** Whether a value should have come again by now, by the deadline (s) of its path; it follows the time. */
 export function overdue(timestamp: string | undefined, deadline: number | undefined): boolean {
-  const seconds = age(timestamp);
+  const seconds = ageShown(timestamp);
   return seconds !== undefined && deadline !== undefined && seconds > deadline + 0.5;
 }
 

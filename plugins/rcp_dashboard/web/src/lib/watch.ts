@@ -1,6 +1,10 @@
 import type { Notice, RcpError, Subscription, SubscribeOptions, Update } from "rcp-client";
 
+import { untrack } from "svelte";
+
 import { app } from "./app.svelte.ts";
+import { past } from "./past.svelte.ts";
+import { playback } from "./rewind.svelte.ts";
 
 const AGAIN = 3000; // ms: what is not there, or was taken away, may come back
 
@@ -48,6 +52,7 @@ function begin(path: string, options: SubscribeOptions, on: On): Feed {
 /**
  * Call back with each sample of a path until the returned function is called.
  *
+ * Where the page looks at the past, those are samples of then; what the gateway tells of itself is always that of the present.
  * Those who want the same share one subscription; a late one gets the last sample at once. One that has ended is tried again.
  */
 export function watch(
@@ -56,6 +61,7 @@ export function watch(
   told: Told,
   on: On = {},
 ): () => void {
+  if (path.startsWith("/tenant/") && untrack(() => past.shown)) return playback.follow(matching(path), options.history !== undefined, told);
   const shared = options.history === undefined && !on.notice && !on.ended;
   const key = shared ? `${app.epoch} ${path} ${JSON.stringify(options)}` : Symbol().toString() + Math.random();
   let feed = feeds.get(key);
@@ -71,4 +77,12 @@ export function watch(
     if (feeds.get(key) === mine) feeds.delete(key);
     void mine.subscription.close();
   };
+}
+
+/** The resources that a pattern names: a segment by `*`, any number of them by `**`. */
+function matching(pattern: string): string[] {
+  if (!pattern.includes("*")) return [pattern];
+  const text = pattern.replaceAll(/[.+?^${}()|[\]\\]/g, "\\$&").replaceAll("**", "\0").replaceAll("*", "[^/]+").replaceAll("\0", ".*");
+  const wanted = new RegExp(`^${text}$`);
+  return untrack(() => app.resources).filter((one) => wanted.test(one.path) && one.operations.includes("subscribe")).map((one) => one.path);
 }

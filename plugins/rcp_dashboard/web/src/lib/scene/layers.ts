@@ -1,5 +1,5 @@
 import {
-  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
+  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, type Camera, CanvasTexture, Color, ConeGeometry, CylinderGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
   MeshBasicMaterial, MeshStandardMaterial, Points as PointsObject, PointsMaterial, RingGeometry, Sprite, SpriteMaterial, Vector3,
 } from "three";
 
@@ -194,6 +194,15 @@ export function goalMark(): Group {
   return made;
 }
 
+/** A part of the picture, in normalised device coordinates. */
+export interface Area {
+  left: number;
+  right: number;
+  low: number;
+  high: number;
+}
+
+const SHIFT = { x: -0.05, y: -0.1 }; // of a name from its frame, in parts of its size
 const TEXT = 44; // pixels of a letter's height before it is drawn small
 
 /** A frame: its axes, x red, y green, z blue, and its name. */
@@ -221,7 +230,7 @@ export class FrameMark {
     pen.fillText(name, 6, canvas.height / 2);
     this.#wide = canvas.width / canvas.height;
     this.#label = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), sizeAttenuation: false, depthTest: false }));
-    this.#label.center.set(-0.05, -0.1);
+    this.#label.center.set(SHIFT.x, SHIFT.y);
     this.#label.renderOrder = 10;
     this.object.add(this.#label);
   }
@@ -229,5 +238,18 @@ export class FrameMark {
   /** Write the name so high. */
   fit(height: number): void {
     this.#label.scale.set(height * this.#wide, height, 1);
+  }
+
+  /** Show the name if its area is free, and take it. */
+  claim(camera: Camera, taken: Area[]): void {
+    const at = new Vector3().setFromMatrixPosition(this.object.matrix).project(camera);
+    const across = this.#label.scale.x * (camera.projectionMatrix.elements[0] as number);
+    const up = this.#label.scale.y * (camera.projectionMatrix.elements[5] as number);
+    const left = at.x - SHIFT.x * across;
+    const low = at.y - SHIFT.y * up;
+    const mine = { left, right: left + across, low, high: low + up };
+    const free = !taken.some((one) => one.left < mine.right && mine.left < one.right && one.low < mine.high && mine.low < one.high);
+    this.#label.visible = free;
+    if (free) taken.push(mine);
   }
 }

@@ -7,7 +7,7 @@ import { discard } from "./discard.ts";
 import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
 import { Grid } from "./grid.ts";
-import { Dots, FrameMark, goalMark, pathLine, poseArrow } from "./layers.ts";
+import { type Area, Dots, FrameMark, goalMark, pathLine, poseArrow } from "./layers.ts";
 import { type Item, type Layer, report, type Told } from "./report.ts";
 import type { View } from "./view.ts";
 
@@ -146,6 +146,12 @@ export class World {
     this.#view.changed();
   }
 
+  /** What follows does not lead on from what was: trails begin anew. */
+  leap(): void {
+    for (const body of this.#bodies.values()) body.trail.clear();
+    this.#view.changed();
+  }
+
   /** Something of it has changed by itself. */
   changed(): void {
     this.#view.changed();
@@ -236,6 +242,13 @@ export class World {
     }
     this.place = first?.at(fixed);
     for (const item of this.#items.values()) this.#settleItem(item, moved);
+    this.#settleNames();
+  }
+
+  /** Write the names of frames that have room: those of one robot often stand in one place. */
+  #settleNames(): void {
+    const taken: Area[] = [];
+    for (const marks of this.#marks.values()) for (const mark of marks.values()) if (mark.object.visible) mark.claim(this.#view.camera, taken);
   }
 
   #choose(): string {

@@ -1,0 +1,67 @@
+import { describe, expect, it } from "vitest";
+
+import { stepsOf } from "../src/lib/joints.ts";
+import { blank, missing, numberOf } from "../src/lib/schema.ts";
+
+const GOAL = {
+  type: "object",
+  required: ["position", "mode"],
+  properties: {
+    position: { $ref: "#/$defs/Point" },
+    mode: { enum: ["slow", "fast"] },
+    speed: { type: "number" },
+    tolerance: { type: "number", default: 0.1 },
+  },
+  $defs: { Point: { type: "object", required: ["x", "y"], properties: { x: { type: "number" }, y: { type: "number" } } } },
+};
+
+describe("a form that begins", () => {
+  it("has no number that nobody entered", () => {
+    expect(blank(GOAL, GOAL)).toEqual({ position: {} });
+  });
+
+  it("keeps what the schema sets by default where it is required", () => {
+    const schema = { ...GOAL, required: [...GOAL.required, "tolerance"] };
+    expect(blank(schema, schema)).toEqual({ position: {}, tolerance: 0.1 });
+  });
+
+  it("is null where null is a value", () => {
+    const schema = { anyOf: [{ type: "null" }, { type: "number" }] };
+    expect(blank(schema, schema)).toBeNull();
+    expect(missing(null, schema, schema)).toEqual([]);
+  });
+});
+
+describe("what is missing", () => {
+  it("is told at the field, however deep", () => {
+    expect(missing({ position: { x: 1 } }, GOAL, GOAL).map((one) => one.pointer)).toEqual(["/position/y", "/mode"]);
+  });
+
+  it("is an emptied number too, and no zero", () => {
+    expect(missing({ position: { x: "", y: 0 }, mode: "slow" }, GOAL, GOAL).map((one) => one.pointer)).toEqual(["/position/x"]);
+  });
+
+  it("is asked for within an optional part only if that is there", () => {
+    const schema = { type: "object", properties: { at: GOAL.$defs.Point } };
+    expect(missing({}, schema, schema)).toEqual([]);
+    expect(missing({ at: {} }, schema, schema)).toHaveLength(2);
+  });
+});
+
+describe("steps of joints", () => {
+  it.each([
+    [-2.8, 2.8, [0.01, 0.1, 0.5]],
+    [0, 0.08, [0.0002, 0.002, 0.01]],
+    [-360, 360, [2, 20, 100]],
+  ])("are round for %f to %f", (least, most, steps) => {
+    const found = stepsOf([{ field: "", name: "", unit: "rad", least, most }]);
+    expect(found).toEqual([...found].sort((a, b) => a - b));
+    expect(found).toEqual(steps);
+  });
+});
+
+describe("numbers that are typed", () => {
+  it("keep their digits where a double would change them", () => {
+    expect([numberOf("1.50"), numberOf("9007199254740993"), numberOf("north")]).toEqual([1.5, "9007199254740993", "north"]);
+  });
+});
