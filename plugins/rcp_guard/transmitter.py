@@ -139,6 +139,8 @@ class Transmitter:
             self._changed.wait_for(lambda: self._closed, seconds)
 
     def _set_state(self, state: str, detail: str) -> None:
+        if self._closed:
+            return  # the plan that replaces it reports under the same name
         if state == "opening" and self._reported[0] == "failed":
             return  # the reason is more useful than the state of a retry
         if (state, detail) != self._reported:

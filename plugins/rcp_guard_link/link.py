@@ -93,7 +93,7 @@ class GuardLink:
 
     def _look(self) -> None:
         """Update changed plans, and warn of robots that nothing would stop."""
-        seen = [(supervisor.name, supervisor.plans_changed) for supervisor in self._backends]
+        seen = self._counts()
         if self._on and seen != self._seen:
             self._seen = seen
             self._arming.moved = {
@@ -113,6 +113,10 @@ class GuardLink:
                     self._ready[supervisor] = self._loop.time()
             elif self._loop.time() - self._ready[supervisor] > _SETTLE:
                 self._warn(supervisor)
+
+    def _counts(self) -> list[tuple[str, int]]:
+        """Return how often the plans of each backend have changed."""
+        return [(supervisor.name, supervisor.plans_changed) for supervisor in self._backends]
 
     def _replace(self, plans: dict[str, dict[str, Any]]) -> None:
         held = self._plans
@@ -211,6 +215,8 @@ class GuardLink:
         """Return the state: `off`, `idle` (no plans), `starting`, `ready`, `degraded`."""
         if not self._on:
             return "off"
+        if self._counts() != self._seen:
+            return "starting"  # the guard is about to have other plans
         if not self._plans:
             return "idle"
         if not self._process.running:

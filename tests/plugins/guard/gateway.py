@@ -124,6 +124,7 @@ def prepared(asked: dict[str, Any], carts: list[Cart]) -> Prepared:
         transports={},
         adapters={},
         missing=[],
+        points={"plugins": {}},
         is_missing=lambda _group, _name: None,
     )
     config = parse(CONFIG + asked.get("more", ""), "test")
@@ -182,9 +183,9 @@ class Client:
         return True
 
     def _tell_guard(self) -> None:
-        status = self._server.status
-        report = status.plain()
-        text = _finished(status.exposition(self._connection.session.rights)).decode()
+        kernel = self._server.kernel
+        report = kernel.status.plain()
+        text = _finished(kernel.exposition.write(self._connection.session.rights)).decode()
         tell(
             guard=report["guard"],
             pid=_guard_pid(),

@@ -103,6 +103,16 @@ async def test_what_is_wrong_with_one_backend_ends_no_heartbeat() -> None:
         await until_armed(client, armed=True)
 
 
+async def test_it_is_not_ready_while_the_guard_has_the_plan_before(world: World) -> None:
+    client = world.client()
+    for port in (9, 10):
+        world.robot.host.guard("stop", StopPlan("udp", {"to": ["127.0.0.1", port], "frames": []}))
+        assert world.server.status.plain()["guard"]["state"] == "starting"
+        async with asyncio.timeout(START):
+            while (await report(client))["guard"]["state"] != "ready":  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+
+
 @pytest.mark.parametrize(
     ("watchdogs", "plan", "gateways", "warned"),
     [

@@ -5,17 +5,22 @@ from __future__ import annotations
 import importlib.util
 import os
 import tempfile
+import threading
+import time
 from typing import Any
 
+import psutil
 import pytest
 
 from plugins.guard.bench import WITHIN, Bench, bench, until
+from rcp_guard.senders import ros2
 from timing import in_one_of_three_attempts, in_time
 
 pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 if importlib.util.find_spec("rclpy") is None:
     pytest.skip("rclpy is not installed", allow_module_level=True)
 HEADER = "00010000"  # CDR, little-endian
+WAITS = 40.0  # s
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +46,48 @@ def plan(domain: int) -> dict[str, Any]:
     return {"sender": "ros2", "data": data, "period": 0.05}
 
 
+@pytest.mark.parametrize("peers", ["", "10.0.0.7"])
+async def test_peers_on_other_machines_are_still_discovered(
+    monkeypatch: pytest.MonkeyPatch, peers: str
+) -> None:
+    changed = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+    for name in (*changed, "FASTRTPS_DEFAULT_PROFILES_FILE"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("ROS_STATIC_PEERS", peers)
+    ros2._leave_shared_memory_out()  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    alone = os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+    assert ("FASTDDS_DEFAULT_PROFILES_FILE" in os.environ) == alone == (not peers)
+    assert os.environ["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of ROS's own parser
+def test_a_plan_that_replaces_another_goes_on_with_its_node(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from backends.ros2.robot import fresh_domain
+
+    monkeypatch.setattr(ros2, "_leave_shared_memory_out", lambda: None)  # it sets the environment
+    monkeypatch.setattr(ros2, "_FOLLOWS", WAITS)
+    data = plan(fresh_domain())["data"]
+    first = ros2.open_sender(data)
+    node = first._shared.node  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    closing = threading.Thread(target=first.close)
+    closing.start()
+    end = time.monotonic() + WAITS
+    while node.users:
+        assert time.monotonic() < end
+        time.sleep(0.001)  # the other thread tells nobody
+    second = ros2.open_sender(data | {"cancel": ["/go", "/come"]})
+    closing.join(WAITS)
+    assert not closing.is_alive()
+    assert second._shared.node is node  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    second.send()
+    monkeypatch.setattr(ros2, "_FOLLOWS", 0.0)
+    second.close()
+    assert not ros2._nodes  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+
+
 async def nearly_ready(scene: Bench) -> bool:
     facts = await scene.gateway.ask("guard", do="guard")
     plans = facts["guard"]["plans"]
@@ -49,6 +96,14 @@ async def nearly_ready(scene: Bench) -> bool:
         return False
     assert "guard_sender" in facts["warnings"]
     return True
+
+
+async def shared_memory(scene: Bench) -> list[str]:
+    """List the guard's files that a killed gateway could leave locked."""
+    pid = (await scene.gateway.ask("guard", do="guard"))["pid"]
+    files = {one.path for one in psutil.Process(pid).memory_maps()}
+    assert any("librmw" in path for path in files)  # the middleware is there
+    return [path for path in files if "/dev/shm/fastdds" in path]
 
 
 @pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL", "gil"])
@@ -62,6 +117,7 @@ async def test_topics_goals_and_services_are_told(how: str) -> None:
         await device.until(lambda fact: fact.get("told") == "running")
         # Ready but for the type that is not there, which does not keep the rest from being sent.
         await until(lambda: nearly_ready(scene))
+        assert not await shared_memory(scene)
         await scene.drive()
         at = await scene.freeze(how)
         seconds = await scene.stopped("topic") - at
