@@ -26,6 +26,7 @@ from rcp_client.recovery import Recovery
 from rcp_client.requests import Repeat
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscriber import Subscriber
+from rcp_client.tracing import with_trace
 from rcp_protocol.clock import now
 from rcp_protocol.errors import (
     DeadlineExceeded,
@@ -274,7 +275,7 @@ class Channel:
         """
         if self._over is not None:
             raise self._over
-        call = Call(envelope, repeat, id_)
+        call = Call(with_trace(envelope), repeat, id_)
         self.calls.enter(call)
         if self.connected:
             try:

@@ -20,7 +20,8 @@ _RENEWALS = 3  # renewals per lifetime
 class Lease:
     """A lease: acquired on entering, renewed while inside, and released on leaving.
 
-    Losing it cancels the block, which then raises `LeaseLost` with the reason.
+    Losing it cancels the block, which then raises `LeaseLost` with the reason. At another hub of a
+    fleet it is acquired again, before anything else is sent there.
     """
 
     def __init__(self, channel: Channel, body: dict[str, Any]) -> None:
@@ -32,6 +33,9 @@ class Lease:
         """Why the lease was lost, once it is."""
         self._until = 0.0
         """When it expires unless it is renewed, event loop time in s."""
+        self._home = channel.address
+        """Where it was acquired."""
+        self._moved = asyncio.Event()
         self._keeper: asyncio.Task[None] | None = None
         self._block: asyncio.Task[Any] | None = None
         self._cutting = False
@@ -95,20 +99,25 @@ class Lease:
         return await self._channel.ask({"type": "execute", "path": _PATH, "body": body})
 
     def _take_note(self, reply: Reply) -> None:
-        self.facts = reply.body
+        self.facts, self._home = reply.body, self._channel.address
         left = (parse_time(reply.body["expires"]) - parse_time(reply.timestamp or 0)) / 1e9
         self._until = asyncio.get_running_loop().time() + left
 
     async def _keep(self) -> None:
         loop = asyncio.get_running_loop()
-        again = {"do": "renew", "lease": self.facts["lease"], "ttl": self._asked.get("ttl")}
-        body = {key: item for key, item in again.items() if item is not None}
         while self.lost is None:
-            await asyncio.sleep((self._until - loop.time()) / _RENEWALS)
+            with suppress(TimeoutError):
+                async with asyncio.timeout((self._until - loop.time()) / _RENEWALS):
+                    await self._moved.wait()
+            self._moved.clear()
+            home = self._channel.address
             try:
                 async with asyncio.timeout_at(self._until):
-                    self._take_note(await self._ask(body))
+                    self._take_note(await self._ask(self._again()))
             except (LeaseLost, LeaseRequired, LeaseHeld) as error:
+                if self._channel.address != home:  # it was asked of a hub that knows nothing of it
+                    self._moved.set()
+                    continue
                 self._lose(LeaseLost(error.message, remedy=error.remedy, details=error.details))
             except TimeoutError:
                 self._lose(LeaseLost("the lease expired: the gateway could not be reached in time"))
@@ -116,8 +125,16 @@ class Lease:
                 if loop.time() >= self._until:
                     self._lose(LeaseLost("the lease expired: it could not be renewed"))
 
+    def _again(self) -> dict[str, Any]:
+        if self._channel.address != self._home:
+            return {"do": "acquire", **self._asked}
+        again = {"do": "renew", "lease": self.facts["lease"], "ttl": self._asked.get("ttl")}
+        return {key: item for key, item in again.items() if item is not None}
+
     def _noticed(self, notice: Notice) -> None:
         facts = notice.facts
+        if notice.code == "reconnected" and self._channel.address != self._home:
+            self._moved.set()
         if notice.code == "lease_lost" and facts.get("lease") == self.facts["lease"]:
             by, reason = facts.get("by"), facts.get("reason")
             text = f"the lease on {facts.get('scope')} was lost: {reason} (by {by})"

@@ -22,6 +22,9 @@ _seconds: dict[int, str] = {}
 _MAX_SECONDS = 256  # cached texts: messages in flight span only a few seconds
 _SECOND = 1_000_000_000  # ns
 _TWO = 2 * _SECOND
+_WHOLE, _DOT = len("2026-05-29T14:12:04.250000000Z"), len("2026-05-29T14:12:04.")
+_read: dict[str, int] = {}
+"""Times of seconds read as `iso` writes them, ns."""
 _last: tuple[int, str] = (1 << 80, "")
 """The second before the last one formatted, in ns, and the last one's text."""
 
@@ -60,6 +63,11 @@ def parse_time(value: str | float) -> int:
 
     :raises BadRequest: it is neither.
     """
+    # As `iso` writes it, in a fifth of the time.
+    if isinstance(value, str) and len(value) == _WHOLE:
+        base, digits = _read.get(value[:_DOT]), value[_DOT:-1]
+        if base is not None and digits.isdecimal() and value[-1] == "Z":
+            return base + int(digits)
     try:
         if not isinstance(value, str):
             if abs(value) > _LAST_SECOND:
@@ -68,7 +76,12 @@ def parse_time(value: str | float) -> int:
         match = _ISO.match(value)
         if match is None:
             raise ValueError(value)
-        return _second_of(match[1], match[3]) * _SECOND + int((match[2] or "0").ljust(9, "0"))
+        base = _second_of(match[1], match[3]) * _SECOND
+        if len(value) == _WHOLE and value[-1] == "Z":
+            if len(_read) >= _MAX_SECONDS:
+                _read.clear()
+            _read[value[:_DOT]] = base
+        return base + int((match[2] or "0").ljust(9, "0"))
     except (ValueError, OverflowError):
         raise BadRequest(
             f"timestamp {str(value)[:40]!r} is not a timestamp",

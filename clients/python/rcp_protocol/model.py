@@ -19,6 +19,7 @@ __all__ = [
     "BRANCHES",
     "MAX_PATH",
     "MOVING",
+    "READS",
     "Kind",
     "NativeType",
     "Operation",
@@ -32,6 +33,8 @@ __all__ = [
     "tenant_of",
 ]
 
+READS: dict[str, Any] = {"hints": {"read_only": True, "destructive": False, "idempotent": True}}
+"""`Resource.meta` of a service that changes nothing: models may call it without care."""
 MAX_PATH = 512  # characters: longer texts are refused unparsed
 MAX_DEEP = 3  # `**` in one pattern
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")

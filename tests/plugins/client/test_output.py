@@ -35,7 +35,7 @@ def test_long_texts_and_lists_are_cut() -> None:
 def test_nothing_shown_commands_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert clean("a\x1b]0;owned\x07b\x9bc") == "a�]0;owned�b�c"
     assert "\x1b" not in compact({"a\x1b": "b\x1b"})
-    out = Output(json=False)
+    out = Output("table")
     out.table(("A",), [("x\x1b[2J",)])
     out.aside("y\x1b[2J")
     shown = capsys.readouterr()
@@ -113,7 +113,7 @@ async def test_links_in_unknown_states_are_listed_first(
     capsys: pytest.CaptureFixture[str], *, as_json: bool
 ) -> None:
     hub: Any = _LaterHub()
-    assert await fleet(hub, Output(json=as_json), {}) == 0
+    assert await fleet(hub, Output("json" if as_json else "table"), {}) == 0
     shown = capsys.readouterr().out
     if as_json:
         states = [json.loads(line)["state"] for line in shown.splitlines()]

@@ -8,6 +8,7 @@ import select
 import signal
 import subprocess
 import time
+from codecs import getincrementaldecoder
 from typing import Self
 
 from plugins.client.rcpctl import BIN, BOUND, FAR, OPERATOR, Run, document, documents
@@ -19,13 +20,15 @@ class Terminal:
     def __init__(self, url: str, *arguments: str) -> None:
         self._main, side = pty.openpty()
         self.text = ""
+        self._decoder = getincrementaldecoder("utf-8")()  # a letter may come in two parts
         self.process = subprocess.Popen(
             [BIN / "rcpctl", *arguments],
             stdin=side,
             stdout=side,
             stderr=side,
             start_new_session=True,
-            env={**os.environ, "RCP_URL": url, "RCP_TOKEN": OPERATOR, "COLUMNS": "100"},
+            env={**os.environ, "RCP_URL": url, "RCP_TOKEN": OPERATOR, "COLUMNS": "100"}
+            | {"TERM": "xterm-256color"},  # CI has a dumb one
         )
         os.close(side)
 
@@ -43,7 +46,7 @@ class Terminal:
         while wanted not in self.text:
             ready, _, _ = select.select([self._main], [], [], end - time.monotonic())
             assert ready, self.text
-            self.text += os.read(self._main, 65_536).decode()
+            self.text += self._decoder.decode(os.read(self._main, 65_536))
 
     def interrupt(self) -> None:
         self.process.send_signal(signal.SIGINT)
@@ -58,7 +61,7 @@ class Terminal:
                 data = os.read(self._main, 65_536)
                 if not data:
                     break
-                self.text += data.decode()
+                self.text += self._decoder.decode(data)
         except OSError:  # Linux' way of saying that the other side is closed
             pass
         return self.process.wait(BOUND)

@@ -12,6 +12,7 @@ from rcp_client.client import Client
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.console import show
 from rcp_client.console.output import Output, compact, exit_code
+from rcp_client.console.progress import ProgressLine
 from rcp_client.console.value import meant
 from rcp_client.messages import Reply
 from rcp_protocol.errors import RcpError
@@ -67,6 +68,8 @@ class _Run:
         self._value = value
         wanted: bool | None = args["feedback"]
         self._shows = args["wait"] and (not out.json if wanted is None else wanted)
+        self._progress = ProgressLine(out) if wanted is None and out.terminal else None
+        """The line that is written anew; with --feedback every step has its own."""
         self._handle: CommandHandle | None = None
         self.interrupted_once = False
         """Whether Ctrl-C was pressed."""
@@ -79,6 +82,7 @@ class _Run:
         leaving = asyncio.ensure_future(self._left.wait())
         await asyncio.wait((following, leaving), return_when=asyncio.FIRST_COMPLETED)
         leaving.cancel()
+        self._clear()
         if not following.done():
             following.cancel()
             named = self._handle.id if self._handle else "it"
@@ -121,12 +125,18 @@ class _Run:
         else:
             self._out.line(f"{self._out.paint(handle.status)} {handle.id}")
 
+    def _clear(self) -> None:
+        if self._progress is not None:
+            self._progress.clear()
+
     def _heard(self, feedback: Feedback) -> None:
         if not self._shows:
             return
         out = self._out
         if out.json:
             out.document({"path": self._args["path"], **_facts(feedback)})
+        elif self._progress is not None and self.feedback_line is _line:
+            self._progress.show(feedback)
         elif feedback.status == "in_progress":
             out.line(self.feedback_line(out, feedback).rstrip())
         else:
@@ -138,6 +148,7 @@ class _Run:
             self._left.set()
             return
         self.interrupted_once = True
+        self._clear()
         self._out.aside("\nrcpctl: cancelling; press Ctrl-C again to stop waiting")
         if self._handle is not None:
             self._cancel()

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from rcp_client.console.formats import as_json, writer_of
 from rcp_client.console.remedies import remedy_of
 from rcp_client.errors import ConnectionLost
 from rcp_protocol.errors import RcpError
@@ -93,12 +94,20 @@ def _shortened(value: Any) -> Any:
 class Output:
     """Standard output and error of one command."""
 
-    def __init__(self, *, json: bool | None) -> None:
+    def __init__(self, wanted: str | None) -> None:
         terminal = sys.stdout.isatty()
-        self.json = not terminal if json is None else json
-        self.asked_json = bool(json)
+        self._write = writer_of(wanted or ("table" if terminal else "json"))
+        self.json = self._write is not None
+        """Whether documents are written for a program, in JSON or another format."""
+        self.asked_json = wanted not in (None, "table")
         self.terminal = terminal
-        self._color = terminal and "NO_COLOR" not in os.environ
+        self.colors = terminal and "NO_COLOR" not in os.environ
+        self._before: set[bytes] | None = None
+        self._round: set[bytes] | None = None
+
+    def begin_round(self) -> None:
+        """Leave out documents of the round before from now on: those that have not changed."""
+        self._before, self._round = self._round, set()
 
     def line(self, text: str = "") -> None:
         """Print a line immediately."""
@@ -106,9 +115,13 @@ class Output:
         sys.stdout.flush()
 
     def document(self, value: Any) -> None:
-        """Print a complete value as one line of JSON."""
-        sys.stdout.buffer.write(dump(msgspec.to_builtins(value, builtin_types=(bytes,)),
-                                     Encoding.JSON) + b"\n")  # fmt: skip
+        """Print a complete value in the format for programs, one line of JSON by default."""
+        data = (self._write or as_json)(value)
+        if self._round is not None:
+            self._round.add(data)
+            if self._before is not None and data in self._before:
+                return
+        sys.stdout.buffer.write(data)
         sys.stdout.buffer.flush()
 
     def aside(self, text: str) -> None:
@@ -126,11 +139,11 @@ class Output:
     def paint(self, word: str) -> str:
         """Colour a word that names a state."""
         code = _COLOR_OF.get(word.strip())
-        return f"\x1b[{code}m{word}\x1b[0m" if self._color and code else word
+        return f"\x1b[{code}m{word}\x1b[0m" if self.colors and code else word
 
     def dim(self, text: str) -> str:
         """Dim a less important text."""
-        return f"\x1b[2m{text}\x1b[0m" if self._color else text
+        return f"\x1b[2m{text}\x1b[0m" if self.colors else text
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Print a table with a header."""

@@ -5,19 +5,23 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import click
 
 from rcp_client.client import Client
-from rcp_client.connection import connect
-from rcp_client.console import mcp, show, whole
+from rcp_client.console import mcp, record, replay, show, triggers, unwaited, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.fleet import fleet
+from rcp_client.console.gateway import named_gateway
 from rcp_client.console.nearest import with_nearest
 from rcp_client.console.output import Output, exit_code
 from rcp_client.console.plan import plan
+from rcp_client.console.plot import plot
+from rcp_client.console.repetition import repeat
 from rcp_client.console.stops import estop, estop_without_session, hold
+from rcp_client.console.top import top
 from rcp_client.console.value import fetch, meant
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, Update
@@ -34,35 +38,25 @@ Arguments = dict[str, Any]
 
 def run(name: str, options: dict[str, Any], arguments: Arguments) -> int:
     """Connect, run a subcommand, and return the exit status."""
-    out = Output(json=options.get("json"))
+    out = Output(options.get("shown_as"))
     timeout = options.get("timeout", 10.0)
     for key in ("value", "input"):
         if isinstance(arguments.get(key), str):
             arguments[key] = fetch(arguments[key])
     try:
-        client = connect(
-            options.get("url"),
-            token=options.get("token"),
-            tenant=options.get("tenant"),
-            cacert=options.get("cacert"),
-            cert=options.get("cert"),
-            key=options.get("client_key"),
-            plaintext=bool(options.get("plaintext")),
-            deadline=timeout,
-            connect_timeout=min(_HUNG if name == "estop" else 5.0, timeout),
-            patience=_PATIENCE,
-            client="rcpctl",
-        )
+        within = min(_HUNG if name == "estop" else 5.0, timeout)
+        client = named_gateway(options, deadline=timeout, within=within, patience=_PATIENCE)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     try:
         try:
-            return asyncio.run(_run(client, out, _COMMANDS[name], arguments))
-        except (ConnectionLost, QueueFull):
+            return unwaited.run(_run(client, out, _COMMANDS[name], arguments))
+        except (ConnectionLost, QueueFull) as error:
             if name != "estop" or arguments["reset"]:
                 raise
+            out.aside(f"rcpctl: {error.message}; stopping by HTTP.")
             # Stopping twice does no harm, and plain HTTP needs no session.
-            return asyncio.run(estop_without_session(client, out, arguments))
+            return unwaited.run(estop_without_session(client, out, arguments))
     except RcpError as error:
         out.error(error)
         return exit_code(error)
@@ -315,26 +309,56 @@ async def _codegen(client: Client, out: Output, args: Arguments) -> int:
     return 0
 
 
-_COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
-    "discover": _discover,
-    "read": _read,
+_Command = Callable[[Client, Output, Arguments], Awaitable[int]]
+
+
+def _listing(command: _Command) -> _Command:
+    """Let `--watch` repeat a listing."""
+
+    async def run(client: Client, out: Output, args: Arguments) -> int:
+        if not args["watch"]:
+            return await command(client, out, args)
+        return await repeat(out, partial(command, client, out, args))
+
+    return run
+
+
+_COMMANDS: dict[str, _Command] = {
+    "discover": _listing(_discover),
+    "read": _listing(_read),
     "write": _write,
     "execute": execute,
     "plan": plan,
     "watch": _watch,
+    "plot": plot,
     "status": _status,
-    "commands": _commands,
+    "top": top,
+    "commands": _listing(_commands),
     "cancel": _cancel,
     "estop": estop,
     "hold": hold,
-    "approvals": _approvals,
+    "approvals": _listing(_approvals),
     "approve": _approve,
-    "robots": _robots,
-    "fleet": fleet,
-    "lease list": _lease_list,
+    "robots": _listing(_robots),
+    "fleet": _listing(fleet),
+    "lease list": _listing(_lease_list),
     "lease acquire": _lease_acquire,
     "lease release": _lease_release,
     "lease hold": _lease_hold,
+    "triggers list": triggers.list_triggers,
+    "triggers add": triggers.add_trigger,
+    "triggers remove": triggers.remove_trigger,
+    "triggers test": triggers.test_trigger,
+    "alarms list": triggers.list_alarms,
+    "alarms ack": triggers.acknowledge,
     "mcp tools": mcp.tools,
+    "record list": record.listed,
+    "record start": record.start,
+    "record stop": record.stop,
+    "record pin": record.pin,
+    "record unpin": record.unpin,
+    "record download": record.fetch,
+    "record history": record.history,
+    "replay": replay.replay,
     "codegen": _codegen,
 }

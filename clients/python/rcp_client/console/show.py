@@ -19,11 +19,15 @@ __all__ = [
     "estop",
     "item",
     "json_object",
+    "latched_line",
     "number_or_json",
     "number_or_text",
     "reply",
     "resource",
     "resources",
+    "robot_charge",
+    "robot_controller",
+    "robot_state",
     "status",
     "update",
     "value",
@@ -174,10 +178,10 @@ def robots(out: Output, listed: list[dict[str, Any]]) -> None:
         (
             robot["path"],
             robot.get("kind") or "",
-            _robot_state(robot),
+            robot_state(robot),
             robot.get("mode") or "",
-            _charge(robot),
-            _controller(robot),
+            robot_charge(robot),
+            robot_controller(robot),
             " ".join(robot.get("profiles", ())),
         )
         for robot in listed
@@ -185,14 +189,16 @@ def robots(out: Output, listed: list[dict[str, Any]]) -> None:
     out.table(("ROBOT", "KIND", "STATE", "MODE", "BATTERY", "CONTROL", "PROFILES"), rows)
 
 
-def _robot_state(robot: dict[str, Any]) -> str:
+def robot_state(robot: dict[str, Any]) -> str:
+    """Return the state of a robot, with its latch or hold."""
     marks = [name for name in ("estop", "held") if robot.get(name)]
     if marks and robot["state"] == "ready":
         return ", ".join(marks)
     return ", ".join((*marks, robot["state"]))
 
 
-def _charge(robot: dict[str, Any]) -> str:
+def robot_charge(robot: dict[str, Any]) -> str:
+    """Return the charge of a robot's battery."""
     battery = robot.get("battery") or {}
     percentage = battery.get("value", {}).get("percentage")
     if percentage is None:
@@ -200,7 +206,8 @@ def _charge(robot: dict[str, Any]) -> str:
     return f"{percentage:.0%}" + (" (stale)" if battery.get("stale") else "")
 
 
-def _controller(robot: dict[str, Any]) -> str:
+def robot_controller(robot: dict[str, Any]) -> str:
+    """Return who has control of a robot."""
     control = robot.get("control")
     return "" if control is None else f"{control['principal']} ({control['by']})"
 
@@ -257,17 +264,23 @@ def estop(out: Output, state: dict[str, Any]) -> None:
 
 def latched(out: Output, state: dict[str, Any]) -> None:
     """Show on one line what is stopped, by whom, since when and why; nothing if nothing is."""
+    line = latched_line(state)
+    if line is not None:
+        out.line(line.replace("latched", out.paint("latched"), 1))
+
+
+def latched_line(state: dict[str, Any]) -> str | None:
+    """Return this line, or None."""
     stops: dict[str, dict[str, Any]] = state.get("robots") or state.get("scopes") or {}
     if not stops:
-        return
+        return None
     names = sorted(stops)
     first = stops[names[0]]
     shown = ", ".join(names[:_SEVERAL])
     more = f" and {len(names) - _SEVERAL} more" if len(names) > _SEVERAL else ""
     why = f" ({first['reason']})" if first.get("reason") else ""
     whose = clean(f"by {first.get('by')} since {str(first.get('since'))[:19]}{why}")
-    line = f"E-stop {out.paint('latched')}: {clean(shown)}{more}, {whose}."
-    out.line(f"{line} To reset it: rcpctl estop --reset")
+    return f"E-stop latched: {clean(shown)}{more}, {whose}. To reset it: rcpctl estop --reset"
 
 
 def confirmed(robot: dict[str, Any]) -> bool:

@@ -12,10 +12,12 @@ from typing import Any
 import msgspec
 
 from rcp_client.client import Client
+from rcp_client.console import unwaited
 from rcp_client.errors import ConnectionLost, error_of, unknown_outcome
 from rcp_client.messages import Reply
 from rcp_client.requests import repeatable
 from rcp_client.settings import MARGIN
+from rcp_protocol.errors import RcpError
 
 __all__ = ["Unanswered", "post", "request"]
 
@@ -25,7 +27,14 @@ async def request(client: Client, envelope: dict[str, Any]) -> Reply:
 
     :raises RcpError: the reply contains an error, or none came.
     """
-    reply = await asyncio.to_thread(_post, client, envelope)
+    # The gateway's own reply is more specific than a time-out here.
+    limit = envelope.setdefault("deadline", client.settings.deadline) + MARGIN
+    try:
+        async with asyncio.timeout(limit):  # that of a socket covers no name that is looked up
+            reply = await asyncio.wrap_future(unwaited.start(_post, client, envelope))
+    except TimeoutError:
+        late = f"{client.channel.address.url} did not answer within {limit:g} s"
+        raise _lost(envelope, Unanswered(late)) from None
     error = error_of(reply)
     if error is not None:
         raise error
@@ -33,13 +42,16 @@ async def request(client: Client, envelope: dict[str, Any]) -> Reply:
 
 
 def _post(client: Client, envelope: dict[str, Any]) -> Reply:
-    # The gateway's own reply is more specific than a time-out here.
-    deadline = envelope.setdefault("deadline", client.settings.deadline)
+    wanted = {"Accept": "application/json"}
     try:
-        data = post(client, "/rcp/v1/messages", envelope, deadline, {"Accept": "application/json"})
+        data = post(client, "/rcp/v1/messages", envelope, envelope["deadline"], wanted)
     except Unanswered as lost:
-        raise lost if repeatable(envelope, keys=True) else unknown_outcome(lost) from lost.__cause__
+        raise _lost(envelope, lost) from lost.__cause__
     return msgspec.json.decode(data, type=Reply)
+
+
+def _lost(envelope: dict[str, Any], lost: Unanswered) -> RcpError:
+    return lost if repeatable(envelope, keys=True) else unknown_outcome(lost)
 
 
 class Unanswered(ConnectionLost):

@@ -1,0 +1,312 @@
+"""The part of the Go output that is the same for every gateway."""
+
+from __future__ import annotations
+
+__all__ = ["CLIENT", "HEAD", "RESERVED"]
+
+RESERVED = ("Gateway", "New", "Error", "Float", "Readable", "Writable", "Setting", "Command", "Update",
+            "Some")  # fmt: skip
+"""Names that no type of a gateway may have."""
+
+HEAD = """
+// Typed client of the gateway at URL, written by `rcpctl codegen --lang go`.
+//
+//	gateway := rcp.New("URL", token)
+//	pose, err := rcp.AlphaSensorPose.Read(ctx, gateway)
+
+package rcp
+
+import (
+	"bufio"
+	"bytes"
+	"context"
+	"encoding/json"
+	"errors"
+	"fmt"
+	"io"
+	"math"
+	"net/http"
+	"net/url"
+	"strconv"
+	"strings"
+	"time"
+)
+"""
+
+CLIENT = """
+// Some returns a pointer to a value, for fields that may be left out.
+func Some[T any](value T) *T { return &value }
+
+// Float is a number; those that JSON cannot write come as text.
+type Float float64
+
+// UnmarshalJSON reads a number, or "NaN", "Infinity" and "-Infinity".
+func (f *Float) UnmarshalJSON(data []byte) error {
+	value, err := strconv.ParseFloat(strings.Trim(string(data), `"`), 64)
+	*f = Float(value)
+	return err
+}
+
+// MarshalJSON writes a number, or its name.
+func (f Float) MarshalJSON() ([]byte, error) {
+	switch value := float64(f); {
+	case math.IsNaN(value):
+		return []byte(`"NaN"`), nil
+	case math.IsInf(value, 1):
+		return []byte(`"Infinity"`), nil
+	case math.IsInf(value, -1):
+		return []byte(`"-Infinity"`), nil
+	default:
+		return json.Marshal(value)
+	}
+}
+
+// Error is what the gateway refused or failed to do.
+type Error struct {
+	Code      string `json:"code"`
+	Message   string `json:"message"`
+	Remedy    string `json:"remedy"`
+	Retryable bool   `json:"retryable"`
+}
+
+func (e *Error) Error() string { return fmt.Sprintf("%s: %s", e.Code, e.Message) }
+
+// Gateway is a gateway, over HTTP and server-sent events.
+type Gateway struct {
+	// Client sends the requests; its Transport has what is needed for TLS.
+	Client *http.Client
+	base   string
+	token  string
+}
+
+// New returns a gateway; nothing is sent yet. The token may be empty.
+func New(url, token string) *Gateway {
+	return &Gateway{http.DefaultClient, strings.TrimRight(url, "/") + "/rcp/v1", token}
+}
+
+type reply struct {
+	Status  string          `json:"status"`
+	Command string          `json:"command"`
+	Body    json.RawMessage `json:"body"`
+	Error   *Error          `json:"error"`
+}
+
+func (g *Gateway) open(ctx context.Context, method, path string, body any) (*http.Response, error) {
+	var content io.Reader
+	if body != nil {
+		data, err := json.Marshal(body)
+		if err != nil {
+			return nil, err
+		}
+		content = bytes.NewReader(data)
+	}
+	request, err := http.NewRequestWithContext(ctx, method, g.base+path, content)
+	if err != nil {
+		return nil, err
+	}
+	if body != nil {
+		request.Header.Set("Content-Type", "application/json")
+	}
+	if g.token != "" {
+		request.Header.Set("Authorization", "Bearer "+g.token)
+	}
+	return g.Client.Do(request)
+}
+
+func decoded(response *http.Response) (reply, error) {
+	var found reply
+	if err := json.NewDecoder(response.Body).Decode(&found); err != nil {
+		return found, fmt.Errorf("HTTP %d: %w", response.StatusCode, err)
+	}
+	if found.Error != nil {
+		return found, found.Error
+	}
+	return found, nil
+}
+
+func (g *Gateway) ask(ctx context.Context, method, path string, body any) (reply, error) {
+	response, err := g.open(ctx, method, path, body)
+	if err != nil {
+		return reply{}, err
+	}
+	defer response.Body.Close()
+	return decoded(response)
+}
+
+func into[T any](body json.RawMessage) (T, error) {
+	var value T
+	if len(body) == 0 {
+		return value, nil
+	}
+	err := json.Unmarshal(body, &value)
+	return value, err
+}
+
+// Readable is a path that can be read and watched.
+type Readable[T any] struct{ path string }
+
+// Read returns the current value.
+func (r Readable[T]) Read(ctx context.Context, g *Gateway) (T, error) {
+	found, err := g.ask(ctx, "GET", "/context"+r.path, nil)
+	if err != nil {
+		var none T
+		return none, err
+	}
+	return into[T](found.Body)
+}
+
+// Update is one sample of a watched path.
+type Update[T any] struct {
+	Path      string    `json:"path"`
+	Seq       uint64    `json:"seq"`
+	Timestamp time.Time `json:"timestamp"`
+	Body      T         `json:"body"`
+	Dropped   uint64    `json:"dropped"`
+}
+
+// Watch calls heard with each new value, until that returns an error or ctx ends; rate is in Hz, 0 for all.
+func (r Readable[T]) Watch(ctx context.Context, g *Gateway, rate float64, heard func(Update[T]) error) error {
+	query := url.Values{"path": {r.path}}
+	if rate > 0 {
+		query.Set("rate", strconv.FormatFloat(rate, 'g', -1, 64))
+	}
+	ctx, stop := context.WithCancel(ctx)
+	defer stop()
+	response, err := g.open(ctx, "GET", "/events?"+query.Encode(), nil)
+	if err != nil {
+		return err
+	}
+	defer response.Body.Close()
+	if response.StatusCode != http.StatusOK {
+		_, err := decoded(response)
+		return err
+	}
+	lines, event, data := bufio.NewReader(response.Body), "", ""
+	for {
+		line, err := lines.ReadString('\\n')
+		if err != nil {
+			return err
+		}
+		line = strings.TrimRight(line, "\\r\\n")
+		switch {
+		case strings.HasPrefix(line, "event: "):
+			event = line[len("event: "):]
+		case strings.HasPrefix(line, "data: "):
+			data += line[len("data: "):]
+		case line == "":
+			if event == "update" {
+				var update Update[T]
+				if err := json.Unmarshal([]byte(data), &update); err != nil {
+					return err
+				}
+				if err := heard(update); err != nil {
+					return err
+				}
+			}
+			event, data = "", ""
+		}
+	}
+}
+
+// Writable is a path that can be written.
+type Writable[T any] struct{ path string }
+
+// Write sets a value. If validFor is not 0, the gateway stops the robot unless the value is written again in that time.
+func (w Writable[T]) Write(ctx context.Context, g *Gateway, value T, validFor time.Duration) error {
+	path := "/context" + w.path
+	if validFor > 0 {
+		path += "?valid_for=" + strconv.FormatFloat(validFor.Seconds(), 'g', -1, 64)
+	}
+	_, err := g.ask(ctx, "PUT", path, value)
+	return err
+}
+
+// Setting is a path that can be read, watched and written.
+type Setting[R, W any] struct {
+	Readable[R]
+	Writable[W]
+}
+
+// Command is an action or a service.
+type Command[In, Out any] struct{ path string }
+
+const (
+	poll     = 200 * time.Millisecond
+	attempt  = 10 * time.Second
+	stopping = 30 * time.Second
+)
+
+// Execute carries the command out and returns its result. When ctx ends the command is cancelled, and Execute
+// returns once the robot has ended it. A connection that is lost meanwhile is tried again for 30 s.
+func (c Command[In, Out]) Execute(ctx context.Context, g *Gateway, input In) (Out, error) {
+	var none Out
+	if err := ctx.Err(); err != nil {
+		return none, err
+	}
+	// Not under ctx: what was sent may be under way, and can only be cancelled by the id in the answer.
+	sent, stop := context.WithTimeout(context.Background(), stopping)
+	defer stop()
+	found, err := g.ask(sent, "POST", "/context"+c.path, input)
+	if err != nil {
+		return none, err
+	}
+	at := "/commands/" + found.Command
+	found, err = g.follow(ctx, at, found)
+	if err != nil && ctx.Err() != nil && !final(found.Status) {
+		rest, stop := context.WithTimeout(context.Background(), stopping)
+		defer stop()
+		if _, err := g.insist(rest, "DELETE", at); err != nil {
+			return none, err
+		}
+		found, err = g.follow(rest, at, found)
+	}
+	if err != nil {
+		return none, err
+	}
+	return into[Out](found.Body)
+}
+
+// follow returns the last state of a command, or the one before ctx ended.
+func (g *Gateway) follow(ctx context.Context, at string, found reply) (reply, error) {
+	for !final(found.Status) {
+		select {
+		case <-ctx.Done():
+			return found, ctx.Err()
+		case <-time.After(poll):
+		}
+		about, err := g.insist(ctx, "GET", at)
+		if err != nil {
+			return found, err
+		}
+		if found, err = into[reply](about.Body); err != nil {
+			return found, err
+		}
+	}
+	if found.Error != nil {
+		return found, found.Error
+	}
+	return found, nil
+}
+
+// insist asks again while no answer comes.
+func (g *Gateway) insist(ctx context.Context, method, path string) (reply, error) {
+	for end := time.Now().Add(stopping); ; {
+		once, stop := context.WithTimeout(ctx, attempt)
+		found, err := g.ask(once, method, path, nil)
+		stop()
+		var refused *Error
+		if err == nil || errors.As(err, &refused) && !refused.Retryable || time.Now().After(end) {
+			return found, err
+		}
+		select {
+		case <-ctx.Done():
+			return found, err
+		case <-time.After(poll):
+		}
+	}
+}
+
+func final(status string) bool {
+	return status == "completed" || status == "failed" || status == "rejected" || status == "cancelled"
+}
+"""

@@ -1,0 +1,1 @@
+"""The subcommands of `rcpctl`: what may be written on the command line."""

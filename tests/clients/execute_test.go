@@ -1,0 +1,117 @@
+// What Execute does when a context ends, or a connection, while the robot moves. Copied beside a generated rcp.go.
+package rcp
+
+import (
+	"context"
+	"encoding/json"
+	"errors"
+	"net/http"
+	"net/http/httptest"
+	"sync/atomic"
+	"testing"
+	"time"
+)
+
+const patience = 40 * time.Second
+
+var drive = Command[any, string]{"/tenant/alpha/action/drive"}
+
+func tell(w http.ResponseWriter, body any) { _ = json.NewEncoder(w).Encode(body) }
+
+func state(w http.ResponseWriter, about map[string]any) {
+	tell(w, map[string]any{"status": "completed", "body": about})
+}
+
+// cut answers with the beginning of a message.
+func cut(w http.ResponseWriter) {
+	connection, out, err := w.(http.Hijacker).Hijack()
+	if err != nil {
+		panic(err)
+	}
+	_, _ = out.WriteString("HTTP/1.1 200 OK\r\nContent-Length: 100\r\n\r\n{")
+	_ = out.Flush()
+	_ = connection.Close()
+}
+
+func TestACommandIsCancelledWhenItsContextEndsBeforeItIsAccepted(t *testing.T) {
+	ctx, end := context.WithCancel(context.Background())
+	defer end()
+	var cancelled, asked atomic.Int32
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		switch r.Method {
+		case "POST":
+			end()
+			select {
+			case <-r.Context().Done(): // the client hangs up: nobody could cancel what begins now
+			case <-time.After(time.Second):
+			}
+			tell(w, map[string]any{"status": "accepted", "command": "cmd-1"})
+		case "DELETE":
+			if cancelled.Add(1) == 1 {
+				cut(w)
+				return
+			}
+			tell(w, map[string]any{"status": "completed"})
+		default:
+			asked.Add(1)
+			state(w, map[string]any{"status": "cancelled", "error": map[string]any{"code": "cancelled"}})
+		}
+	}))
+	defer server.Close()
+	var refused *Error
+	if _, err := drive.Execute(ctx, New(server.URL, ""), nil); !errors.As(err, &refused) || refused.Code != "cancelled" {
+		t.Errorf("ended: %v", err)
+	}
+	if cancelled.Load() != 2 || asked.Load() != 1 {
+		t.Errorf("cancelled %d times, asked %d times", cancelled.Load(), asked.Load())
+	}
+}
+
+func TestACommandOfAContextThatHasEndedIsNotSent(t *testing.T) {
+	ctx, end := context.WithCancel(context.Background())
+	end()
+	if _, err := drive.Execute(ctx, New("http://127.0.0.1:1", ""), nil); !errors.Is(err, context.Canceled) {
+		t.Errorf("ended: %v", err)
+	}
+}
+
+func TestACommandIsFollowedThoughAConnectionIsLost(t *testing.T) {
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	var asked atomic.Int32
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		if r.Method == "POST" {
+			tell(w, map[string]any{"status": "accepted", "command": "cmd-1"})
+			return
+		}
+		switch asked.Add(1) {
+		case 1:
+			cut(w)
+		case 2:
+			tell(w, map[string]any{"error": map[string]any{"code": "rate_limited", "retryable": true}})
+		default:
+			state(w, map[string]any{"status": "completed", "body": "there"})
+		}
+	}))
+	defer server.Close()
+	if out, err := drive.Execute(ctx, New(server.URL, ""), nil); err != nil || out != "there" {
+		t.Errorf("ended: %q, %v", out, err)
+	}
+}
+
+func TestARefusalToTellIsTheEnd(t *testing.T) {
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		if r.Method == "POST" {
+			tell(w, map[string]any{"status": "accepted", "command": "cmd-1"})
+			return
+		}
+		tell(w, map[string]any{"error": map[string]any{"code": "forbidden"}})
+	}))
+	defer server.Close()
+	var refused *Error
+	if _, err := drive.Execute(ctx, New(server.URL, ""), nil); !errors.As(err, &refused) || refused.Code != "forbidden" {
+		t.Errorf("ended: %v", err)
+	}
+}
