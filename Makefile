@@ -14,7 +14,7 @@ PAGES := $(shell find $(WEB) clients/typescript/src -name node_modules -prune -o
 CLIENT := clients/python
 NEEDS := Makefile pyproject.toml $(CLIENT)/pyproject.toml constraints.txt $(PAGES)
 
-.PHONY: help demo fleet test dashboard lint format bench constraints picture clean
+.PHONY: help demo fleet test dashboard lint format bench constraints picture screens site release clean
 
 help:
 	@echo "make demo [PORT=8080]   serve simulated robots"
@@ -26,6 +26,9 @@ help:
 	@echo "make bench              run the benchmarks and print tables"
 	@echo "make constraints        write constraints.txt from the installed versions"
 	@echo "make picture            record docs/demo.svg from a running demo"
+	@echo "make screens            photograph the dashboard for its page of the documentation"
+	@echo "make site               build the documentation as a site into build/site, and check its links"
+	@echo "make release            build all packages into dist/, install each and drive a robot with it; uploads nothing"
 	@echo "make clean              remove .venv and all generated files"
 
 demo: $(DEMO)
@@ -61,6 +64,16 @@ constraints: $(TEST)
 picture: $(TEST)
 	$(BIN)/python .ci/picture.py
 
+screens: $(TEST)
+	$(BIN)/python .ci/screens.py
+
+site: $(TEST)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+release: $(TEST)
+	$(BIN)/python packaging/build.py
+	$(BIN)/python packaging/verify.py
+
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist
 	rm -rf plugins/rcp_dashboard/static $(WEB)/node_modules $(WEB)/.made
@@ -93,7 +106,7 @@ endef
 # The tests' dependencies include those of the demo.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
-	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,fleet,mavlink,mcp,mujoco]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,console,dashboard,fleet,mavlink,mcp,mujoco]'
 	@$(report_missing_pages)
 	@touch $@
 

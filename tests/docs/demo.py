@@ -59,6 +59,18 @@ def demo(runtime: Path, port: int = 0, programs: Path = BIN) -> Generator[Demo]:
                 process.kill()
 
 
+def rcpctl(live: Demo, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run `rcpctl` at a demo, with the operator's key."""
+    return subprocess.run(
+        [str(BIN / "rcpctl"), "--url", live.url, "--token", live.key, *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=live.environment,
+    )
+
+
 def _until(process: subprocess.Popen[bytes], word: str) -> str:
     assert process.stdout is not None
     out = b""

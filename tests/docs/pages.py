@@ -7,6 +7,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+_MADE = ("build", "dist")
+
+
+def every_page() -> list[Path]:
+    """Return all pages of the repository, those of packages and examples too."""
+    folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name[0] != "."]
+    found = [*ROOT.glob("*.md"), *(ROOT / ".github").rglob("*.md")]
+    for folder in folders:
+        if folder.name not in _MADE:
+            found += folder.rglob("*.md")
+    return sorted(
+        path for path in found if not {*path.relative_to(ROOT).parts} & {"node_modules", "static"}
+    )
 
 
 def section(page: Path, heading: str) -> str:

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from certs import Authority
 from docs.demo import BIN, Demo
@@ -43,7 +44,7 @@ def test_an_example_configuration_is_good(
     for name in re.findall(r"\$\{(\w+)\}", path.read_text(encoding="utf-8")):
         key = f"{name.lower()}-0123456789"
         digest = hashlib.sha256(key.encode()).hexdigest()
-        monkeypatch.setenv(name, digest if name.endswith("SHA256") else key)
+        monkeypatch.setenv(name, digest if name.endswith(("SHA256", "SECRET")) else key)
     monkeypatch.setenv("RCP_HOME", str(tmp_path))
     (tmp_path / "tls").mkdir()
     ca = Authority(tmp_path / "tls", "CA")
@@ -92,3 +93,23 @@ def test_a_stick_that_is_let_go_stops_the_robot(live: Demo) -> None:
     speeds = [float(line.split()[0]) for line in lines if line.endswith("m/s")]
     assert speeds[0] > 0.1
     assert abs(speeds[-1]) < 0.05
+
+
+def test_an_agent_that_knows_one_sentence_needs_few_calls_and_tokens(
+    drone: Demo, tmp_path: Path
+) -> None:
+    photo = tmp_path / "photo.png"
+    lines = example("agent", "--token", drone.key, "--picture", str(photo), live=drone)
+    count = re.fullmatch(r"(\d+) calls, (\d+) tokens", lines[-1])
+    assert count is not None
+    assert int(count[1]) <= 12
+    assert int(count[2]) <= 15_000
+    seen = re.search(r"sees the box ([\d.]+) m in front", lines[-2])
+    assert seen is not None
+    assert 0.8 < float(seen[1]) < 1.5
+    with Image.open(photo) as shown:
+        picture = shown.convert("RGB")
+    left, top = picture.width // 2 - 30, picture.height // 2 - 30
+    middle = picture.crop((left, top, left + 60, top + 60))
+    roof = [count for count, colour in middle.getcolors() or () if colour == (226, 160, 84)]
+    assert sum(roof) > 60, "the box is in the middle of the drone's picture"

@@ -107,7 +107,7 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))
         for path, entry in kernel.registry.entries.items()
     }
-    text = finished(kernel.status.exposition(Rights((), {})))
+    text = finished(kernel.exposition.write(Rights((), {})))
     families = {m.split("# TYPE ")[1].split()[0] for m in _types(text)}
     assert set(keys(section(PAGE, "Health and metrics"))) - families == set()
     assert {name for name in families if name.startswith("rcp_")} == {

@@ -45,6 +45,7 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
         adapters={},
         transports={},
         missing=[],
+        points={"plugins": {}},
         is_missing=lambda _group, _name: None,
     )
     prepared = Prepared(config, plugins, (turntable.TurntableConfig(speed=2.0),), {}, {})

@@ -18,7 +18,7 @@ from installed.fresh import ROOT
 GATEWAY = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CLIENT = tomllib.loads((ROOT / "clients/python/pyproject.toml").read_text())["project"]
 EXTRAS = {
-    "rcp_a2a": ("a2a",),
+    "rcp_a2a": ("a2a", "grpc"),
     "rcp_can": ("can",),
     "rcp_dashboard": ("dashboard",),
     "rcp_fleet": ("zenoh",),
@@ -27,8 +27,13 @@ EXTRAS = {
     "rcp_mavlink_sim": ("mavlink",),
     "rcp_mcp": ("mcp", "dashboard"),  # pictures of raw images, where the dashboard's library is
     "rcp_recorder": ("recorder",),
+    "rcp_recordings": ("recorder", "parquet"),
+    "rcp_replay": ("recorder",),
     "rcp_mujoco": ("mujoco",),
     "rcp_ros2": ("ros2",),
+    "rcp_tracing": ("tracing",),
+    "rcp_triggers": ("triggers",),
+    "rcp_vda5050": ("vda5050",),
     "rcp_zenoh": ("zenoh",),
 }
 """The extras that bring what a package imports; any other has the dependencies alone."""
@@ -72,6 +77,8 @@ def declared(project: dict[str, Any], package: str) -> set[str]:
         found |= names(project["optional-dependencies"][extra])
     if project is GATEWAY:
         found |= names(CLIENT["dependencies"])
+    else:  # and OpenTelemetry, but only of a program that has it
+        found |= names(CLIENT["optional-dependencies"]["console"]) | {"opentelemetry-api"}
     return found
 
 

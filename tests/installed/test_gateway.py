@@ -75,11 +75,27 @@ def wanting(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def remedies(text: str) -> set[str]:
-    return set(re.findall(r"pip install 'rcp-gateway\[(\w+)\]'", text))
+    return set(re.findall(r"pip install 'rcp-gateway\[([\w-]+)\]'", text))
 
 
 def test_it_brings_nothing_that_an_extra_is_for(programs: Path) -> None:
     assert importable(programs, *OF_EXTRAS.split()) == []
+
+
+_SIZES = """
+from importlib.metadata import distributions
+from pathlib import Path
+for one in distributions():
+    files = [Path(str(file.locate())) for file in one.files or () if file.suffix != ".pyc"]
+    print(one.name, sum(file.stat().st_size for file in files if file.is_file()))
+"""
+
+
+def test_the_core_is_small_and_so_is_what_it_brings(programs: Path) -> None:
+    rows = (line.split() for line in said(programs, "python", "-c", _SIZES).splitlines())
+    sizes = {name: int(size) for name, size in rows if name not in ("pip", "setuptools")}
+    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 15e6  # bytes; 8 MB today
+    assert sum(sizes.values()) < 130e6  # 115 MB today: cryptography, uvloop, zstandard, Faker
 
 
 def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Path) -> None:
@@ -96,7 +112,14 @@ def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Pat
 def test_plugins_says_what_to_install(programs: Path) -> None:
     output = said(programs, "rcpd", "plugins")
     unavailable = {line for line in output.splitlines() if "unavailable" in line}
-    assert remedies("\n".join(unavailable)) == WANTED | {"recorder"}
+    assert remedies("\n".join(unavailable)) == WANTED | {
+        "ground-stations",
+        "recorder",
+        "replay",
+        "tracing",
+        "triggers",
+        "vda5050",
+    }
 
 
 def test_check_says_what_to_install(programs: Path, wanting: str) -> None:

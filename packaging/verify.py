@@ -1,0 +1,302 @@
+"""Install each way that `dist/` offers, and drive a robot with what was installed.
+
+    python packaging/verify.py [wheels] [pipx] [uv] [sdist] [npm] [deb] [container] [sbom] [docs]
+
+Prints for each way the seconds from nothing to a robot that has driven. A way for which this machine has no tool is told, and
+is a failure if it was named. The Debian package is installed in a bare Debian system: a folder given by `RCP_CHROOT`, made
+by debootstrap with python3, adduser and ca-certificates.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import select
+import shutil
+import socket
+import subprocess
+import sys
+import tarfile
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from build import DIST, EXTRAS, ROOT, VERSION
+
+_GATEWAY = DIST / f"rcp_gateway-{VERSION}-py3-none-any.whl"
+_CLIENT = DIST / f"rcp_client-{VERSION}-py3-none-any.whl"
+_START = 60.0  # s until a gateway serves
+_STOP = 30.0  # s until one has ended
+_GOAL = '{"position": {"x": 0.5, "y": 0}}'
+
+
+class Missing(Exception):
+    """A tool that this machine does not have."""
+
+
+def run(*command: str | Path, **environment: str) -> str:
+    """Run a program outside of the tree, and return what it prints."""
+    words = [str(part) for part in command]
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("RCP_")}
+    done = subprocess.run(  # noqa: S603 - programs of this script
+        words, cwd="/", env=kept | environment, check=False, capture_output=True, text=True
+    )
+    if done.returncode != 0:
+        raise SystemExit(f"{' '.join(words)}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def tool(name: str) -> str:
+    """Return where a program is."""
+    found = shutil.which(name, path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if found is None:
+        raise Missing(name)
+    return found
+
+
+@contextmanager
+def serving(command: Sequence[str | Path], folder: Path | None = None) -> Generator[None]:
+    """Run a gateway until the block ends; enter when it serves."""
+    with subprocess.Popen(  # noqa: S603
+        [str(part) for part in command],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    ) as process:
+        try:
+            _wait(process)
+            yield
+        finally:
+            process.terminate()
+            try:
+                process.wait(_STOP)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+@contextmanager
+def cleanup(*command: str | Path, **environment: str) -> Generator[None]:
+    """Run a program when the block has ended; what went wrong in the block is told all the same."""
+    try:
+        yield
+    except BaseException:
+        try:
+            run(*command, **environment)
+        except SystemExit as also:
+            print(f"then also: {also}", file=sys.stderr)
+        raise
+    run(*command, **environment)
+
+
+def _wait(process: subprocess.Popen[bytes]) -> None:
+    assert process.stdout is not None
+    out, end = b"", time.monotonic() + _START
+    while b"rcpd: serving" not in out:
+        ready, _, _ = select.select([process.stdout], [], [], max(0.0, end - time.monotonic()))
+        chunk = os.read(process.stdout.fileno(), 65536) if ready else b""
+        if not chunk:
+            raise SystemExit(f"the gateway does not serve: {out.decode()}")
+        out += chunk
+
+
+def free_port() -> str:
+    """Return a port that nothing listens on."""
+    with socket.socket() as made:
+        made.bind(("127.0.0.1", 0))
+        return str(made.getsockname()[1])
+
+
+def drive(rcpctl: Sequence[str | Path], **environment: str) -> None:
+    """Drive the simulated robot, and make sure that it went where it should."""
+    done = json.loads(run(*rcpctl, "execute", "/action/move_to", _GOAL, "--json", **environment))
+    place = json.loads(run(*rcpctl, "read", "/sensor/pose", "--json", **environment))
+    there = place.get("body", place)["position"]["x"]
+    if not 0.3 < there < 0.7:
+        raise SystemExit(f"the robot is not where it was sent: {done}, {place}")
+
+
+def drive_from(programs: Path, scratch: Path) -> None:
+    """Write a configuration with installed programs, serve it and drive."""
+    folder, port = scratch / "gateway", free_port()
+    run(programs / "rcpd", "init", "--yes", "--into", folder, "--port", port)
+    key = (folder / "operator.key").read_text(encoding="utf-8").strip()
+    with serving([programs / "rcpd", "serve", folder / "rcp.toml"]):
+        drive([programs / "rcpctl"], RCP_URL=f"http://127.0.0.1:{port}", RCP_TOKEN=key)
+
+
+def _pins(scratch: Path) -> Path:
+    """Write constraints by which our own packages are those of `dist/`, whatever an index has."""
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    own = f"rcp-client @ {_CLIENT.as_uri()}\nrcp-gateway @ {_GATEWAY.as_uri()}\n"
+    path = scratch / "constraints.txt"
+    path.write_text(pins + own, encoding="utf-8")
+    return path
+
+
+def _environment(scratch: Path, gateway: Path, client: Path, extras: str = "") -> Path:
+    """Make a virtual environment; return its programs."""
+    run(sys.executable, "-m", "venv", scratch / "venv")
+    programs = scratch / "venv" / "bin"
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    (scratch / "pins.txt").write_text(pins, encoding="utf-8")
+    pip = (programs / "python", "-m", "pip", "install", "-q", "--disable-pip-version-check")
+    run(*pip, "-c", scratch / "pins.txt", client, f"{gateway}{extras}", RCP_DASHBOARD="off")
+    return programs
+
+
+def wheels(scratch: Path) -> None:
+    """Install the wheels by pip."""
+    drive_from(_environment(scratch, _GATEWAY, _CLIENT), scratch)
+
+
+def sdist(scratch: Path) -> None:
+    """Install from the sources."""
+    sources = (DIST / f"{name}-{VERSION}.tar.gz" for name in ("rcp_gateway", "rcp_client"))
+    drive_from(_environment(scratch, *sources), scratch)
+
+
+def pipx(scratch: Path) -> None:
+    """Install both programs by pipx."""
+    homes = {"PIPX_HOME": str(scratch / "pipx"), "PIPX_BIN_DIR": str(scratch / "bin")}
+    pins = f"-c {_pins(scratch)}"
+    for wheel in (_GATEWAY, _CLIENT):
+        run(tool("pipx"), "install", "--pip-args", pins, wheel, **homes)
+    drive_from(scratch / "bin", scratch)
+
+
+def uv(scratch: Path) -> None:
+    """Install both programs by uv, with a Python that is there."""
+    homes = {"UV_TOOL_DIR": str(scratch / "uv"), "UV_TOOL_BIN_DIR": str(scratch / "bin")}
+    python = ("--python", sys.executable, "--no-python-downloads")
+    pins = ("-c", ROOT / "constraints.txt")
+    for wheel, beside in ((_GATEWAY, ("--with", _CLIENT)), (_CLIENT, ())):
+        run(tool("uv"), "tool", "install", "-q", *python, *pins, *beside, wheel, **homes)
+    drive_from(scratch / "bin", scratch)
+
+
+def npm(scratch: Path) -> None:
+    """Install the npm package, and drive with it from Node."""
+    programs = _environment(scratch, _GATEWAY, _CLIENT)
+    folder, port = scratch / "gateway", free_port()
+    run(programs / "rcpd", "init", "--yes", "--into", folder, "--port", port)
+    (scratch / "package.json").write_text('{"type": "module"}', encoding="utf-8")
+    run(tool("npm"), "--prefix", scratch, "install", "--silent", DIST / f"rcp-client-{VERSION}.tgz")
+    (scratch / "drive.js").write_text(
+        f"""import {{ Client }} from "rcp-client";
+const robot = new Client({{ url: process.env.RCP_URL, token: process.env.RCP_TOKEN, tenant: "main" }});
+await robot.connect();
+await robot.execute("/action/move_to", {_GOAL}).result;
+const {{ value }} = await robot.read("/sensor/pose");
+if (Math.abs(value.position.x - 0.5) > 0.2) throw new Error(JSON.stringify(value));
+robot.close();
+""",
+        encoding="utf-8",
+    )
+    key = (folder / "operator.key").read_text(encoding="utf-8").strip()
+    with serving([programs / "rcpd", "serve", folder / "rcp.toml"]):
+        where = {"RCP_URL": f"http://127.0.0.1:{port}", "RCP_TOKEN": key}
+        run(tool("node"), scratch / "drive.js", **where)
+
+
+def deb(_scratch: Path) -> None:
+    """Install the package in a bare Debian system, drive as its user, and purge it."""
+    root = os.environ.get("RCP_CHROOT")
+    if root is None or os.geteuid() != 0:
+        raise Missing("RCP_CHROOT, and root to enter it")
+    (package,) = DIST.glob("*.deb")
+    shutil.copy(package, Path(root) / "tmp")
+    inside = (tool("chroot"), root)
+    path = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+    run(tool("mount"), "-t", "proc", "proc", f"{root}/proc")  # by which the gateway measures itself
+    with (
+        cleanup(tool("umount"), f"{root}/proc"),
+        cleanup(*inside, "dpkg", "--purge", "rcp-gateway", PATH=path),
+    ):
+        run(*inside, "dpkg", "-i", f"/tmp/{package.name}", PATH=path)  # noqa: S108 - in that system
+        key = (Path(root) / "etc/rcp/operator.key").read_text(encoding="utf-8").strip()
+        port = free_port()
+        user = (tool("chroot"), "--userspec=rcp:rcp", root, "/usr/bin/env", "HOME=/var/lib/rcp")
+        with serving([*user, "rcpd", "serve", "--port", port, "/etc/rcp/rcp.toml"]):
+            at = {"RCP_URL": f"http://127.0.0.1:{port}", "RCP_TOKEN": key, "PATH": path}
+            drive([*inside, "rcpctl"], **at)
+    for name in ("etc/rcp", "var/lib/rcp", "opt/rcp-gateway"):
+        if (Path(root) / name).exists():
+            raise SystemExit(f"the purged package left /{name}")
+
+
+def container(_scratch: Path) -> None:
+    """Start the image, and drive within it."""
+    archive = DIST / f"rcp-gateway-{VERSION}.oci.tar"
+    if not archive.exists():
+        raise Missing(archive.name)
+    buildah = (tool("buildah"), *os.environ.get("RCP_BUILDAH", "").split())
+    name = run(*buildah, "from", f"oci-archive:{archive}").strip()
+    with cleanup(*buildah, "rm", name):
+        isolation = ("--isolation", os.environ.get("BUILDAH_ISOLATION", "chroot"))
+        inside = (*buildah, "run", *isolation, name, "--")
+        with serving([*inside, "/usr/local/bin/start"]):
+            key = run(*inside, "cat", "operator.key").strip()
+            at = ("env", "RCP_URL=https://127.0.0.1:8443", f"RCP_TOKEN={key}")
+            drive([*inside, *at, "RCP_CACERT=tls/gateway.pem", "rcpctl"])
+
+
+def sbom(scratch: Path) -> None:
+    """Compare the list of components with what the packages for people install."""
+    listed = json.loads((DIST / f"rcp-gateway-{VERSION}.cdx.json").read_text(encoding="utf-8"))
+    known = {(one["name"].lower(), one["version"]) for one in listed["components"]}
+    programs = _environment(scratch, _GATEWAY, _CLIENT, f"[{EXTRAS}]")
+    found = json.loads(run(programs / "python", "-m", "pip", "list", "--format", "json"))
+    own = {"rcp-gateway", "rcp-client", "pip", "setuptools", "wheel"}
+    installed = {(re.sub(r"[-_.]+", "-", one["name"]).lower(), one["version"]) for one in found}
+    if missing := {one for one in installed - known if one[0] not in own}:
+        raise SystemExit(f"the list of components lacks {sorted(missing)}")
+
+
+def docs(scratch: Path) -> None:
+    """Unpack the site; its links were checked when it was built."""
+    with tarfile.open(DIST / f"rcp-gateway-docs-{VERSION}.tar.gz") as packed:
+        packed.extractall(scratch, filter="data")
+    for name in ("index.html", "protocol.html", "search/search_index.json"):
+        if not (scratch / "site" / name).is_file():
+            raise SystemExit(f"the site has no {name}")
+
+
+WAYS: dict[str, Callable[[Path], None]] = {
+    "wheels": wheels,
+    "pipx": pipx,
+    "uv": uv,
+    "sdist": sdist,
+    "npm": npm,
+    "deb": deb,
+    "container": container,
+    "sbom": sbom,
+    "docs": docs,
+}
+
+
+def main() -> None:
+    """Try what is named, or everything."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ways", nargs="*", metavar="WAY", help=", ".join(WAYS))
+    named = parser.parse_args().ways
+    if unknown := [way for way in named if way not in WAYS]:
+        parser.error(f"unknown: {', '.join(unknown)}")
+    for way in named or WAYS:
+        began = time.monotonic()
+        try:
+            with TemporaryDirectory() as scratch:
+                WAYS[way](Path(scratch))
+        except Missing as error:
+            if named:
+                raise SystemExit(f"{way}: needs {error}") from None
+            print(f"{way:<10} not tried: needs {error}", flush=True)
+        else:
+            print(f"{way:<10} {time.monotonic() - began:6.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

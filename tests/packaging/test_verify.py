@@ -1,0 +1,68 @@
+"""What tries the packages ends what it began, and tells what went wrong first."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from docs.pages import ROOT
+
+_STUBBORN = """
+import os, signal
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+open("pid", "w").write(str(os.getpid()))
+print("rcpd: serving", flush=True)
+signal.pause()
+"""
+
+
+@pytest.fixture
+def verify(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(str(ROOT / "packaging"))
+    yield importlib.import_module("verify")
+    for name in ("verify", "build"):
+        del sys.modules[name]
+
+
+def test_a_gateway_that_ignores_its_end_is_ended(
+    verify: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(verify, "_STOP", 0.2)
+    with verify.serving([sys.executable, "-c", _STUBBORN], tmp_path):
+        pid = int((tmp_path / "pid").read_text())
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_a_package_that_does_not_install_is_told_and_nothing_stays_mounted(
+    verify: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    ran: list[str] = []
+
+    def run(*command: object, **_: str) -> str:
+        words = [str(word) for word in command]
+        ran.append(next(word for word in words if word in ("mount", "-i", "--purge", "umount")))
+        if "dpkg" in words:
+            raise SystemExit(f"dpkg {ran[-1]} fails")
+        return ""
+
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "one.deb").touch()
+    monkeypatch.setenv("RCP_CHROOT", str(tmp_path))
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(verify, "DIST", tmp_path)
+    monkeypatch.setattr(verify, "tool", lambda name: name)
+    monkeypatch.setattr(verify, "run", run)
+    with pytest.raises(SystemExit, match="dpkg -i fails"):
+        verify.deb(tmp_path)
+    assert ran == ["mount", "-i", "--purge", "umount"]
+    assert "dpkg --purge fails" in capsys.readouterr().err
