@@ -228,7 +228,7 @@ async def _until_mark(reader: Client, id_: str) -> list[Any]:
 
 
 _TIMES = re.compile(
-    r'"(?:seq|time|timestamp|id|command|session|created|updated|finished|since|started|ended|reset|lease|x-plan)":'
+    r'"(?:seq|time|timestamp|id|command|session|created|updated|finished|since|started|ended|reset|lease|x-plan|x-traceparent)":'
     r' (?:"[^"]*"|\d+),? ?'
 )
 

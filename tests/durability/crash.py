@@ -116,6 +116,7 @@ def prepared(folder: Path) -> Prepared:
         transports={},
         adapters={},
         missing=[],
+        points={"plugins": {}},
         is_missing=lambda _group, _name: None,
     )
     config = parse(CONFIG + table("store", path=folder / "store.db"), "crash")

@@ -4,7 +4,8 @@ A hub and a robot's gateway in one process, with a TCP proxy between the robot a
 breaks connections, refuses new ones for a while, freezes old ones and lets their bytes through after
 those of new ones, and slows. Meanwhile clients of the hub send commands with feedback, writes and
 plans, and a client of the robot itself, over a link of its own, holds a lease and a reliable
-subscription. The two contend for another lease, and never both hold it. By hand: `python tests/durability/cuts.py CUTS SEED`.
+subscription. The two contend for another lease, and never both hold it. Several such pairs run
+at once, since nearly all of it is waiting. By hand: `python tests/durability/cuts.py CUTS SEED PAIRS`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ from transports.cable import Cable
 BOUND = 60.0  # s that anything may take to come right after a cut
 SILENCE = 1.0  # s
 FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
-COMMANDERS = 4
+COMMANDERS = 4, 2  # of one pair, and of each of several
+REST = 0.02  # s between two leases of a pair of several: they share the machine
 TTL = 2.0  # s of the lease that both sides want: some expire during a cut
 
 _OFF = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
@@ -123,8 +125,10 @@ async def _measure(robot: ScriptedRobot) -> None:
 class Campaign:
     """What was sent, what came back, and what must hold of it."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, alone: bool) -> None:
         self.robot = Robot()
+        self.commanders = COMMANDERS[not alone]
+        self._rest = 0.0 if alone else REST
         self.counts: Counter[str] = Counter()
         self.outcomes: dict[str, list[str]] = {}
         self.seen: list[int] = []
@@ -178,6 +182,7 @@ class Campaign:
                 self.counts[f"under a lease {error.code}"] += 1
             if self.over:
                 return
+            await asyncio.sleep(self._rest)
 
     async def contend(self, client: Client) -> None:
         """Acquire at the robot what somebody at the hub wants too, again and again."""
@@ -285,8 +290,8 @@ def _free_port() -> int:
         return one.getsockname()[1]
 
 
-def _no_feed(_id: str | None) -> bool:
-    return False
+def _no_feed(_id: str | None) -> None:
+    return None
 
 
 @asynccontextmanager
@@ -315,9 +320,9 @@ async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
             yield client
 
 
-async def campaign(cuts: int) -> Counter[str]:
+async def campaign(cuts: int, *, alone: bool) -> Counter[str]:
     """Cut so many times, and check everything."""
-    one, port = Campaign(), _free_port()
+    one, port = Campaign(alone=alone), _free_port()
     kind = BackendKind("robot", msgspec.Struct, one.robot.opened)
     async with AsyncExitStack() as stack:
         enter = stack.enter_async_context
@@ -325,11 +330,12 @@ async def campaign(cuts: int) -> Counter[str]:
         cable = await enter(Cable(port).laid())
         robot = await enter(serve(parse(ROBOT % cable.port, "robot"), kind))
 
+        await _until(lambda: hub.supervisor.backend is not None, "the hub is open")
         fleet = getattr(hub.supervisor.backend, "inner", None)
         gateways: dict[str, Any] = getattr(fleet, "gateways")  # noqa: B009 - of another type
         await _until(lambda: "r7" in gateways and gateways["r7"].ready, "the robot is there")
         own = await enter(_own_client(port, one))
-        *clients, rival = (hub.client(OPERATOR) for _ in range(COMMANDERS + 1))
+        *clients, rival = (hub.client(OPERATOR) for _ in range(one.commanders + 1))
         for client in (*clients, rival):
             stack.push_async_callback(client.close)
         listening = asyncio.create_task(one.listen(own))
@@ -365,8 +371,19 @@ async def campaign(cuts: int) -> Counter[str]:
     return one.counts
 
 
+async def campaigns(cuts: int, pairs: int) -> Counter[str]:
+    """Share the cuts among several pairs of hub and robot."""
+    shares = (campaign(cuts // pairs, alone=pairs == 1) for _ in range(pairs))
+    total: Counter[str] = Counter()
+    for counts in await asyncio.gather(*shares):
+        for name, count in counts.items():
+            longest = name.startswith("longest")
+            total[name] = max(total[name], count) if longest else total[name] + count
+    return total
+
+
 if __name__ == "__main__":
     configure("error", "json")
     random.seed(int(sys.argv[2]))
-    found = asyncio.run(campaign(int(sys.argv[1])))
+    found = asyncio.run(campaigns(int(sys.argv[1]), int(sys.argv[3])))
     print(json.dumps(found))  # noqa: T201 - the test reads it

@@ -15,7 +15,7 @@ from typing import Any
 from configuration import backend, key, listener, table
 
 RCPD = Path(sys.executable).with_name("rcpd")
-BOUND = 30.0  # s any wait of a test may take, on a machine that is busy otherwise
+BOUND = 60.0  # s any wait of a test may take, on a machine that is busy otherwise
 ADMIN = "admin-admin-admin"
 CONFIG = listener() + backend("rover", use="sim") + key("admin", ADMIN)
 
@@ -29,7 +29,11 @@ class Served:
         self.said = folder / f"stderr-{time.monotonic_ns()}"
         with self.said.open("w") as stderr:
             self._process = subprocess.Popen([RCPD, "serve", self.config], stderr=stderr)
-        until(lambda: "serving on " in self.text or self._process.poll() is not None)
+        try:
+            until(lambda: "serving on " in self.text or self._process.poll() is not None)
+        except AssertionError:  # nobody else knows of it
+            self.kill()
+            raise
         assert "serving on " in self.text, self.text
         self.url = self.text.partition("serving on ")[2].split()[0]
 

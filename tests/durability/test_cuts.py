@@ -11,13 +11,13 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-CUTS = 20
+CUTS, PAIRS = 200, 8
 
 
 def test_every_command_ends_once_and_runs_once_however_often_the_link_is_cut() -> None:
     script = Path(__file__).with_name("cuts.py")
     done = subprocess.run(
-        [sys.executable, str(script), str(CUTS), "1"],
+        [sys.executable, str(script), str(CUTS), "1", str(PAIRS)],
         capture_output=True,
         text=True,
         timeout=600,

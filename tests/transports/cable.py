@@ -38,6 +38,8 @@ class Cable:
         self.port = 0
         self.passed = 0
         """Bytes so far, in both directions."""
+        self.held = 0
+        """Pieces that are held back because their connection is frozen."""
 
     @asynccontextmanager
     async def laid(self, port: int = 0) -> AsyncGenerator[Cable]:
@@ -98,6 +100,7 @@ class Cable:
     ) -> None:
         with suppress(OSError):
             while data := await reader.read(_PIECE):
+                self.held += not wire.flows.is_set()
                 await wire.flows.wait()
                 if self._pause:
                     with suppress(TimeoutError):

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import rcp_asgi.socket
-import rcp_ws.client
+from rcp_web import socket_client
 from transports.raw import PING, PONG, TEXT, Raw, frame, opened
 from transports.robot import Site
 
@@ -75,7 +75,7 @@ async def test_frames_that_are_no_messages_use_up_a_turn_too(
         usual(self)
 
     monkeypatch.setattr(rcp_asgi.socket.Socket, "pause_reading", pause_reading)
-    monkeypatch.setattr(rcp_ws.client, "_TURN", -1.0)
+    monkeypatch.setattr(socket_client, "_TURN", -1.0)
     async with opened(gateway) as raw:
         raw.send(frame(PING, b"a"), frame(PING, b"b"), frame(PING, b"c"))
         while await pong(raw) != b"c":

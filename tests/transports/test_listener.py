@@ -252,6 +252,7 @@ async def test_the_longest_prefix_wins_and_a_suffix_before_it(
     assert await get("/page/deeper") == "root /page/deeper"
     assert await get("/page/deep/x.css") == "tail /page/deep/x.css"
     assert await get("/") == "root /"
+    assert await get("/elsewhere/x") == "root /elsewhere/x"
     assert (await http.get("/healthz")).json() == {"status": "ok"}
     assert (await http.get(POSE)).json()["status"] == "completed"
     for mount in (root, deep, tail):

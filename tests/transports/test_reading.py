@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import Counter, deque
-from collections.abc import Coroutine, Generator
-from contextlib import AsyncExitStack, contextmanager
+from collections import Counter
+from collections.abc import Generator
+from contextlib import AsyncExitStack
 from itertools import count as counting
 from typing import Any
 
@@ -19,20 +19,18 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-import rcp_ws.client
 from configuration import backend, configuration, key, listener, table
-from rcp_kernel.app.log import configure
-from rcp_kernel.config.file import parse
 from rcp_kernel.contract.peer import UNKNOWN
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.spi import Host, Progress
-from rcp_kernel.testing import ScriptedRobot, Served, scripted, serve
+from rcp_kernel.spi import Progress
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply
+from rcp_web import socket_client
 from rcp_ws.client import WsClient
 from rcp_ws.config import WsConfig
 from transports.raw import TEXT, Raw, frame, opened
-from transports.robot import BOUND, KEY, Site, robot
+from transports.robot import KEY, Site
+from transports.scripted_socket import Place, ScriptedSocket
 
 BACKLOG = 40  # replies
 TURNS = 60  # of the loop, within which everything has to be answered that can be
@@ -44,7 +42,7 @@ SPEED = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 OTHERS = "replayed"
-USUAL = rcp_ws.client._TURN  # noqa: SLF001 - turns are ended without waiting
+USUAL = socket_client._TURN  # noqa: SLF001 - turns are ended without waiting
 ROBOT = backend() + key("op", KEY, role="operator")
 WITHOUT_SOCKET = configuration()
 
@@ -55,131 +53,12 @@ def replayed(session: Session, count: int) -> None:
         session.deliver(Reply(type="execute", id=OTHERS, path="/tenant/alpha/service/add"))
 
 
-class Script:
-    """A socket whose other end does as it is told."""
-
-    def __init__(self, place: Place) -> None:
-        self._place = place
-        self.writable = True
-        self.open = True
-        self.compresses = False
-        self.buffered = 0
-        self.limit = 0
-        self.reading = True
-        self.inbound: deque[bytes] = deque()
-        """What the client has sent and nobody has read."""
-        self.replies: list[dict[str, Any]] = []
-        self.code: int | None = None
-
-    def attach(self, receiver: Any) -> None:
-        self.receiver = receiver
-
-    def write(self, messages: list[bytes]) -> None:
-        if self.open:
-            self.replies += map(json.loads, messages)
-
-    def reply(self, data: bytes) -> None:
-        self.write([data])
-
-    def head(self, size: int, text: bool) -> bytes:  # noqa: FBT001 - see NativeSocket
-        return b"%10d" % size
-
-    def write_frames(self, parts: list[bytes]) -> None:
-        data, messages = b"".join(parts), list[bytes]()
-        while data:
-            end = 10 + int(data[:10])
-            messages.append(data[10:end])
-            data = data[end:]
-        self.write(messages)
-
-    def pass_on(self, parts: list[bytes]) -> bool:
-        if self.writable and self.open:
-            self.write_frames(parts)
-        return self.writable and self.open
-
-    def pause_reading(self) -> None:
-        self.reading = False
-
-    def resume_reading(self) -> None:
-        self.reading = True
-
-    def close(self, code: int, reason: str = "") -> None:
-        if self.open:
-            self.open, self.code = False, code
-
-    # -- what the client's end and the event loop do -------------------------------------------
-
-    def read(self, most: int) -> None:
-        """Tell of what comes out of one read, if it is read at all."""
-        if not self.reading or not self.inbound:
-            return
-        with self._place.inside():
-            for _ in range(min(most, len(self.inbound))):
-                data = self.inbound.popleft()
-                if self.open:
-                    self.receiver.received(data, True)
-            if self.open:
-                self.receiver.settled()
-
-    def take(self) -> None:
-        """Take all that was written."""
-        if self.open and not self.writable:
-            self.writable = True
-            with self._place.inside():
-                self.receiver.drained()
-
-    def lose(self, code: int) -> None:
-        """End without a word."""
-        self.open = False
-        with self._place.inside():
-            self.receiver.lost(code)
-
-
-class Place:
-    """A gateway for all examples of a model, and the loop that it runs in."""
-
-    def __init__(self) -> None:
-        self._runner = asyncio.Runner()
-        self._stack = AsyncExitStack()
-        self.robots: list[ScriptedRobot] = []
-
-    @contextmanager
-    def inside(self) -> Generator[None]:
-        """Call as the loop does, and let it have no turn."""
-        asyncio.events._set_running_loop(self._runner.get_loop())  # noqa: SLF001 - the loop is to have no turn
-        try:
-            yield
-        finally:
-            asyncio.events._set_running_loop(None)  # noqa: SLF001 - the loop is to have no turn
-
-    def do(self, work: Coroutine[Any, Any, Any]) -> Any:
-        async def bounded() -> Any:
-            async with asyncio.timeout(BOUND):
-                return await work
-
-        return self._runner.run(bounded())
-
-    def serve(self, config: str) -> None:
-        def make(host: Host) -> ScriptedRobot:
-            self.robots.append(robot(host))
-            return self.robots[-1]
-
-        configure("error", "json")
-        kind = scripted(make)
-        served: Served = self.do(self._stack.enter_async_context(serve(parse(config, "t"), kind)))
-        self.server = served.server
-
-    def close(self) -> None:
-        self.do(self._stack.aclose())
-        self._runner.close()
-
-
 @pytest.fixture
 def place() -> Generator[Place]:
     made = Place()
     yield made
     made.close()
-    rcp_ws.client._TURN = USUAL  # noqa: SLF001 - see USUAL
+    socket_client._TURN = USUAL  # noqa: SLF001 - see USUAL
 
 
 class Reading(RuleBasedStateMachine):
@@ -190,7 +69,7 @@ class Reading(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        rcp_ws.client._TURN = NEVER  # noqa: SLF001 - see USUAL
+        socket_client._TURN = NEVER  # noqa: SLF001 - see USUAL
         self.number = 0
         self.asked: set[str] = set()
         """The requests of the present connection."""
@@ -217,7 +96,7 @@ class Reading(RuleBasedStateMachine):
     @rule(used_up=st.booleans())
     def pace(self, *, used_up: bool) -> None:
         """Have every message use up its turn, or none."""
-        rcp_ws.client._TURN = -1.0 if used_up else NEVER  # noqa: SLF001 - see USUAL
+        socket_client._TURN = -1.0 if used_up else NEVER  # noqa: SLF001 - see USUAL
 
     @rule(count=st.integers(1, 3 * BACKLOG))
     def commit(self, count: int) -> None:
@@ -248,7 +127,7 @@ class ScriptedReading(Reading):
         self.place.do(go())
 
     def connect(self, *, segmented: bool) -> None:
-        self.socket = Script(self.place)
+        self.socket = ScriptedSocket(self.place)
         self.asked = set()
         client_api = self.place.server.client_api
         who = (client_api.authenticate(KEY), None)
@@ -475,9 +354,9 @@ def test_many_reads_in_one_turn_of_the_loop_are_one_turn_of_the_client(
     model = ScriptedReading()
     model.place = place
     model.connect(segmented=False)
-    monkeypatch.setattr(rcp_ws.client, "_TURN", USUAL)
+    monkeypatch.setattr(socket_client, "_TURN", USUAL)
     clock = counting()  # each message takes a tenth of a millisecond at least
-    monkeypatch.setattr(rcp_ws.client, "perf_counter", lambda: next(clock) * 0.0001)
+    monkeypatch.setattr(socket_client, "perf_counter", lambda: next(clock) * 0.0001)
     model.ask(32)
     reads = 0
     while model.socket.reading and model.socket.inbound:

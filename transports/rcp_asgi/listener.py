@@ -80,6 +80,8 @@ async def open_asgi(config: AsgiConfig, client_api: ClientApi) -> AsyncGenerator
         "host": main.host,
         "port": main.number,
     }
+    if tls is not None:
+        facts["certificate"] = tls.facts
     if extra:
         facts["ports"] = {name: port.number for name, port in extra.items()}
     try:

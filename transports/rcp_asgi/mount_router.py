@@ -47,7 +47,11 @@ class MountRouter:
         """Paths served by the listener itself, regardless of mounts."""
         self._root = root_path
         self._seen: list[Mount] = []
-        self._tables: dict[str, list[_Served]] = {"http": [], "websocket": []}
+        self._tables: dict[str, dict[str, list[_Served]]] = {
+            kind: {"": []} for kind in ("http", "websocket")
+        }
+        """Mounts by the first segment of their prefix, and by "" for paths with no other; in the
+        order in which they are tried."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request or WebSocket."""
@@ -94,7 +98,8 @@ class MountRouter:
             self._compile()
         if kind == "http" and path in self._own:
             return self._house, _NONE
-        for prefix, suffix, app, secrets in self._tables[kind]:
+        table = self._tables[kind]
+        for prefix, suffix, app, secrets in table.get(_first(path)) or table[""]:
             if path.startswith(prefix) and path.endswith(suffix):
                 rest = path[len(prefix) :]
                 if not rest or rest[0] == "/" or prefix == "/":
@@ -104,19 +109,31 @@ class MountRouter:
     def _compile(self) -> None:
         self._seen = list(self._client_api.mounts)
         order: Callable[[Mount], tuple[bool, int]] = lambda m: (bool(m.suffix), len(m.prefix))  # noqa: E731 - typed
-        for kind, table in self._tables.items():
+        for kind in self._tables:
             here = (m for m in self._seen if m.kind == kind and m.port == self._port)
             mounts = sorted(here, key=order, reverse=True)
-            table[:] = [(m.prefix, m.suffix, m.app, m.url_secrets) for m in mounts]
-        if self._port is not None:
-            return
-        served = {mount.prefix for mount in self._seen}
-        absent = self._client_api.absent_adapters()
-        self._tables["http"][:0] = [
+            served: list[_Served] = [(m.prefix, m.suffix, m.app, m.url_secrets) for m in mounts]
+            if kind == "http" and self._port is None:
+                served[:0] = self._absent_adapters()
+            firsts = {_first(prefix) for prefix, *_ in served} | {""}
+            self._tables[kind] = {
+                first: [one for one in served if _first(one[0]) in ("", first)] for first in firsts
+            }
+
+    def _absent_adapters(self) -> list[_Served]:
+        """Return what answers in the place of adapters that do not run."""
+        prefixes = {mount.prefix for mount in self._seen}
+        return [
             (f"/{name}", "", _absent(name, detail), _NONE)
-            for name, detail in absent.items()
-            if f"/{name}" not in served
+            for name, detail in self._client_api.absent_adapters().items()
+            if f"/{name}" not in prefixes
         ]
+
+
+def _first(path: str) -> str:
+    """Return the path to the end of its first segment; of `/`, nothing."""
+    end = path.find("/", 1)
+    return (path if end < 0 else path[:end]) if path != "/" else ""
 
 
 def _absent(name: str, detail: str) -> Asgi:

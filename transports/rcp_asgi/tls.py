@@ -9,6 +9,7 @@ from __future__ import annotations
 import ssl
 import stat
 from pathlib import Path
+from typing import Any
 
 import structlog
 
@@ -42,6 +43,8 @@ class Tls:
         self.context = _context(config)
         self.revoked = _revoked(config)
         """Revoked certificates."""
+        self.facts: dict[str, Any] = {}
+        """What the status tells of the certificate, kept up to date."""
 
     def refresh(self) -> bool:
         """Reload files that have changed; return whether any had."""
@@ -64,6 +67,8 @@ class Tls:
         if others_may(_path(self._config.key), stat.S_IROTH):  # group access may be intended
             log.warning("key_readable", key=self._config.key)
         found = read_pem(_read("certificate", _path(self._config.certificate)))
+        if found is not None:
+            self.facts["expires"] = iso(found.expires)
         left = 0 if found is None else (found.expires - now()) / 1e9
         if found is not None and left < _SOON:
             log.warning(

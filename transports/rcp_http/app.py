@@ -9,7 +9,7 @@ from rcp_http.answers import MESSAGES, Answers
 from rcp_http.call import Call
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context
-from rcp_http.controllers import Catalogue, Commands, Status
+from rcp_http.controllers import Catalogue, Commands, Files, Status
 from rcp_http.messages import Messages
 from rcp_http.octets import range_headers
 from rcp_http.request import HttpRequest
@@ -41,7 +41,7 @@ class HttpApp:
         self._context = Context(client_api, config, self._answers)
         self._messages = Messages(client_api, config, self._answers, self._context)
         self.calls = Application(
-            [Router(PREFIX, route_handlers=[Catalogue, Status, Commands])],
+            [Router(PREFIX, route_handlers=[Catalogue, Status, Commands, Files])],
             dependencies={"call": Provide(self._call)},
             refuse=self._refusal,
             remedy="See /rcp/v1/openapi.json.",

@@ -8,11 +8,13 @@ from litestar.types import ASGIApp
 
 from rcp_http.answers import Answers
 from rcp_http.context import Follower
+from rcp_http.downloads import send_download
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now
 from rcp_kernel.wire import Reply, Request
+from rcp_web.downloads import Download
 
 __all__ = ["Call"]
 
@@ -57,6 +59,14 @@ class Call:
                 custom=request.custom,
             )
         )
+
+    def download(self, download: Download) -> ASGIApp:
+        """Answer with a file."""
+
+        async def answer(_scope: Any, _receive: Any, send: Any) -> None:
+            await send_download(send, self.http, self.session, download)
+
+        return answer
 
     def encoded(self, data: bytes, etag: bytes) -> ASGIApp:
         """Answer with an encoded envelope and its validator."""

@@ -10,10 +10,12 @@ from msgspec import Raw
 
 from rcp_http.answers import Answers, methods_of
 from rcp_http.config import HttpConfig
+from rcp_http.downloads import HISTORY, history_options, recordings, send_download
 from rcp_http.octets import bytes_of, send_octets
 from rcp_http.request import HttpRequest, count, flag
 from rcp_kernel.api import Query, Session
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
@@ -22,6 +24,7 @@ from rcp_web.asgi import Receive, Send, respond
 __all__ = ["Context", "Follower"]
 
 _JSON = Encoding.JSON
+_HISTORIC = frozenset(("from", "to", "every"))
 
 
 class Follower:
@@ -90,6 +93,9 @@ class Context:
 
     async def read(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
+        if not http.query.keys().isdisjoint(_HISTORIC):
+            await self._history(http, session, path, send)
+            return
         if http.query:
             http.allow("fields", "fresh", "frame", "q", "limit", "cursor")
         request = http.request("read", path)
@@ -120,6 +126,29 @@ class Context:
                     path=reply.path,
                     remedy="Accept application/json, or select a field of bytes with `fields`.",
                 )
+        await self._answers.reply(send, http, reply)
+
+    async def _history(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
+        """Answer with what was recorded."""
+        http.allow(*HISTORY)
+        self._client_api.charge(session)
+        found, wanted = recordings(self._client_api), history_options(http, path)
+        format_ = http.one("format") or "json"
+        if format_ != "json":
+            await send_download(send, http, session, await found.table(session, wanted, format_))
+            return
+        page = await found.page(session, wanted, http.encoding)
+        request = http.request("read", path)
+        reply = Reply(
+            type="read",
+            id=request.id,
+            path=page.path,
+            body=page.body,
+            truncated=page.cursor is not None,
+            cursor=page.cursor,
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
         await self._answers.reply(send, http, reply)
 
     def _options(self, http: HttpRequest, request: Request) -> None:

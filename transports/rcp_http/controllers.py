@@ -15,8 +15,9 @@ from msgspec import Raw
 from rcp_http.answers import BOOT, matches
 from rcp_http.call import Call
 from rcp_http.command_pages import Wanted, fill
-from rcp_http.openapi_calls import COUNT, CURSOR, ID, PATH, STATUSES, TEXT, UNCHANGED, replies
-from rcp_http.openapi_responses import COMMAND
+from rcp_http.downloads import recordings
+from rcp_http.openapi_calls import COUNT, CURSOR, FILE, ID, PATH, STATUSES, TEXT, UNCHANGED, replies
+from rcp_http.openapi_responses import COMMAND, READ
 from rcp_http.request import count, flag
 from rcp_http.schema_page import written
 from rcp_kernel.api.pages import LONGEST, ObjectList, room
@@ -27,7 +28,7 @@ from rcp_web.application import response
 from rcp_web.calls import call as declared
 from rcp_web.calls import query
 
-__all__ = ["Catalogue", "Commands", "Status"]
+__all__ = ["Catalogue", "Commands", "Files", "Status"]
 
 _OPERATIONS = operation_names(Operation(31))
 
@@ -168,6 +169,32 @@ class Commands(Controller):
         request = call.http.request("cancel")
         request.command = id
         return call.reply(await call.submit(request))
+
+
+class Files(Controller):
+    """The recordings as files."""
+
+    tags = ("gateway",)
+
+    @get(
+        "/recordings/{name:str}",
+        **declared(
+            "Download a recording, whole or the part requested by `Range`.",
+            {"name": "name", "in": "path", "required": True, "schema": TEXT},
+            query(
+                "format",
+                {"enum": ["mcap", "ros2", "yaml"]},
+                "As it is, as a bag of ROS 2, or the `metadata.yaml` of that bag.",
+            ),
+            responses=replies((*READ, 409), FILE | UNCHANGED),
+        ),
+    )
+    async def recording(self, name: FromPath[str], call: NamedDependency[Call]) -> ASGIApp:
+        """Answer with the file."""
+        call.client_api.charge(call.session)
+        format_ = call.http.one("format") or "mcap"
+        found = recordings(call.client_api)
+        return call.download(await found.file(call.session, name, format_))
 
 
 def _etag(call: Call) -> bytes:

@@ -13,7 +13,7 @@ from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.wire import Reply
 from rcp_web.asgi import Headers, Send, respond
 
-__all__ = ["bytes_of", "range_headers", "send_octets"]
+__all__ = ["byte_range", "bytes_of", "range_headers", "send_octets"]
 
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)\Z")
 _MEDIA = OCTETS.encode()
@@ -52,7 +52,7 @@ async def send_octets(send: Send, http: HttpRequest, reply: Reply, data: bytes) 
         return
     wanted = http.headers.get("range")
     if wanted is not None and http.headers.get("if_range", etag) == etag:
-        part = _part(wanted.decode("latin-1"), len(data))
+        part = byte_range(wanted.decode("latin-1"), len(data))
         if part is not None:
             start, stop = part
             headers.append((b"content-range", b"bytes %d-%d/%d" % (start, stop - 1, len(data))))
@@ -61,10 +61,14 @@ async def send_octets(send: Send, http: HttpRequest, reply: Reply, data: bytes) 
     await respond(send, 200, data, _MEDIA, headers)
 
 
-def _part(text: str, size: int) -> tuple[int, int] | None:
+def byte_range(text: str, size: int) -> tuple[int, int] | None:
+    """Return the part that a `Range` header names; None: the whole is a valid response too.
+
+    :raises NotSatisfiable: it is outside.
+    """
     match = _RANGE.match(text.strip())
     if match is None or match[0] == "bytes=-":
-        return None  # several ranges or another unit: the whole value is a valid response too
+        return None  # several ranges or another unit
     if match[1]:
         start = int(match[1])
         stop = min(size, int(match[2]) + 1) if match[2] else size

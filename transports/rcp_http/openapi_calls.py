@@ -17,6 +17,7 @@ __all__ = [
     "COUNT",
     "CURSOR",
     "ERROR",
+    "FILE",
     "ID",
     "PATH",
     "REPLY",
@@ -84,6 +85,16 @@ ID: Node = {
 }
 
 
+FILE: Node = {
+    "200": {
+        "description": "The file.",
+        "content": {"application/octet-stream": {}, "application/yaml": {}},
+    },
+    "206": {
+        "description": "The part of the file requested by `Range`.",
+        "content": {"application/octet-stream": {}, "application/yaml": {}},
+    },
+}
 UNCHANGED: Node = {"304": {"description": "Not changed since the `ETag` in `If-None-Match`."}}
 
 

@@ -16,6 +16,7 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, NotImplementedByRobot
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
+from rcp_protocol.trace import TRACEPARENT, TRACESTATE
 from rcp_web.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
 from rcp_web.query import read_query, single
 
@@ -55,6 +56,8 @@ for _field in _FIELDS:
     if _field != "id":
         _ENVELOPE[_field.replace("_", "-").encode()] = _field
         _ENVELOPE[_field.encode()] = _field
+# Proxies and tracing libraries send it as a header.
+_ENVELOPE |= {b"traceparent": TRACEPARENT, b"tracestate": TRACESTATE}
 _CONDITIONS = {
     "if_match": "If-Match",
     "if_none_match": "If-None-Match",

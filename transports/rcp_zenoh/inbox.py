@@ -18,6 +18,8 @@ __all__ = ["Subscribe", "received"]
 log = structlog.get_logger("rcp.zenoh")
 _ROOM = 16_384  # samples that wait for the loop; with more, Zenoh stops reading
 _PERIOD = 0.001  # s between two times that the loop is woken: what arrives meanwhile costs none
+_LONG_PERIOD = 0.003  # s, when much arrives: then the loop looks by itself, and no thread wakes it
+_MUCH = 7  # samples in `_PERIOD`
 _BATCH = 128  # samples handled before others have their turn
 
 
@@ -32,7 +34,7 @@ class Subscribe(Protocol):
 
 
 class _Inbox:
-    """A channel, and the thread that wakes the event loop when something is in it.
+    """A channel, and the thread that wakes the event loop when something is in it after a rest.
 
     Zenoh's own thread would need the interpreter for each call of a callback, and wait 5 ms for it
     while the loop is busy: meanwhile, the queues of the router fill, and drop.
@@ -44,6 +46,8 @@ class _Inbox:
         self._handler, self._handle = handler, handle
         self._loop = asyncio.get_running_loop()
         self._empty = threading.Semaphore(0)
+        self._count, self._since = 0, 0.0
+        """Samples handled since the channel was last found empty, and when that was."""
         self.thread = threading.Thread(target=self._wait, name="zenoh inbox", daemon=True)
         self.thread.start()
 
@@ -62,12 +66,23 @@ class _Inbox:
     def _drain(self, sample: zenoh.Sample | None = None) -> None:
         for _ in range(_BATCH):
             if sample is not None:
+                self._count += 1
                 self._pass(sample)
             sample = self._next()
             if sample is None:
-                self._empty.release()
+                self._rest()
                 return
         self._loop.call_soon(self._drain, sample)
+
+    def _rest(self) -> None:
+        """Look again soon if much has arrived; otherwise let the thread wait for the next sample."""
+        moment = time.monotonic()
+        much = self._count * _PERIOD > _MUCH * (moment - self._since)
+        self._count, self._since = 0, moment
+        if much:
+            self._loop.call_later(_LONG_PERIOD, self._drain)
+        else:
+            self._empty.release()
 
     def _pass(self, sample: zenoh.Sample) -> None:
         try:

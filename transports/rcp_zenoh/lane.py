@@ -105,6 +105,11 @@ class Lane:
         unsaid = self.received - self.acknowledged
         return unsaid >= self._step or (unsaid > 0 and not self.acknowledged)
 
+    @property
+    def joining(self) -> bool:
+        """Whether parts of a message have been received."""
+        return self._size > 0
+
     def count(self, size: int) -> None:
         """Number a message to send."""
         self.sent += 1

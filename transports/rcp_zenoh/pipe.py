@@ -214,16 +214,21 @@ class Pipe:
         self, sample: zenoh.Sample, kind: bytes, priority: Priority, number: int
     ) -> Message | None:
         lane = self._lanes[priority]
-        if not self._check(priority, number - 1):
+        if number != lane.seen + 1 and not self._check(priority, number - 1):
             return None
         lane.seen = number
         data = sample.payload.to_bytes()
-        lane.received += len(data)
+        size = len(data)
+        lane.received += size
         self._peer_idle = False
-        self._wake()
+        if self._idle:
+            self._wake()
         if lane.due:
             self.acknowledge()
-        whole = lane.join(data, self._owner.longest, last=kind == _MESSAGE)
+        longest = self._owner.longest
+        if kind == _MESSAGE and size <= longest and not lane.joining:  # as nearly all are
+            return Message(data, size, priority)
+        whole = lane.join(data, longest, last=kind == _MESSAGE)
         return None if whole is None else Message(*whole, priority)
 
     def _check(self, priority: Priority, last: int) -> bool:

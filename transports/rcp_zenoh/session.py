@@ -63,10 +63,17 @@ def _settings(tls: TlsConfig | None) -> dict[str, object]:
     return {} if tls is None else tls.settings
 
 
+_LOG = (
+    "zenoh_link_tls=warn,zenoh_link_commons=warn,"  # whose certificate it refuses
+    # That a message is forbidden; which one would be a line for each that is not, too.
+    "zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=warn"
+)
+
+
 @cache
 def _log() -> None:
-    """Let Zenoh write on stdout what `RUST_LOG` says: by default, whose certificate it refuses."""
-    zenoh.init_log_from_env_or("zenoh_link_tls=warn,zenoh_link_quic=warn")
+    """Let Zenoh write on stdout what `RUST_LOG` says: by default, what it refuses."""
+    zenoh.init_log_from_env_or(_LOG)
 
 
 @asynccontextmanager
