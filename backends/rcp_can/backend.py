@@ -114,6 +114,10 @@ class CanBackend(BaseBackend):
         """Run an action or service."""
         return await self._part(name).execute(name, value, progress)
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a motion whose motors accept no commands now, or that they cannot follow."""
+        self._part(name).foresee(name, value)
+
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Publish a resource while a client subscribes to it."""
         return self._watch(name)

@@ -34,6 +34,9 @@ class Part:
         """Run an action or service."""
         raise UnsupportedOperation(f"'{name}' cannot be executed")
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a dry run of what `execute` would refuse now."""
+
     def watch(self, name: str) -> AbstractContextManager[object]:
         """Keep a resource published while entered."""
         return nullcontext()

@@ -127,12 +127,7 @@ class DiffDrivePart(Part):
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Drive to a place."""
         goal: MoveTo = value
-        if goal.frame not in _FRAMES:
-            raise InvalidValue(
-                f"there is no transform from '{goal.frame}' to 'odom'",
-                remedy="Give the goal in the frame 'odom'.",
-                details={"pointer": "/frame"},
-            )
+        self._check_frame(goal)
         for wheel in self._axle.wheels:
             await ready(wheel)
             await released(wheel)
@@ -140,6 +135,19 @@ class DiffDrivePart(Part):
         move = BaseMove(self._names.move_to, self._axle, self._odometry, self._config.track, period)
         error = await move.run(goal, progress)
         return MoveResult(self._pose(iso(now())), error)
+
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a goal in an unknown frame, and one that the wheels would not accept now."""
+        self._check_frame(value)
+        self._axle.check(self._names.move_to)
+
+    def _check_frame(self, goal: MoveTo) -> None:
+        if goal.frame not in _FRAMES:
+            raise InvalidValue(
+                f"there is no transform from '{goal.frame}' to 'odom'",
+                remedy="Give the goal in the frame 'odom'.",
+                details={"pointer": "/frame"},
+            )
 
     # Called by the services of its motors
 

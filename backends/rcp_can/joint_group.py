@@ -29,6 +29,7 @@ from rcp_profiles.messages import JointsMoved, JointStates
 
 __all__ = ["JointGroupPart"]
 
+_FEW = 200  # points of a trajectory that are planned on the event loop
 _LATE = 1.5  # periods that a set-point may go on at once, however late it is
 
 
@@ -171,13 +172,36 @@ class JointGroupPart(Part):
             await self._follow(value, progress)
         return JointsMoved(self._positions(), time.monotonic() - started)
 
-    async def _move(self, move: Any, progress: Progress) -> None:
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a move of motors that accept no commands, or a trajectory that they cannot follow.
+
+        A long trajectory is planned only when it is executed.
+        """
+        for axis in self.axes:
+            check_link(axis)
+        if name == self._names.move:
+            self._goals(value)
+            return
+        axes = self._followers(value)
+        if len(value.points) <= _FEW:
+            joints = {axis.name: Joint(self._start(axis), self._limits[axis.name]) for axis in axes}
+            plan(_points(value.points), joints, self._config.tracking_tolerance)
+
+    def _goals(self, move: Any) -> dict[Axis, float]:
+        """Return where each joint is to go.
+
+        :raises RcpError: there is none, or one accepts no commands.
+        """
         targets: dict[str, float] = move.positions.given()
         if not targets:
             raise InvalidValue("no joint to move", details={"pointer": "/positions"})
         goals = {self._joints[name]: position for name, position in targets.items()}
         for axis in goals:
             self._check(axis)
+        return goals
+
+    async def _move(self, move: Any, progress: Progress) -> None:
+        goals = self._goals(move)
         legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in goals.items()}
         path = Path(legs.values(), late=self._late)
         follows = {axis: path.follow(leg) for axis, leg in legs.items()}
@@ -189,13 +213,7 @@ class JointGroupPart(Part):
         return Leg(self._start(axis), goal, limits.velocity * speed, limits.acceleration)
 
     async def _follow(self, wanted: Any, progress: Progress) -> None:
-        axes = [self._joints[name] for name in wanted.points[0].positions.given()]
-        for axis in axes:
-            self._check(axis)
-            if not axis.resting:
-                raise ModeForbids(
-                    f"joint '{axis.name}' is moving", remedy="Bring it to rest first."
-                )
+        axes = self._followers(wanted)
         tolerance = self._config.tracking_tolerance
         curves = await self._plan(wanted.points, axes)
         last = wanted.points[-1]
@@ -206,6 +224,20 @@ class JointGroupPart(Part):
         follows = {axis: line.follow(number) for number, axis in enumerate(goals)}
         watch = TrajectoryWatch(axes, line, tolerance, self._positions, progress)
         await self._go(JointRun(self._names.follow, line, goals, follows), watch)
+
+    def _followers(self, wanted: Any) -> list[Axis]:
+        """Return the joints of a trajectory.
+
+        :raises RcpError: one accepts no commands, or moves.
+        """
+        axes = [self._joints[name] for name in wanted.points[0].positions.given()]
+        for axis in axes:
+            self._check(axis)
+            if not axis.resting:
+                raise ModeForbids(
+                    f"joint '{axis.name}' is moving", remedy="Bring it to rest first."
+                )
+        return axes
 
     async def _plan(self, waypoints: Sequence[Any], axes: Sequence[Axis]) -> dict[str, Cubic]:
         """Plan the curves in a thread, because thousands of points would hold up the event loop.

@@ -53,14 +53,9 @@ class Actions:
         """Drive to a pose in `map` or, relative to the robot, in `base_link`."""
         wheels = self._device.robot.wheels
         assert wheels is not None
-        x, y, yaw = goal.position.x, goal.position.y, goal.yaw
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise InvalidValue("the goal is not a place", details={"pointer": "/position"})
-        if goal.frame == wheels.config.base:
-            x, y, yaw = await self._device.do(lambda _: _from_base(wheels.pose, x, y, yaw))
-        elif goal.frame != "map":
-            raise _unknown_frame(goal.frame, "map", wheels.config.base)
-        trip = make_trip(x, y, yaw, goal.tolerance, goal.speed)
+        relative = goal.frame == wheels.config.base
+        trip = await self._device.do(lambda _: self._trip(goal)) if relative else self._trip(goal)
+        x, y = trip.x, trip.y
         length = math.dist(wheels.pose[:2], (x, y))
 
         def begin(_: Robot) -> Trip:
@@ -76,6 +71,22 @@ class Actions:
         await self._carry_out(begin, progress, feedback, wheels.abandon)
         return await self._device.do(lambda robot: self._arrived(robot, trip))
 
+    def _trip(self, goal: p.MoveTo) -> Trip:
+        """Return the trip to a goal from where the robot is.
+
+        :raises InvalidValue: it is not a place, or its frame is unknown.
+        """
+        wheels = self._device.robot.wheels
+        assert wheels is not None
+        x, y, yaw = goal.position.x, goal.position.y, goal.yaw
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InvalidValue("the goal is not a place", details={"pointer": "/position"})
+        if goal.frame == wheels.config.base:
+            x, y, yaw = _from_base(wheels.pose, x, y, yaw)
+        elif goal.frame != "map":
+            raise _unknown_frame(goal.frame, "map", wheels.config.base)
+        return make_trip(x, y, yaw, goal.tolerance, goal.speed)
+
     def _arrived(self, robot: Robot, trip: Trip) -> p.MoveResult:
         pose = next(r for r in self._device.publisher.readings if r.name == "sensor/pose")
         here: PoseStamped = pose.read(self._device.publisher.stamp)
@@ -90,7 +101,7 @@ class Actions:
         assert arm is not None
         targets = goal.positions.given()
         if not targets:
-            raise InvalidValue("no joint to move", details={"pointer": "/positions"})
+            raise _no_joint()
 
         def plan(_: Robot) -> Motion:
             here = arm.positions.copy()
@@ -135,16 +146,11 @@ class Actions:
         arm, kinematics = device.robot.arm, device.robot.kinematics
         assert arm is not None
         assert kinematics is not None
-        target = np.array([goal.position.x, goal.position.y, goal.position.z])
-        if not np.isfinite(target).all():
-            raise InvalidValue("the goal is not a place", details={"pointer": "/position"})
-        turn = None if goal.orientation is None else _wxyz(goal.orientation)
-        if goal.frame == "map":
-            given_turn = np.array([1.0, 0, 0, 0]) if turn is None else turn
-            local = await device.do(lambda _: kinematics.local(ToolPose(target, given_turn)))
-            target, turn = local.position, None if turn is None else local.quaternion
-        elif goal.frame != arm.config.base:
-            raise _unknown_frame(goal.frame, "map", arm.config.base)
+        relative = goal.frame == "map"
+        found = (
+            await device.do(lambda _: self._tool_goal(goal)) if relative else self._tool_goal(goal)
+        )
+        target, turn = found
         qpos = await device.do(lambda robot: robot.simulation.data.qpos.copy())
         joints = await anyio.to_thread.run_sync(kinematics.solve, qpos, target, turn)
 
@@ -168,6 +174,40 @@ class Actions:
         here = await device.do(lambda robot: robot.tool_pose(device.publisher.stamp, goal.frame))
         tool = await device.do(lambda _: kinematics.tool().position)
         return p.MoveResult(here, float(np.linalg.norm(target - tool)))
+
+    def _tool_goal(self, goal: p.MoveTool) -> tuple[Any, Any | None]:
+        """Return position and quaternion of a goal in the frame of the base.
+
+        :raises RcpError: it is not a place, its frame is unknown, or it is out of reach.
+        """
+        arm, kinematics = self._device.robot.arm, self._device.robot.kinematics
+        assert arm is not None
+        assert kinematics is not None
+        target = np.array([goal.position.x, goal.position.y, goal.position.z])
+        if not np.isfinite(target).all():
+            raise InvalidValue("the goal is not a place", details={"pointer": "/position"})
+        turn = None if goal.orientation is None else _wxyz(goal.orientation)
+        if goal.frame == "map":
+            given_turn = np.array([1.0, 0, 0, 0]) if turn is None else turn
+            local = kinematics.local(ToolPose(target, given_turn))
+            target, turn = local.position, None if turn is None else local.quaternion
+        elif goal.frame != arm.config.base:
+            raise _unknown_frame(goal.frame, "map", arm.config.base)
+        kinematics.check_reach(target)
+        return target, turn
+
+    def foresee(self, name: str, goal: Any) -> None:
+        """Refuse a goal in an obstacle, out of the arm's reach, or without a joint.
+
+        It looks at the simulation while that is stepped: what it checks stands still.
+        """
+        wheels, arm = self._device.robot.wheels, self._device.robot.arm
+        if name == "action/move_to" and wheels is not None:
+            wheels.check_goal(self._trip(goal))
+        elif name == "action/move_tool" and arm is not None:
+            self._tool_goal(goal)
+        elif name == "action/move_joints" and not goal.positions.given():
+            raise _no_joint()
 
     def _follow(self, path: Path) -> Motion:
         arm = self._device.robot.arm
@@ -266,6 +306,10 @@ class Actions:
             raise DeviceRejected(task.failure)
         feedback(task)
         return task
+
+
+def _no_joint() -> InvalidValue:
+    return InvalidValue("no joint to move", details={"pointer": "/positions"})
 
 
 def _part(motion: Motion) -> float:

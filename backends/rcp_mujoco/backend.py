@@ -226,6 +226,10 @@ class MujocoBackend(BaseBackend):
             raise UnsupportedOperation(f"'{name}' cannot be executed")
         return await verb(value, progress)
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a goal that the robot cannot reach."""
+        self._actions.foresee(name, value)
+
     async def _step(self, step: Any, progress: Progress) -> Any:
         controls = given(step.controls)
 

@@ -19,6 +19,7 @@ _RESTARTS = 8
 _STEP = 0.3  # rad, maximum step of an iteration
 _NEAR = 1e-3  # m
 _ALIGNED = 5e-3  # rad
+_UNREACHED = "the tool cannot reach this pose: no joint positions within their ranges were found"
 
 
 class ToolPose(NamedTuple):
@@ -42,6 +43,31 @@ class Kinematics:
         self._dofs = [joint.dof for joint in arm.joints]
         self._low = np.array([joint.low for joint in arm.joints])
         self._high = np.array([joint.high for joint in arm.joints])
+        self._reach = self._longest()
+
+    def check_reach(self, position: Any) -> None:
+        """Refuse a position in the frame of the base that is farther than the arm is long.
+
+        :raises DeviceRejected: it is.
+        """
+        if float(np.linalg.norm(position)) > self._reach:
+            raise DeviceRejected(_UNREACHED)
+
+    def _longest(self) -> float:
+        """Return a bound of the distance between base and tool: all links in a line."""
+        model = self._model
+        length = float(np.linalg.norm(model.site_pos[self._site]))
+        body = int(model.site_bodyid[self._site])
+        while body not in (0, self._base):
+            length += float(np.linalg.norm(model.body_pos[body]))
+            first = int(model.body_jntadr[body])
+            for joint in range(first, first + int(model.body_jntnum[body])):
+                if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+                    length += float(np.abs(model.jnt_range[joint]).max()) or np.inf
+                else:
+                    length += 2 * float(np.linalg.norm(model.jnt_pos[joint]))
+            body = int(model.body_parentid[body])
+        return length
 
     def tool(self, data: Any = None) -> ToolPose:
         """Return the tool's pose in the frame of the base."""
@@ -88,9 +114,7 @@ class Kinematics:
                 data.qpos[self._qpos] = chance.uniform(low, high)
             if self._descend(data, *target):
                 return data.qpos[self._qpos].copy()
-        raise DeviceRejected(
-            "the tool cannot reach this pose: no joint positions within their ranges were found"
-        )
+        raise DeviceRejected(_UNREACHED)
 
     def _in_world(self, data: Any, position: Any, quaternion: Any | None) -> tuple[Any, Any | None]:
         place, turn = np.zeros(3), np.zeros(4)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from rcp_kernel.errors import ConfigError, ModeForbids
 from rcp_mujoco.config import WheelsConfig
 from rcp_mujoco.joints import Drive
+from rcp_mujoco.obstacles import Obstacles
 from rcp_mujoco.simulation import Simulation
 
 __all__ = ["Trip", "Wheels"]
@@ -76,6 +77,7 @@ class Wheels:
                 raise ConfigError(f"wheels: '{drive.name}' is not a velocity actuator of a joint")
         body = simulation.model.body(config.base)
         self._body = int(body.id)
+        self._obstacles = Obstacles(simulation, self._body)
         self.limit = config.speed
         self.target = (0.0, 0.0)
         """Commanded speed, m/s, and yaw rate, rad/s."""
@@ -132,9 +134,20 @@ class Wheels:
         """Whether a velocity or a trip sets the speed of a wheel now."""
         return self._driving and drive in (*self._left, *self._right)
 
+    def check_goal(self, trip: Trip) -> None:
+        """Refuse a trip into a wall.
+
+        :raises DeviceRejected: its goal is in an obstacle.
+        """
+        self._obstacles.check(trip.x, trip.y, trip.tolerance)
+
     def go(self, trip: Trip) -> None:
-        """Start a trip."""
+        """Start a trip.
+
+        :raises DeviceRejected: its goal is in an obstacle.
+        """
         self._simulation.need_whole()
+        self.check_goal(trip)
         self._end_trip("another goal was given")
         self._simulation.forget("cmd_vel")
         self._simulation.release()

@@ -137,6 +137,13 @@ class SimBackend(BaseBackend):
             self.device.need_feedback()
         return await verb(value, progress)
 
+    def foresee(self, name: str, value: Any) -> None:
+        """Refuse a goal that the rover cannot reach from where it is, and what a fault prevents."""
+        if name == "action/move_to":
+            self._check_frame(value)
+            self.device.need_feedback()
+            self._sim.check_goal(value.position.x, value.position.y)
+
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Run a sensor that is only simulated while watched; the others always run."""
         return self._watch(name, rate)
@@ -184,16 +191,9 @@ class SimBackend(BaseBackend):
     # Actions
 
     async def _move_to(self, goal: m.MoveTo, progress: Progress) -> m.MoveResult:
-        if goal.frame != _FRAME:
-            raise InvalidValue(
-                f"the rover has no frame '{goal.frame}' for its goals",
-                details={"pointer": "/frame"},
-                remedy=f"Give the goal in the frame '{_FRAME}'.",
-            )
+        self._check_frame(goal)
         yaw = goal.yaw
         if goal.orientation is not None:
-            if yaw is not None:
-                raise InvalidValue("give 'orientation' or 'yaw', not both")
             yaw = _yaw(goal.orientation.z, goal.orientation.w)
         x, y = goal.position.x, goal.position.y
         tolerance = goal.tolerance or _TOLERANCE
@@ -206,6 +206,17 @@ class SimBackend(BaseBackend):
             trip.seconds,
             math.dist((rover.x, rover.y), (x, y)),
         )
+
+    @staticmethod
+    def _check_frame(goal: m.MoveTo) -> None:
+        if goal.frame != _FRAME:
+            raise InvalidValue(
+                f"the rover has no frame '{goal.frame}' for its goals",
+                details={"pointer": "/frame"},
+                remedy=f"Give the goal in the frame '{_FRAME}'.",
+            )
+        if goal.orientation is not None and goal.yaw is not None:
+            raise InvalidValue("give 'orientation' or 'yaw', not both")
 
     async def _dock(self, _: m.Dock | None, progress: Progress) -> m.DockResult:
         await self._ride(self._sim.dock(), progress)

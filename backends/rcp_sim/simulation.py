@@ -151,7 +151,7 @@ class Simulation:
         :raises ModeForbids: another trip is running.
         :raises DeviceRejected: there is no path to it, or the battery is empty.
         """
-        path = self._find_path(x, y)
+        path = self.check_goal(x, y)
         if self.trip is not None:
             raise ModeForbids(
                 f"action/{self.trip.task} is running",
@@ -165,7 +165,11 @@ class Simulation:
         self.trip = Trip(task, follower, self.rover)
         return self.trip
 
-    def _find_path(self, x: float, y: float) -> list[tuple[float, float]]:
+    def check_goal(self, x: float, y: float) -> list[tuple[float, float]]:
+        """Return the path to a goal from where the rover is.
+
+        :raises DeviceRejected: there is none.
+        """
         if not self.floor.planner.free(x, y):
             inside = self.world.clearance(x, y)
             where = f"{inside:.2f} m from" if inside > 0 else "inside or behind"

@@ -10,7 +10,7 @@ from typing import Any
 import can
 
 import rcp_can
-from backends.can.rig import Node, channel
+from backends.can.rig import PATIENT, Node, channel
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.model import Resource
 from rcp_kernel.testing import Goal, ProfileSuite, StopRig, StopSuite, eventually
@@ -41,8 +41,8 @@ class ArmRig(StopRig):
 
     def table(self) -> Mapping[str, Any]:
         motor = {"bus": "can0", "profile": "cia402", "rate": 100, "position": [-6.0, 6.0]}
-        motor |= {"velocity": 2.0, "acceleration": 20.0, "options": OPTIONS}
-        motor |= {"timeout": 1.0, "feedback_timeout": 1.0}
+        motor |= {"velocity": 2.0, "acceleration": 20.0, "timeout": 1.0, "feedback_timeout": 1.0}
+        motor |= {**PATIENT, "options": {**OPTIONS, **PATIENT["options"]}}
         bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
         return {
             "buses": {"can0": bus},

@@ -28,10 +28,12 @@ from rcp_kernel.errors import (
     DeviceTimeout,
     InvalidValue,
     ModeForbids,
+    OutOfRange,
 )
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import OPERATOR, serve
 
+FOLLOW = "action/arm/follow_trajectory"
 JOINTS, MOVE, STATES = "actuator/arm/joints", "action/arm/move_joints", "sensor/arm/joints"
 PROFILES = {"pan": ("odrive", 1), "tilt": ("cia402", 5), "roll": ("mit", 9)}
 """A drive with trajectories of its own, one of CANopen, and one that does as it is told."""
@@ -56,6 +58,11 @@ class Arm(Rig):
 
     def moving(self, **positions: float) -> asyncio.Future[Any]:
         return asyncio.ensure_future(self.execute(MOVE, {"positions": positions}))
+
+
+def positions(state: Any) -> dict[str, float]:
+    found: dict[str, float] = msgspec.to_builtins(state)["positions"]
+    return found
 
 
 def tables(name: str) -> dict[str, Any]:
@@ -98,9 +105,9 @@ async def test_joints_are_told_together_and_go_where_they_are_told() -> None:
         await rig.until(lambda: abs(plants["pan"].position - 0.3) < 0.02)
         await rig.until(lambda: abs(plants["tilt"].position + 0.2) < 0.02)
         await rig.until(lambda: abs(plants["roll"].position - 0.1) < 0.02)
-        await rig.until(lambda: abs(rig.host.last(STATES).positions.joint_0 - 0.3) < 0.02)
-        reply = await rig.backend.read(STATES)
-        assert msgspec.to_builtins(reply)["positions"]["tilt"] == pytest.approx(-0.2, abs=0.02)
+        there = pytest.approx({"pan": 0.3, "tilt": -0.2, "roll": 0.1}, abs=0.02)
+        await rig.until(lambda: positions(rig.host.last(STATES)) == there)
+        assert positions(await rig.backend.read(STATES)) == there
 
 
 async def test_nothing_named_brings_all_joints_to_rest_on_their_way() -> None:
@@ -159,6 +166,26 @@ async def test_a_move_of_joints_begins_and_ends_together_and_every_drive_has_sai
         parts = [fraction for _, fraction in rig.feedback]
         assert parts == sorted(parts)
         assert len(parts) > 5
+
+
+async def test_a_dry_run_of_a_move_knows_the_motors() -> None:
+    async with arm(enabled=False) as rig:
+        near = rig.typed(MOVE, {"positions": {"pan": 0.2}})
+        with pytest.raises(ModeForbids):
+            rig.backend.foresee(MOVE, near)
+        await rig.ran("service/arm/enable")
+        rig.backend.foresee(MOVE, near)
+        with pytest.raises(InvalidValue):
+            rig.backend.foresee(MOVE, rig.typed(MOVE, {"positions": {}}))
+
+
+async def test_a_dry_run_of_a_trajectory_plans_it() -> None:
+    async with arm() as rig:
+        slow = {"points": [{"time": 2.0, "positions": {"pan": 0.2}}]}
+        fast = {"points": [{"time": 0.01, "positions": {"pan": 1.0}}]}
+        rig.backend.foresee(FOLLOW, rig.typed(FOLLOW, slow))
+        with pytest.raises(OutOfRange):
+            rig.backend.foresee(FOLLOW, rig.typed(FOLLOW, fast))
 
 
 async def test_a_move_leaves_joints_alone_that_it_does_not_name() -> None:

@@ -417,6 +417,7 @@ async def test_a_reset_stops_it_and_begins_a_new_frame() -> None:
 async def test_a_reset_stops_the_arm_of_a_robot_that_has_lost_a_wheel() -> None:
     table = tables(channel())
     lift = {"bus": "can0", "profile": "cia402", "node": 3, "velocity": 5.0, "timeout": 1.0}
+    lift["feedback_timeout"] = 1.0
     table["motors"]["lift"] = {**lift, "acceleration": 20.0, "rate": 100}
     table["joint_groups"] = {"mast": {"joints": ["lift"], "as_robot": True}}
     name = table["buses"]["can0"]["channel"]

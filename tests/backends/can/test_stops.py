@@ -134,6 +134,7 @@ async def test_the_torque_goes_some_time_after_a_stop_where_that_is_configured()
 
 
 @pytest.mark.parametrize("profile", ["vesc", "odrive", "cia402"])
+@pytest.mark.usefixtures("stands_still")
 async def test_a_gateway_that_stood_still_sends_no_set_point_of_before(profile: str) -> None:
     slow = {"timeout": 3.0, "feedback_timeout": 3.0, "watchdog": 0.5}
     async with motor(profile, valid_for=60.0, **slow) as rig:

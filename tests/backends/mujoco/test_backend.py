@@ -75,6 +75,52 @@ async def gateway(model: str = "rover", **config: Any) -> AsyncGenerator[Gateway
         yield Gateway(served)
 
 
+# Dry runs
+
+
+@pytest.mark.parametrize(
+    ("position", "frame", "refused"),
+    [
+        ({"x": 3.5, "y": 3.0}, "map", "crate_1"),
+        ({"x": 3.5, "y": 2.52}, "map", "crate_1"),
+        ({"x": 6.0, "y": 1.0}, "map", "wall_east"),
+        ({"x": 3.5, "y": 3.0}, "base_link", "crate_1"),
+        ({"x": 3.5, "y": 2.3}, "map", None),
+        ({"x": 5.7, "y": 0.0}, "map", None),
+    ],
+)
+async def test_a_goal_in_a_wall_is_refused_dry_or_not(
+    position: dict[str, float], frame: str, refused: str | None
+) -> None:
+    async with gateway(paused=False) as found:
+        body = {"position": position, "frame": frame}
+        dry = await found.ask("execute", "action/move_to", body, dry_run=True)
+        if refused is None:
+            assert dry["status"] == "completed", dry
+            return
+        real = await found.ask("execute", "action/move_to", body)
+        assert refused in dry["error"]["message"]
+        assert dry["error"]["code"] == real["error"]["code"]
+        assert dry["error"]["message"] == real["error"]["message"]
+        assert real["status"] in ("rejected", "failed")
+
+
+async def test_what_is_out_of_reach_of_an_arm_is_refused_dry_or_not() -> None:
+    async with gateway("arm", paused=False) as found:
+        for name, body in (
+            ("action/move_tool", {"position": {"x": 2.0, "y": 0.0, "z": 0.3}}),
+            ("action/move_tool", {"position": {"x": 0.4, "y": 0.0, "z": 0.3}, "frame": "moon"}),
+            ("action/move_joints", {"positions": {}}),
+        ):
+            dry = await found.ask("execute", name, body, dry_run=True)
+            real = await found.ask("execute", name, body)
+            assert dry["error"]["code"] == real["error"]["code"], (dry, real)
+            assert dry["error"]["message"] == real["error"]["message"]
+        near = {"position": {"x": 0.4, "y": 0.2, "z": 0.3}}
+        dry = await found.ask("execute", "action/move_tool", near, dry_run=True)
+        assert dry["status"] == "completed", dry
+
+
 # Steps
 
 
