@@ -54,7 +54,7 @@ async def gateway():
 
     kind = BackendKind("many", Nothing, open_many)
     plugins = SimpleNamespace(
-        backends={"many": kind}, transports={}, adapters={}, missing=[],
+        backends={"many": kind}, transports={}, adapters={}, missing=[], points={"plugins": {}},
         is_missing=lambda *_: None,
     )  # fmt: skip
     prepared = Prepared(parse(CONFIG, "bench"), plugins, (Nothing(),), {}, {})

@@ -11,18 +11,27 @@ __all__ = ["PROCESSES", "Scheduling"]
 PROCESSES = 2
 """For each core, of which about half wait for simulated time."""
 _LEAST = 2  # tests that a process has to know of
+_TOGETHER = {
+    "tests/browser/": "browser",
+    "tests/docs/test_examples.py": "demo",
+    "tests/docs/test_tour.py": "demo",
+}
+"""Files whose tests share what takes long to start."""
 _WAITING = ("tests/backends/can/", "tests/backends/ros2/", "tests/backends/mujoco/")
 
 
 class Scheduling(LoadScopeScheduling):
-    """A file's functions, or a class, in one process; all that needs a browser in one too.
+    """A file's functions, or a class, in one process; all that needs a browser, or a demo, in one too.
 
     Robots take their time and little of the processor, the rest computes: half of the processes begin
     with the one, half with the other, so that the cores are neither idle nor fought for.
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        return "browser" if nodeid.startswith("tests/browser/") else super()._split_scope(nodeid)
+        for files, scope in _TOGETHER.items():
+            if nodeid.startswith(files):
+                return scope
+        return super()._split_scope(nodeid)
 
     def _assign_work_unit(self, node: Any) -> None:
         waits = list(self.assigned_work).index(node) % 2 == 1

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from prometheus_client.core import Metric
+
 from rcp_audit.config import AuditConfig, AuditTables, from_gateway
 from rcp_audit.disclosure import Disclosure
 from rcp_audit.log import HISTORY, AuditLog
 from rcp_audit.replies import DelayedReplies
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.contract.metrics import gauge
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.features.feature import StatusPart
 from rcp_kernel.hookspecs import hookimpl
@@ -36,7 +39,16 @@ def _make(tables: AuditTables, host: FeatureHost) -> Feature:
             return StatusPart({})
         return StatusPart({"record": log.state(head=disclosure.concerns(rights, {}))})
 
+    def metrics() -> Iterable[Metric]:
+        broken = log.state(head=False)["state"] != "ok"
+        yield gauge(
+            "rcp_audit_degraded", "Whether records cannot be written.", (), [([], float(broken))]
+        )
+        waiting = float(host.ledger.waiting)
+        yield gauge("rcp_audit_waiting", "Records that are not stored yet.", (), [([], waiting)])
+
     return Feature(
+        metrics=metrics,
         resources=(SystemResource(resource=_RESOURCE, shows=disclosure.shown),),
         on_event=log.hear,
         on_command=log.follow,

@@ -11,11 +11,13 @@ from msgspec import Raw
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
 from rcp_kernel.features import ActionHost
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.spi import caller
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 from rcp_plans.model import Execute, Operate, Read, Write
 from rcp_plans.node import Filling, Node
 from rcp_plans.progress import LONGEST
+from rcp_protocol.trace import TRACEPARENT
 
 __all__ = ["StepRequests"]
 
@@ -40,6 +42,10 @@ class StepRequests:
         self._session = session
         self._known = known
         self._plan = command
+        now = caller()
+        trace = None if now is None else now.trace
+        self._trace = {} if trace is None else {TRACEPARENT: trace.parent}
+        """Of the plan, so that its steps are below it."""
         self.token: str | None = None
         """Identifies the approval of the whole plan."""
 
@@ -85,7 +91,7 @@ class StepRequests:
             deadline=limit,
             valid_for=step.valid_for if isinstance(step, Write) else None,
             body=NO_BODY if value is None else Raw(dump(value, Encoding.JSON)),
-            custom={"x-plan": self._plan, "x-step": node.id},
+            custom={"x-plan": self._plan, "x-step": node.id, **self._trace},
             approval=self.token,
         )
 

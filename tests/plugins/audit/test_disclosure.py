@@ -139,6 +139,8 @@ async def test_a_plan_across_tenants_shows_each_auditor_its_own_steps_alone(worl
     for text in ("beta", str(SECRET), WORDS, "in-beta"):
         assert text not in json.dumps(in_alpha)
     assert [(r["what"], r["path"], r["value"]) for r in in_alpha] == [("write", ALPHA, 1.25)]
+    trace = in_alpha[0]["x"].pop("x-traceparent")  # of the plan: what it did elsewhere is not in it
+    assert done["command"].removeprefix("cmd-") in trace
     assert in_alpha[0]["x"] == {"x-plan": done["command"], "x-step": "here"}
     assert "alpha" not in json.dumps(in_beta)
     assert "1.25" not in json.dumps(in_beta)

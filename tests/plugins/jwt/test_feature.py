@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ import pytest
 from configuration import configuration, key
 from issuer import Issuer, who
 from kernel.world import CONFIG, Client, prepared, world_of
+from offering import withhold
 from rcp_kernel.app import plugins
 from rcp_kernel.app.reload import apply
 from rcp_kernel.app.server import prepare, running
@@ -26,12 +26,7 @@ TABLE = '[[jwt]]\nissuer = "https://i"\naudience = "a"\nrole = "viewer"\ndiscove
 
 @pytest.fixture
 def not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = plugins.installed
-
-    def installed(group: str) -> dict[str, EntryPoint]:
-        return {name: point for name, point in real(group).items() if name != "jwt"}
-
-    monkeypatch.setattr(plugins, "installed", installed)
+    withhold(monkeypatch, "rcp.features", "jwt")
 
 
 @pytest.fixture

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
-
 import pytest
 
 import rcp_quotas
 from configuration import configuration
 from kernel.world import CONFIG, world_of
+from offering import withhold
 from plugins.quotas.home import SLOW, at_home
-from rcp_kernel.app import plugins
 from rcp_kernel.app.server import Prepared, prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError
@@ -54,12 +52,7 @@ def test_a_quota_is_not_ignored_because_the_feature_is_off_or_missing(
 ) -> None:
     with pytest.raises(ConfigError, match="quotas = false, but the configuration uses"):
         parse(at_home(table + "[features]\nquotas = false\n"), "f")
-    real = plugins.installed
-
-    def installed(group: str) -> dict[str, EntryPoint]:
-        return {name: point for name, point in real(group).items() if name != "quotas"}
-
-    monkeypatch.setattr(plugins, "installed", installed)
+    withhold(monkeypatch, "rcp.features", "quotas")
     checked(QUIET)
     with pytest.raises(PluginError, match="'quotas', which cannot be loaded: not installed"):
         checked(QUIET + table)
