@@ -127,7 +127,10 @@ async def test_a_joint_goes_to_a_number_and_by_steps_while_the_button_is_held(
     await expect(go).to_be_disabled()  # it is outside the range
     await joints.get_by_label("Target of pan in rad").fill("0.3")
     async with held(go):
-        await until(robot, PAN, lambda found: abs(_pan(found) - 0.3) < 0.02)
+        await until(robot, PAN, lambda found: abs(_pan(found) - 0.3) < 0.004)
+        await expect(joints.get_by_title("Measured").first).to_have_text("is 0.30")
+    # A step is counted from where the page saw the joint.
+    await expect(joints.get_by_title("Measured").first).to_have_text("is 0.30")
     await joints.get_by_label(re.compile("^Step")).select_option(label="0.1 rad")
     more = joints.get_by_role("button", name=re.compile("pan plus"))
     await more.focus()
