@@ -73,10 +73,10 @@ class Caller:
 
     def _fault(self, limit: float, left: float) -> Exception | None:
         """Return why a call with `left` of its `limit` seconds is not waited for any more."""
-        if left <= 0:
-            return DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
         if not self._link.graph.has(*self._presence):
             return AdapterUnavailable(f"the node that offers {self._name} has disappeared")
+        if left <= 0:
+            return DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
         return None
 
     def _send(self, request: Any, ticket: Ticket, sent: list[Any]) -> None:
