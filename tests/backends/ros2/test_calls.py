@@ -33,11 +33,12 @@ async def test_a_service_takes_and_returns_every_kind_of_number(robot: Robot) ->
 
 
 async def test_calls_at_once_each_get_their_own_answer(robot: Robot) -> None:
-    asked = [{"int64_value": number, "string_value": f"call {number}"} for number in range(20)]
+    numbers = range(8)  # a server queues 10
+    asked = [{"int64_value": number, "string_value": f"call {number}"} for number in numbers]
     async with asyncio.timeout(BOUND):
         answers = await asyncio.gather(*(robot.execute("service/add", one) for one in asked))
-    assert [answer.int64_value for answer in answers] == list(range(1, 21))
-    assert [answer.string_value[::-1] for answer in answers] == [f"call {n}" for n in range(20)]
+    assert [answer.int64_value - 1 for answer in answers] == list(numbers)
+    assert [answer.string_value[::-1] for answer in answers] == [f"call {n}" for n in numbers]
 
 
 async def test_what_waits_for_the_ros_thread_runs_in_order_each_in_its_own_context(
