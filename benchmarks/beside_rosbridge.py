@@ -103,7 +103,7 @@ def environment() -> dict[str, str]:
 
 
 def open_port(port: int) -> None:
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60  # s: a busy machine
     while time.monotonic() < end:
         with closing(socket.socket()) as probe:
             if probe.connect_ex(("127.0.0.1", port)) == 0:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from rcp_protocol.clock import (
     iso,
+    iso_bytes,
     now,
     parse_time,
 )
@@ -17,6 +18,7 @@ __all__ = [
     "Clock",
     "Lateness",
     "iso",
+    "iso_bytes",
     "now",
     "parse_time",
 ]

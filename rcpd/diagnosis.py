@@ -13,10 +13,10 @@ from rcp_kernel.app.plugins import GROUPS, Plugins, installed
 from rcp_kernel.app.server import Prepared, prepare
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
-from rcp_kernel.config.positions import Place
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_protocol.plain import is_map
+from rcp_toml.positions import Place
 from rcpd.faults import FAULTY
 from rcpd.survey import Finding, Survey
 from rcpd.words import nearest

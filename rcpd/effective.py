@@ -13,8 +13,8 @@ import msgspec
 
 from rcp_kernel.app.server import Prepared
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS
-from rcp_kernel.config.variables import is_dear
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.variables import is_dear
 from rcpd.diagnosis import Diagnosis
 from rcpd.exits import FAILED, fail
 

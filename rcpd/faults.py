@@ -8,9 +8,9 @@ from typing import Any, get_args, get_origin
 
 import msgspec
 
-from rcp_kernel.config.positions import Place
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
+from rcp_toml.positions import Place
 from rcpd.words import choices, expected, members, nearest, split_annotated
 
 __all__ = ["FAULTY", "Collector", "Fault", "place_in"]

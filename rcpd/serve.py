@@ -13,7 +13,6 @@ from typing import NoReturn
 
 import click
 
-from rcp_kernel.app.containment import end_in_time, run_contained
 from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
@@ -28,6 +27,7 @@ from rcpd.key_strength import log_weak_keys
 from rcpd.memory import keep_freed_memory
 from rcpd.notify import notifying
 from rcpd.probation import Probation
+from rcpd.process import end_in_time, run_contained
 from rcpd.reload import reload
 from rcpd.turns import take_short_turns
 

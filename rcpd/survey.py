@@ -12,15 +12,15 @@ import msgspec
 
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, BackendConfig, GatewayConfig
 from rcp_kernel.config.identity import check_grants, check_identity
-from rcp_kernel.config.includes import included, merge
-from rcp_kernel.config.positions import Place, line_of, positions
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import check_groups
-from rcp_kernel.config.variables import Secret, is_dear, secrets_of, substituted
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.includes import included, merge
+from rcp_toml.positions import Place, line_of, positions
+from rcp_toml.variables import Secret, is_dear, secrets_of, substituted
 from rcpd.faults import FAULTY, Collector, Fault, place_in
 from rcpd.syntax import read_toml
 from rcpd.words import nearest

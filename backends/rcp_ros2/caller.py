@@ -62,20 +62,22 @@ class Caller:
         ticket = Ticket(self._link.host)
         sent: list[Any] = []
         self._link.ros.submit(self._send, request, ticket, sent)
+        watch = _Watch(ticket, limit, self._fault)
         try:
-            return await self._answer(ticket, limit)
+            return await ticket.answer()
+        except BaseException:  # nobody waits for what may still come
+            self._link.ros.post(self._forget, sent)
+            raise
         finally:
-            if not ticket.done:
-                self._link.ros.post(self._forget, sent)
+            watch.close()
 
-    async def _answer(self, ticket: Ticket, limit: float) -> Any:
-        end = time.monotonic() + limit
-        while (left := end - time.monotonic()) > 0:
-            if await ticket.wait(min(left, _POLL)):
-                return ticket.result()
-            if not self._link.graph.has(*self._presence):
-                raise AdapterUnavailable(f"the node that offers {self._name} has disappeared")
-        raise DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
+    def _fault(self, limit: float, left: float) -> Exception | None:
+        """Return why a call with `left` of its `limit` seconds is not waited for any more."""
+        if not self._link.graph.has(*self._presence):
+            return AdapterUnavailable(f"the node that offers {self._name} has disappeared")
+        if left <= 0:
+            return DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
+        return None
 
     def _send(self, request: Any, ticket: Ticket, sent: list[Any]) -> None:
         try:
@@ -108,3 +110,29 @@ class Caller:
         if self._client is not None:
             self._link.ros.node.destroy_client(self._client)
             self._client = None
+
+
+class _Watch:
+    """Ends the wait for one answer, at its limit or because there is nobody to give it."""
+
+    def __init__(
+        self, ticket: Ticket, limit: float, fault: Callable[[float, float], Exception | None]
+    ) -> None:
+        self._ticket = ticket
+        self._limit = limit
+        self._fault = fault
+        self._loop = asyncio.get_running_loop()
+        self._end = self._loop.time() + limit
+        self._alarm = self._loop.call_later(min(limit, _POLL), self._look)
+
+    def _look(self) -> None:
+        left = self._end - self._loop.time()
+        error = self._fault(self._limit, left)
+        if error is None:
+            self._alarm = self._loop.call_later(min(left, _POLL), self._look)
+        else:
+            self._ticket.refuse(error)
+
+    def close(self) -> None:
+        """Look no more."""
+        self._alarm.cancel()

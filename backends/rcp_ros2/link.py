@@ -135,7 +135,9 @@ class RosLink:
 
         :raises AdapterUnavailable: no node does.
         """
-        if await self.until(lambda: self.graph.has(noun, name), self.settling):
+        if self.graph.has(noun, name) or await self.until(
+            lambda: self.graph.has(noun, name), self.settling
+        ):
             return
         raise AdapterUnavailable(
             f"the {noun} {name} is not running"

@@ -9,9 +9,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
+from collections import deque
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from contextvars import copy_context
+from contextvars import Context, copy_context
 from typing import Any
 
 import structlog
@@ -70,10 +71,21 @@ class Ticket:
         else:
             self._future.set_result(value)
 
+    def refuse(self, error: BaseException) -> None:
+        """Raise an exception in the waiter; for the event loop."""
+        self._set(None, error)
+
     @property
     def done(self) -> bool:
         """Whether the value is available."""
         return self._future.done()
+
+    async def answer(self) -> Any:
+        """Wait for the value, and return it or raise the exception.
+
+        Who is cancelled meanwhile gives the ticket up: what comes later is dropped.
+        """
+        return await self._future
 
     async def wait(self, seconds: float) -> bool:
         """Wait at most `seconds`; return whether the value is available."""
@@ -100,6 +112,9 @@ class Ros:
         self._context: Any = None
         self._executor: Any = None
         self._stop: Any = None
+        self._submitted: deque[tuple[Context, Callable[..., None], tuple[Any, ...]]] = deque()
+        self._woken = False
+        """Whether the executor was told that there is something submitted."""
         self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
         self._ready = Ticket(host)
 
@@ -157,14 +172,25 @@ class Ros:
     def submit(self, run: Callable[..., None], *args: Any) -> None:
         """Run a function that never raises in the thread.
 
+        What is submitted before the thread has woken shares one task of the executor.
+
         :raises AdapterUnavailable: the thread has ended.
         """
         if self.died is not None or self._executor is None:
             raise AdapterUnavailable(self.died or "ROS 2 is not running")
         # Keep the request's context, for `check_fence` just before something is sent.
-        self._executor.create_task(copy_context().run, run, *args)
+        self._submitted.append((copy_context(), run, args))
+        if not self._woken:
+            self._woken = True
+            self._executor.create_task(self._run_submitted)
 
     # -- the thread ------------------------------------------------------------------------------
+
+    def _run_submitted(self) -> None:
+        self._woken = False  # first: what is submitted from now on wakes the executor again
+        for _ in range(len(self._submitted)):
+            context, run, args = self._submitted.popleft()
+            context.run(run, *args)
 
     def _run(self) -> None:
         try:

@@ -29,6 +29,7 @@ from picows import WSListener, WSMsgType, ws_connect
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from answers import Answers, message_of
 
+HANDSHAKE = 30.0  # s: many clients at once on a busy machine
 SHORT = 4096  # bytes below which a message may be an answer
 SEC = re.compile(rb'"sec": ?(\d+), ?"nanosec": ?(\d+)')
 SUBPROTOCOL = {"json": "rcp.v1.json", "msgpack": "rcp.v1.msgpack", "native": "rcp.v1.msgpack"}
@@ -164,7 +165,13 @@ async def main() -> None:
         headers["Sec-WebSocket-Protocol"] = "foxglove.sdk.v1"
     listener = Caller if ARGS.service else Subscriber
     for _ in range(ARGS.clients):
-        await ws_connect(listener, ARGS.url, extra_headers=headers, max_frame_size=1 << 26)
+        await ws_connect(
+            listener,
+            ARGS.url,
+            extra_headers=headers,
+            max_frame_size=1 << 26,
+            websocket_handshake_timeout=HANDSHAKE,
+        )
     await asyncio.sleep(ARGS.settle)
     if State.answers.refused:
         State.answers.check(0)

@@ -2,19 +2,15 @@
 
 Both pass every `except Exception`, and asyncio lets them escape the event loop. They are therefore
 converted to ordinary errors where plugins are called; if one still leaves the loop (from a plugin's
-own task or timer), the loop is entered again.
+own task or timer), whoever runs the loop has to enter it again, as `rcpd` does.
 """
 
 from __future__ import annotations
 
 import asyncio
-import sys
-import threading
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, suppress
-from typing import Any, TypeVar
-
-import structlog
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
+from typing import Any
 
 from rcp_kernel.spi import (
     Backend,
@@ -27,11 +23,12 @@ from rcp_kernel.spi import (
     Watchdog,
 )
 
-__all__ = ["ContainedBackend", "PluginExit", "contained", "end_in_time", "run_contained"]
-
-log = structlog.get_logger("rcp.plugins")
-_Result = TypeVar("_Result")
-_LEAVE = 3.0  # s that threads left behind by plugins may run after the gateway's end
+__all__ = [
+    "ContainedBackend",
+    "PluginExit",
+    "call_contained",
+    "contained",
+]
 
 
 class PluginExit(RuntimeError):
@@ -54,6 +51,19 @@ def contained() -> Generator[None]:
     """
     try:
         yield
+    except _ORDINARY:
+        raise
+    except BaseException as error:
+        raise _plugin_exit(error) from error
+
+
+def call_contained(function: Callable[..., object], *args: Any) -> None:
+    """Call a function as in `contained`, which costs 5,000 instructions.
+
+    :raises PluginExit: the call would have ended the process.
+    """
+    try:
+        function(*args)
     except _ORDINARY:
         raise
     except BaseException as error:
@@ -192,40 +202,3 @@ class ContainedBackend:
         """Report what the link with a robot's own gateway carries."""
         with contained():
             return self._backend.robot_link(robot)
-
-
-def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) -> _Result:
-    """Run the gateway to its end and return its result, whatever a plugin's task or timer raises.
-
-    Ctrl-C arrives as a signal that the gateway handles itself, so a `KeyboardInterrupt` out of the
-    loop comes from a plugin as well.
-    """
-    loop = runner.get_loop()
-    task = loop.create_task(main, name="gateway")
-    while True:
-        try:
-            return loop.run_until_complete(task)
-        except (SystemExit, KeyboardInterrupt) as error:
-            if task.done():
-                raise
-            # Without traceback: formatting it may call the plugin's objects.
-            with suppress(BaseException):
-                log.error("plugin_would_end_the_process", error=repr(error))
-
-
-def end_in_time(leave: Callable[[], object]) -> None:
-    """Call `leave`, which ends the process, after a bound if a plugin has left threads behind.
-
-    Python waits for every non-daemon thread, and the event loop for those of its executor.
-    """
-
-    def end() -> None:
-        left = [t.name for t in threading.enumerate() if not t.daemon and t.name != "MainThread"]
-        log.error("threads_left_behind", threads=left, detail="ended without waiting for them")
-        sys.stderr.flush()
-        sys.stdout.flush()
-        leave()
-
-    last = threading.Timer(_LEAVE, end)
-    last.daemon = True
-    last.start()

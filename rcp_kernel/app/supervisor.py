@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from contextvars import Context, copy_context
 from typing import Any, Literal
 
 import structlog
 
-from rcp_kernel.app.containment import ContainedBackend, contained
+from rcp_kernel.app.containment import ContainedBackend, call_contained, contained
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import BackendConfig
 from rcp_kernel.contract.fence import permitted
@@ -128,6 +129,9 @@ class BackendSupervisor:
         """Whether each of its robots has a gateway of its own, as the last opening said."""
         self._closing = asyncio.Event()
         self._discovering = False
+        self._calls: deque[tuple[Context, Callable[..., object], tuple[Any, ...]]] = deque()
+        """What other threads have handed over, each under the context it was handed over in."""
+        self._woken = False
         self._logged_at = 0.0
         self._note_growth()
 
@@ -267,14 +271,25 @@ class BackendSupervisor:
             self.publish(item.name, item.value, item.timestamp)
 
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
-        """Run a function on the event loop, from any thread."""
-        gather = self._hub.flush_scheduler.gather
-        self._loop.call_soon_threadsafe(gather, self._call, function, *args)
+        """Run a function on the event loop, from any thread; many share one wake-up of the loop.
+
+        :raises RuntimeError: the loop is closed.
+        """
+        self._calls.append((copy_context(), function, args))
+        if not self._woken:
+            self._woken = True
+            gather = self._hub.flush_scheduler.gather
+            self._loop.call_soon_threadsafe(gather, self._call_all)
+
+    def _call_all(self) -> None:
+        self._woken = False  # first: what comes from now on wakes the loop again
+        for _ in range(len(self._calls)):
+            context, function, args = self._calls.popleft()
+            context.run(self._call, function, *args)
 
     def _call(self, function: Callable[..., object], *args: Any) -> None:
         try:
-            with contained():
-                function(*args)
+            call_contained(function, *args)
         except Exception as error:
             self.fault(f"{type(error).__name__}: {error}")
             log.exception("backend_call_failed", backend=self.name)

@@ -25,16 +25,16 @@ from rcp_kernel.config.identity import (
     check_grants,
     check_identity,
 )
-from rcp_kernel.config.includes import included, merge
 from rcp_kernel.config.limits import Limits
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_roles
 from rcp_kernel.config.safety import Safety, check_groups
-from rcp_kernel.config.variables import Secret, Withheld, is_dear, substituted
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
+from rcp_toml.includes import included, merge
+from rcp_toml.variables import Secret, Withheld, is_dear, substituted
 
 __all__ = [
     "KERNEL_KEYS",

@@ -159,7 +159,10 @@ class Admission:
         if entry.tenant is not None:
             for guard in self.control:  # as `_admit_all`, but for nearly every command
                 if not getattr(guard, "idle", False):
-                    _admit(guard, call)
+                    try:
+                        guard.admit(call)
+                    except Exception as error:
+                        raise _refusal(guard, call, error) from None
         if entry.barred and (unit.holds or unit.whole.holds):
             check_hold(entry, call.value)
         if self._shutdown.begun:
@@ -224,9 +227,12 @@ class Admission:
                 if unit.holds or unit.whole.holds:
                     check_hold(entry, call.value)
             if entry.tenant is not None:
-                for guard in self.control:
+                for guard in self.control:  # as `_confirm_all`
                     if not getattr(guard, "idle", False):
-                        _confirm(guard, call)
+                        try:
+                            guard.confirm(call)
+                        except Exception as error:
+                            raise _refusal(guard, call, error) from None
         backend = unit.link
         if backend is None:
             raise unit.unavailable()
@@ -250,35 +256,23 @@ def _concerns_guards(call: Call) -> bool:
 def _admit_all(guards: Sequence[Guard], call: Call) -> None:
     for guard in guards:
         if not getattr(guard, "idle", False):  # which few guards have
-            _admit(guard, call)
+            try:
+                guard.admit(call)
+            except Exception as error:
+                raise _refusal(guard, call, error) from None
 
 
 def _confirm_all(guards: Sequence[Guard], call: Call) -> None:
     for guard in guards:
         if not getattr(guard, "idle", False):
-            _confirm(guard, call)
+            try:
+                guard.confirm(call)
+            except Exception as error:
+                raise _refusal(guard, call, error) from None
 
 
-def _admit(guard: Guard, call: Call) -> None:
-    try:
-        guard.admit(call)
-    except RcpError:
-        raise
-    except Exception as error:
-        raise _broken(guard, call, error) from None
-
-
-def _confirm(guard: Guard, call: Call) -> None:
-    try:
-        guard.confirm(call)
-    except RcpError:
-        raise
-    except Exception as error:
-        raise _broken(guard, call, error) from None
-
-
-def _broken(guard: Guard, call: Call, error: Exception) -> RcpError:
-    """Return the refusal for a guard that failed; its exception is logged."""
+def _refusal(guard: Guard, call: Call, error: Exception) -> RcpError:
+    """Return a guard's refusal, also for a guard that failed; its exception is logged then."""
     return to_internal_error(error, guard=type(guard).__module__, path=call.entry.path)
 
 

@@ -6,7 +6,7 @@ from time import perf_counter
 
 import msgspec
 
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso, iso_bytes, now
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.prompt_reply import PromptReply
@@ -39,7 +39,7 @@ class PingHandler:
         if (account := session.account) is not None and not passes(account, session.monotonic()):
             return None
         head = _HEAD if request.id is None else b'{"type":"ping","id":%b,' % _to_json(request.id)
-        reply = b"".join((head, _MIDDLE, iso(now()).encode(), b'"}'))
+        reply = b"".join((head, _MIDDLE, iso_bytes(now()), b'"}'))
         self._seconds.observe(perf_counter() - started)
         key = (session.transport, "ping", "ok")
         self._outcomes[key] = self._outcomes.get(key, 0) + 1

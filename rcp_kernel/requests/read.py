@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.access.sights import Sights
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso, iso_bytes, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.pending import attribute_error
@@ -47,7 +47,8 @@ __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 _READ = int(Operation.READ)
 _to_json = msgspec.json.Encoder().encode
 _STEP = 16  # samples checked per step
-_HEAD = b'{"type":"read",'
+_HEAD = b'{"type":"read"'
+_HEAD_WITH_ID = b'{"type":"read","id":'
 _FRESH = b'fresh","timestamp":"'
 _STALE = b'stale","timestamp":"'
 
@@ -183,10 +184,13 @@ class ReadHandler:
             return None
         if (account := session.account) is not None and not passes(account, session.monotonic()):
             return None
-        head = _HEAD if request.id is None else b'{"type":"read","id":%b,' % _to_json(request.id)
         stale = entry.deadline is not None and entry.stale
         state = _STALE if stale else _FRESH
-        reply = b"".join((head, piece, state, iso(now()).encode(), b'"}'))
+        if request.id is None:
+            reply = b"".join((_HEAD, piece, state, iso_bytes(now()), b'"}'))
+        else:
+            id_ = _to_json(request.id)
+            reply = b"".join((_HEAD_WITH_ID, id_, piece, state, iso_bytes(now()), b'"}'))
         self._seconds.observe(perf_counter() - started)
         key = session.read_key
         self._outcomes[key] = self._outcomes.get(key, 0) + 1

@@ -257,7 +257,7 @@ class Sample(Body):
     def read_piece(self) -> bytes:
         """Return what all JSON replies to a read of this sample share, from path to state."""
         piece = self.json_piece = (
-            b'"path":"%b","status":"completed","body":%b,"seq":%d,"source_timestamp":"%b","state":"'
+            b',"path":"%b","status":"completed","body":%b,"seq":%d,"source_timestamp":"%b","state":"'
         ) % (
             self.entry.path.encode(),
             self.encoded(_JSON),

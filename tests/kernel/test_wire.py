@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kernel.world import World
-from rcp_kernel.clock import iso, parse_time
+from rcp_kernel.clock import iso, iso_bytes, parse_time
 from rcp_kernel.errors import BY_CODE, BadRequest, RcpError, VersionUnsupported
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Reply, decode_request, encode_reply, failure, peek_header
@@ -98,6 +98,7 @@ def test_every_code_has_an_http_status_a_remedy_and_a_final_status() -> None:
 @given(st.integers(0, 2**62))
 def test_a_time_written_is_the_time_read(ns: int) -> None:
     assert [parse_time(iso(ns)) for _ in range(2)] == [ns, ns]
+    assert [iso_bytes(ns) for _ in range(2)] == [iso(ns).encode()] * 2
 
 
 @pytest.mark.parametrize("digits", ["+50000000", "25_000_000", " 25000000", "25000000 "])

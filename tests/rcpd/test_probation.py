@@ -329,8 +329,8 @@ def test_a_restart_does_not_wait_for_a_thread_that_hangs(tmp_path: Path) -> None
     program = (
         "import asyncio, sys, time, pathlib\n"
         "from functools import partial\n"
-        "from rcp_kernel.app.containment import end_in_time\n"
         "from rcpd.configuration_file import ConfigurationFile\n"
+        "from rcpd.process import end_in_time\n"
         "from rcpd.serve import leave\n"
         "mark = pathlib.Path(sys.argv[1])\n"
         "if mark.exists(): sys.exit(5)\n"

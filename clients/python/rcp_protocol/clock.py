@@ -7,9 +7,11 @@ import time
 from datetime import UTC, datetime
 from functools import lru_cache
 
+import msgspec
+
 from rcp_protocol.errors import BadRequest
 
-__all__ = ["iso", "now", "parse_time"]
+__all__ = ["iso", "iso_bytes", "now", "parse_time"]
 
 _ISO = re.compile(
     r"(\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(Z|z|[+-]\d\d:\d\d)\Z",
@@ -25,19 +27,30 @@ _TWO = 2 * _SECOND
 _WHOLE, _DOT = len("2026-05-29T14:12:04.250000000Z"), len("2026-05-29T14:12:04.")
 _read: dict[str, int] = {}
 """Times of seconds read as `iso` writes them, ns."""
-_last: tuple[int, str] = (1 << 80, "")
+_last: tuple[int, str, bytes] = (1 << 80, "", b"")
 """The second before the last one formatted, in ns, and the last one's text."""
+_decimal = msgspec.json.Encoder().encode
 
 
 def iso(ns: int) -> str:
     """Format ns since the epoch as ISO 8601 in UTC with nanoseconds."""
-    before, text = _last
+    before, text, _ = _last
     # A billion more keeps the leading zeros, in half the time that `%09d` takes.
     digits = ns - before
     if not _SECOND <= digits < _TWO:
         text = _text_of(ns // _SECOND)
         digits = ns % _SECOND + _SECOND
     return f"{text}{str(digits)[1:]}Z"
+
+
+def iso_bytes(ns: int) -> bytes:
+    """Format as `iso` does, in ASCII."""
+    before, _, text = _last
+    digits = ns - before
+    if not _SECOND <= digits < _TWO:
+        text = _text_of(ns // _SECOND).encode()
+        digits = ns % _SECOND + _SECOND
+    return text + _decimal(digits)[1:] + b"Z"
 
 
 def _text_of(second: int) -> str:
@@ -47,7 +60,7 @@ def _text_of(second: int) -> str:
         if len(_seconds) >= _MAX_SECONDS:
             _seconds.clear()
         text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
-    _last = (second - 1) * _SECOND, text
+    _last = (second - 1) * _SECOND, text, text.encode()
     return text
 
 

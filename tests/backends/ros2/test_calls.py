@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+import threading
+from contextvars import ContextVar
 from typing import Any
 
 import pytest
@@ -28,6 +30,33 @@ async def test_a_service_takes_and_returns_every_kind_of_number(robot: Robot) ->
     assert answer.uint64_value == 2**64 - 1
     assert answer.string_value == "üöä"
     assert math.isnan(answer.float64_value)
+
+
+async def test_calls_at_once_each_get_their_own_answer(robot: Robot) -> None:
+    numbers = range(8)  # a server queues 10
+    asked = [{"int64_value": number, "string_value": f"call {number}"} for number in numbers]
+    async with asyncio.timeout(BOUND):
+        answers = await asyncio.gather(*(robot.execute("service/add", one) for one in asked))
+    assert [answer.int64_value - 1 for answer in answers] == list(numbers)
+    assert [answer.string_value[::-1] for answer in answers] == [f"call {n}" for n in numbers]
+
+
+async def test_what_waits_for_the_ros_thread_runs_in_order_each_in_its_own_context(
+    robot: Robot,
+) -> None:
+    ros, caller = robot.backend.catalog.shared.ros, ContextVar("caller", default="nobody")
+    busy, free, over = threading.Event(), threading.Event(), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    heard: list[str] = []
+    ros.submit(lambda: (busy.set(), free.wait(BOUND)))
+    assert await asyncio.to_thread(busy.wait, BOUND)
+    for name in ("ann", "ben", "cid"):
+        caller.set(name)
+        ros.submit(lambda: heard.append(caller.get()))
+    ros.submit(loop.call_soon_threadsafe, over.set)
+    free.set()
+    await asyncio.wait_for(over.wait(), BOUND)
+    assert heard == ["ann", "ben", "cid"]
 
 
 async def test_a_service_that_says_no_is_a_refusal_with_its_reason(robot: Robot) -> None:

@@ -39,3 +39,25 @@ async def test_an_error_is_raised_for_whoever_still_waits() -> None:
     assert await ticket.wait(60.0)
     with pytest.raises(RuntimeError, match="as it is"):
         ticket.result()
+
+
+async def test_what_comes_for_a_waiter_that_gave_up_is_dropped() -> None:
+    loop = asyncio.get_running_loop()
+    ticket = Ticket(cast("Host", SimpleNamespace(call_soon=loop.call_soon_threadsafe)))
+    waiting = asyncio.create_task(ticket.answer())
+    await asyncio.sleep(0)
+    waiting.cancel()
+    await asyncio.wait([waiting])
+    ticket.give("too late")
+    await asyncio.sleep(0)
+    assert waiting.cancelled()
+    assert ticket.done
+
+
+async def test_a_refusal_ends_the_wait_for_an_answer() -> None:
+    ticket = Ticket(cast("Host", SimpleNamespace()))
+    waiting = asyncio.create_task(ticket.answer())
+    await asyncio.sleep(0)
+    ticket.refuse(TimeoutError("nobody answers"))
+    with pytest.raises(TimeoutError, match="nobody answers"):
+        await waiting

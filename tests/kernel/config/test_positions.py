@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from docs.pages import ROOT
-from rcp_kernel.config.positions import Place, line_of, positions
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.positions import Place, line_of, positions
 
 TEXT = r'''# first
 name = "a"

@@ -19,11 +19,11 @@ from typing import Any, NoReturn
 
 from configuration import backend
 from kernel.world import CONFIG, Client, NoOptions, Robot, prepared
-from rcp_kernel.app.containment import end_in_time, run_contained
 from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind, Host, Progress
+from rcpd.process import end_in_time, run_contained
 from rcpd.serve import loop_factory
 
 EXITS = {"exit": SystemExit(3), "interrupt": KeyboardInterrupt()}

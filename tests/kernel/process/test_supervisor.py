@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import pytest
@@ -114,3 +116,28 @@ async def test_a_reload_starts_and_stops_backends(world: World) -> None:
     assert all(p["path"].startswith(("/tenant/beta/", "/system/")) for p in paths)
     gone = await client.ask(type="read", path="/tenant/alpha/sensor/level")
     assert gone["error"]["code"] == "unknown_path"
+
+
+async def test_what_threads_hand_over_runs_in_order_each_in_its_own_context(world: World) -> None:
+    host, caller = world.robot.host, ContextVar("caller", default="nobody")
+    heard: list[tuple[int, str]] = []
+    over = asyncio.Event()
+
+    def hear(number: int) -> None:
+        heard.append((number, caller.get()))
+        if number == 1:
+            raise ZeroDivisionError("a bug")
+
+    def hand_over() -> None:
+        for number, name in enumerate(("ann", "ben", "cid")):
+            caller.set(name)
+            host.call_soon(hear, number)
+        host.call_soon(over.set)
+
+    await asyncio.get_running_loop().run_in_executor(None, hand_over)
+    async with asyncio.timeout(30):
+        await over.wait()
+        assert heard == [(0, "ann"), (1, "ben"), (2, "cid")]
+        over.clear()
+        host.call_soon(over.set)  # what comes later wakes the loop again
+        await over.wait()

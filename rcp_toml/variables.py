@@ -9,9 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rcp_kernel.config.reading import read_named
-from rcp_kernel.errors import ConfigError
+from rcp_protocol.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.named_file import read_named
 
 __all__ = ["Secret", "Withheld", "is_dear", "secrets_of", "substituted"]
 

@@ -6,7 +6,7 @@ import os
 import stat
 from pathlib import Path
 
-from rcp_kernel.errors import ConfigError
+from rcp_protocol.errors import ConfigError
 
 __all__ = ["read_named"]
 

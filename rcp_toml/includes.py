@@ -7,10 +7,10 @@ from glob import has_magic
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rcp_kernel.config.positions import Place
-from rcp_kernel.config.reading import read_named
-from rcp_kernel.errors import ConfigError
+from rcp_protocol.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.named_file import read_named
+from rcp_toml.positions import Place
 
 __all__ = ["Merged", "Part", "included", "merge"]
 

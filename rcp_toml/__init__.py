@@ -1,0 +1,1 @@
+"""TOML files of people: the lines of their keys, further files that they include, variables in their strings."""
