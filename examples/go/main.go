@@ -46,6 +46,14 @@ func drive(gateway *rcp.Gateway) error {
 	}
 	fmt.Println("refused:", refused.Code)
 
+	// Nobody else drives meanwhile. If the lease is lost, so is its context, and with it the command.
+	lease, err := rcp.Acquire(ctx, gateway, "/tenant/alpha", 10*time.Second)
+	if err != nil {
+		return err
+	}
+	defer lease.Release(ctx)
+	ctx = lease.Context
+
 	goal := rcp.MoveToIn{Position: rcp.GoalPointIn{X: 0.5, Y: 0.5}}
 	if _, err := rcp.AlphaMoveTo.Execute(ctx, gateway, goal); err != nil {
 		return err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -31,7 +32,7 @@ def go(folder: Path, *arguments: str, **environment: str) -> str:
     return done.stdout
 
 
-def test_the_example_drives_with_what_was_generated_for_its_gateway(tmp_path: Path) -> None:
+def test_the_example_drives_with_what_was_generated_and_survives_cuts(tmp_path: Path) -> None:
     for name in ("go.mod", "main.go"):
         shutil.copy(EXAMPLE / name, tmp_path)
     (tmp_path / "rcp").mkdir()
@@ -50,6 +51,11 @@ def test_the_example_drives_with_what_was_generated_for_its_gateway(tmp_path: Pa
         (tmp_path / "rcp" / "rcp.go").write_text(text)
         go(tmp_path, "vet", "./odd", ".")
         out = go(tmp_path, "run", ".", RCP_URL=live.url, RCP_TOKEN=live.key)
+        shutil.copy(Path(__file__).with_name("live_test.go"), tmp_path)
+        admin = re.search(r"rcp_ad_[\w-]+", live.banner)
+        assert admin is not None
+        keys = {"RCP_TOKEN": live.key, "RCP_ADMIN": admin[0]}
+        go(tmp_path, "test", "-count=1", ".", RCP_URL=live.url, **keys)
     lines = out.splitlines()
     assert [line.split()[1] for line in lines[:3]] == ["x"] * 3
     assert lines[3:] == ["refused: out_of_range", "there: x 0.5 y 0.5", "ended: cancelled"]

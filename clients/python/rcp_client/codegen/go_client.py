@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["CLIENT", "HEAD", "RESERVED"]
 
 RESERVED = ("Gateway", "New", "Error", "Float", "Readable", "Writable", "Setting", "Command", "Update",
-            "Some")  # fmt: skip
+            "Some", "Lease", "Acquire", "WithKey")  # fmt: skip
 """Names that no type of a gateway may have."""
 
 HEAD = """
@@ -20,6 +20,8 @@ import (
 	"bufio"
 	"bytes"
 	"context"
+	"crypto/rand"
+	"encoding/hex"
 	"encoding/json"
 	"errors"
 	"fmt"
@@ -29,6 +31,7 @@ import (
 	"net/url"
 	"strconv"
 	"strings"
+	"sync"
 	"time"
 )
 """
@@ -91,7 +94,31 @@ type reply struct {
 	Error   *Error          `json:"error"`
 }
 
+type keyed struct{}
+
+// WithKey names what is written or executed under the context. The gateway acts once for a key, also when the same
+// is sent again after a lost connection, or by a program that was started again, and answers with the first outcome.
+func WithKey(ctx context.Context, key string) context.Context {
+	return context.WithValue(ctx, keyed{}, key)
+}
+
+// keyOf returns the key of a context, or a new one.
+func keyOf(ctx context.Context) string {
+	if key, ok := ctx.Value(keyed{}).(string); ok {
+		return key
+	}
+	random := make([]byte, 16)
+	if _, err := rand.Read(random); err != nil {
+		panic(err)
+	}
+	return hex.EncodeToString(random)
+}
+
 func (g *Gateway) open(ctx context.Context, method, path string, body any) (*http.Response, error) {
+	return g.openAs(ctx, method, path, body, nil)
+}
+
+func (g *Gateway) openAs(ctx context.Context, method, path string, body any, header map[string]string) (*http.Response, error) {
 	var content io.Reader
 	if body != nil {
 		data, err := json.Marshal(body)
@@ -110,6 +137,9 @@ func (g *Gateway) open(ctx context.Context, method, path string, body any) (*htt
 	if g.token != "" {
 		request.Header.Set("Authorization", "Bearer "+g.token)
 	}
+	for name, value := range header {
+		request.Header.Set(name, value)
+	}
 	return g.Client.Do(request)
 }
 
@@ -125,7 +155,16 @@ func decoded(response *http.Response) (reply, error) {
 }
 
 func (g *Gateway) ask(ctx context.Context, method, path string, body any) (reply, error) {
-	response, err := g.open(ctx, method, path, body)
+	return g.askAs(ctx, method, path, body, nil)
+}
+
+// once sends what acts, under a key.
+func (g *Gateway) once(ctx context.Context, key, method, path string, body any) (reply, error) {
+	return g.askAs(ctx, method, path, body, map[string]string{"Idempotency-Key": key})
+}
+
+func (g *Gateway) askAs(ctx context.Context, method, path string, body any, header map[string]string) (reply, error) {
+	response, err := g.openAs(ctx, method, path, body, header)
 	if err != nil {
 		return reply{}, err
 	}
@@ -165,14 +204,50 @@ type Update[T any] struct {
 }
 
 // Watch calls heard with each new value, until that returns an error or ctx ends; rate is in Hz, 0 for all.
+// A stream that is lost is opened again, and goes on after the last value that was heard.
 func (r Readable[T]) Watch(ctx context.Context, g *Gateway, rate float64, heard func(Update[T]) error) error {
 	query := url.Values{"path": {r.path}}
 	if rate > 0 {
 		query.Set("rate", strconv.FormatFloat(rate, 'g', -1, 64))
 	}
+	last := ""
+	for pause := firstPause; ; pause = longer(pause) {
+		before := last
+		err := r.stream(ctx, g, query, &last, heard)
+		var stopped *halt
+		var refused *Error
+		switch {
+		case errors.As(err, &stopped):
+			return stopped.error
+		case ctx.Err() != nil:
+			return ctx.Err()
+		case errors.As(err, &refused) && !refused.Retryable:
+			return err
+		case last != before:
+			pause = firstPause
+		}
+		select {
+		case <-ctx.Done():
+			return ctx.Err()
+		case <-time.After(pause):
+		}
+	}
+}
+
+// halt wraps what the caller of Watch returned, to be told from what the stream met.
+type halt struct{ error }
+
+// stream carries one response; last is the id of the last event.
+func (r Readable[T]) stream(ctx context.Context, g *Gateway, query url.Values, last *string, heard func(Update[T]) error) error {
 	ctx, stop := context.WithCancel(ctx)
 	defer stop()
-	response, err := g.open(ctx, "GET", "/events?"+query.Encode(), nil)
+	silent := time.AfterFunc(silence, stop)
+	defer silent.Stop()
+	header := map[string]string{}
+	if *last != "" {
+		header["Last-Event-ID"] = *last
+	}
+	response, err := g.openAs(ctx, "GET", "/events?"+query.Encode(), nil, header)
 	if err != nil {
 		return err
 	}
@@ -181,43 +256,57 @@ func (r Readable[T]) Watch(ctx context.Context, g *Gateway, rate float64, heard 
 		_, err := decoded(response)
 		return err
 	}
-	lines, event, data := bufio.NewReader(response.Body), "", ""
+	lines, event, id, data := bufio.NewReader(response.Body), "", "", ""
 	for {
 		line, err := lines.ReadString('\\n')
 		if err != nil {
 			return err
 		}
+		silent.Reset(silence)
 		line = strings.TrimRight(line, "\\r\\n")
 		switch {
 		case strings.HasPrefix(line, "event: "):
 			event = line[len("event: "):]
+		case strings.HasPrefix(line, "id: "):
+			id = line[len("id: "):]
 		case strings.HasPrefix(line, "data: "):
 			data += line[len("data: "):]
 		case line == "":
 			if event == "update" {
 				var update Update[T]
 				if err := json.Unmarshal([]byte(data), &update); err != nil {
-					return err
+					return &halt{err}
 				}
 				if err := heard(update); err != nil {
-					return err
+					return &halt{err}
 				}
+			}
+			if id != "" {
+				*last = id
 			}
 			event, data = "", ""
 		}
 	}
 }
 
+func longer(pause time.Duration) time.Duration {
+	if pause *= 2; pause < longestPause {
+		return pause
+	}
+	return longestPause
+}
+
 // Writable is a path that can be written.
 type Writable[T any] struct{ path string }
 
 // Write sets a value. If validFor is not 0, the gateway stops the robot unless the value is written again in that time.
+// It is sent once: after an error that is not an *Error, the value may be in force.
 func (w Writable[T]) Write(ctx context.Context, g *Gateway, value T, validFor time.Duration) error {
 	path := "/context" + w.path
 	if validFor > 0 {
 		path += "?valid_for=" + strconv.FormatFloat(validFor.Seconds(), 'g', -1, 64)
 	}
-	_, err := g.ask(ctx, "PUT", path, value)
+	_, err := g.once(ctx, keyOf(ctx), "PUT", path, value)
 	return err
 }
 
@@ -231,22 +320,23 @@ type Setting[R, W any] struct {
 type Command[In, Out any] struct{ path string }
 
 const (
-	poll     = 200 * time.Millisecond
-	attempt  = 10 * time.Second
-	stopping = 30 * time.Second
+	poll         = 200 * time.Millisecond
+	attempt      = 10 * time.Second
+	stopping     = 30 * time.Second
+	silence      = 45 * time.Second // the gateway sends a comment every 15 s
+	firstPause   = 250 * time.Millisecond
+	longestPause = 5 * time.Second
 )
 
 // Execute carries the command out and returns its result. When ctx ends the command is cancelled, and Execute
-// returns once the robot has ended it. A connection that is lost meanwhile is tried again for 30 s.
+// returns once the robot has ended it. A connection that is lost meanwhile is tried again for 30 s; the command is
+// sent again under the same key, so that it is carried out once.
 func (c Command[In, Out]) Execute(ctx context.Context, g *Gateway, input In) (Out, error) {
 	var none Out
 	if err := ctx.Err(); err != nil {
 		return none, err
 	}
-	// Not under ctx: what was sent may be under way, and can only be cancelled by the id in the answer.
-	sent, stop := context.WithTimeout(context.Background(), stopping)
-	defer stop()
-	found, err := g.ask(sent, "POST", "/context"+c.path, input)
+	found, err := g.begin(ctx, "/context"+c.path, input)
 	if err != nil {
 		return none, err
 	}
@@ -264,6 +354,26 @@ func (c Command[In, Out]) Execute(ctx context.Context, g *Gateway, input In) (Ou
 		return none, err
 	}
 	return into[Out](found.Body)
+}
+
+// begin sends a command, again while no answer comes. Not under ctx: what was sent may be under way, and can only be
+// cancelled by the id in the answer.
+func (g *Gateway) begin(ctx context.Context, path string, input any) (reply, error) {
+	key := keyOf(ctx)
+	for end := time.Now().Add(stopping); ; {
+		at := path
+		if ctx.Err() != nil {
+			at += "?deadline=0.001" // nobody wants it any more: if it is not under way, it is not to begin
+		}
+		sent, stop := context.WithTimeout(context.Background(), attempt)
+		found, err := g.once(sent, key, "POST", at, input)
+		stop()
+		var refused *Error
+		if err == nil || errors.As(err, &refused) || time.Now().After(end) {
+			return found, err
+		}
+		time.Sleep(poll)
+	}
 }
 
 // follow returns the last state of a command, or the one before ctx ended.
@@ -308,5 +418,95 @@ func (g *Gateway) insist(ctx context.Context, method, path string) (reply, error
 
 func final(status string) bool {
 	return status == "completed" || status == "failed" || status == "rejected" || status == "cancelled"
+}
+
+// Lease is exclusive control of a part of the tree, renewed until it is released or lost. It holds for everything
+// that is sent with the same token.
+type Lease struct {
+	// Context ends when the lease is lost or released: commands under it are then cancelled.
+	Context context.Context
+
+	gateway *Gateway
+	ttl     time.Duration
+	stop    context.CancelFunc
+	renewed sync.WaitGroup
+	mutex   sync.Mutex
+	state   leaseState
+	err     error
+}
+
+type leaseState struct {
+	Lease  string `json:"lease"`
+	Holder string `json:"holder"`
+}
+
+// Acquire takes a lease on a scope, such as /tenant/alpha/actuator. It lapses ttl after the last renewal that succeeded.
+func Acquire(ctx context.Context, g *Gateway, scope string, ttl time.Duration) (*Lease, error) {
+	within, stop := context.WithTimeout(ctx, attempt)
+	defer stop()
+	began := time.Now()
+	state, err := g.lease(within, map[string]any{"do": "acquire", "scope": scope, "ttl": ttl.Seconds()})
+	if err != nil {
+		return nil, err
+	}
+	held := &Lease{gateway: g, ttl: ttl, state: state}
+	held.Context, held.stop = context.WithCancel(ctx)
+	held.renewed.Add(1)
+	go held.keep(began.Add(ttl))
+	return held, nil
+}
+
+// Err returns why the lease was lost, or nil.
+func (l *Lease) Err() error {
+	l.mutex.Lock()
+	defer l.mutex.Unlock()
+	return l.err
+}
+
+// Release gives the lease back. One that is lost already is no error.
+func (l *Lease) Release(ctx context.Context) error {
+	l.stop()
+	l.renewed.Wait()
+	if l.Err() != nil {
+		return nil
+	}
+	_, err := l.gateway.lease(ctx, map[string]any{"do": "release", "lease": l.state.Lease})
+	return err
+}
+
+func (l *Lease) keep(until time.Time) {
+	defer l.renewed.Done()
+	defer l.stop()
+	for {
+		select {
+		case <-l.Context.Done():
+			return
+		case <-time.After(time.Until(until)/3 + poll):
+		}
+		began := time.Now()
+		once, stop := context.WithDeadline(l.Context, until)
+		_, err := l.gateway.lease(once, map[string]any{"do": "renew", "lease": l.state.Lease, "ttl": l.ttl.Seconds()})
+		stop()
+		var refused *Error
+		switch {
+		case err == nil:
+			until = began.Add(l.ttl)
+		case l.Context.Err() != nil:
+			return
+		case errors.As(err, &refused) && !refused.Retryable, time.Now().After(until):
+			l.mutex.Lock()
+			l.err = err
+			l.mutex.Unlock()
+			return
+		}
+	}
+}
+
+func (g *Gateway) lease(ctx context.Context, body map[string]any) (leaseState, error) {
+	found, err := g.once(ctx, keyOf(context.Background()), "POST", "/context/system/leases?wait=10", body)
+	if err != nil {
+		return leaseState{}, err
+	}
+	return into[leaseState](found.Body)
 }
 """
