@@ -171,7 +171,7 @@ async def test_a_login_that_nobody_uses_ends_and_one_with_an_open_page_does_not(
         before = await listed(program)
         stepped.advance(3000)
         async with asyncio.timeout(BOUND):
-            while await listed(program) == before:  # until the gateway has looked
+            while await listed(program) == before:  # noqa: ASYNC110 - until the gateway has looked
                 await asyncio.sleep(0)
     assert service(served).find(idle) is None
     assert not page.connection.expelled
