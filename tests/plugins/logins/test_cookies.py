@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from certs import Authority
 from configuration import key, tls
-from rcp_kernel.errors import Forbidden
+from rcp_kernel.errors import Forbidden, Unauthenticated
 from rcp_store.tokens import TokenFile
 from rcp_web.logins import login_cookie, shown_login
 from transports.robot import BOUND, KEY, Site, site, until
@@ -293,7 +293,7 @@ def written(folder: Path) -> bytes:
 def _proves(identities: Any, token: str) -> bool:
     try:
         return identities.known(token) is not None
-    except Exception:
+    except Unauthenticated:
         return False
 
 
