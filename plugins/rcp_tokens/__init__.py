@@ -6,9 +6,12 @@ from collections.abc import Iterable
 
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import BUILTIN_ROLES
-from rcp_kernel.features import Feature, FeatureHost, FeatureKind
+from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.model import Operation, Resource
 from rcp_tokens.authenticator import TokenAuthenticator, TokenTables
+from rcp_tokens.directory import KeyDirectory
+from rcp_tokens.messages import ListedKey, Revocation
 
 __all__ = ["rcp_features"]
 
@@ -17,9 +20,27 @@ def _table(config: GatewayConfig) -> TokenTables:
     return TokenTables(tuple(config.tenant_names), (*BUILTIN_ROLES, *config.roles))
 
 
+_RESOURCE = Resource(
+    name="service/keys",
+    description="Keys that were created while the gateway runs (`rcpd token create`); `execute` revokes one.",
+    value=list[ListedKey],
+    input=Revocation,
+    output=ListedKey,
+    operations=Operation.READ | Operation.SUBSCRIBE | Operation.EXECUTE,
+    examples=({"revoke": "t-5f0c93aa"},),
+    history=1,
+)
+
+
 def _make(tables: TokenTables, host: FeatureHost) -> Feature:
     made = TokenAuthenticator(tables, host)
-    return Feature(authenticator=made, reconfigure=made.reconfigure, running=made.running)
+    keys = KeyDirectory(made, host)
+    return Feature(
+        resources=(SystemResource(resource=_RESOURCE, view=keys.view, execute=keys.revoke),),
+        authenticator=made,
+        reconfigure=made.reconfigure,
+        running=made.running,
+    )
 
 
 @hookimpl

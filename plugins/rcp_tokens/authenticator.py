@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
+from pathlib import Path
 
 import msgspec
 import structlog
@@ -11,12 +13,13 @@ import structlog
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.contract.identity import Grants, Keyring, Principal
 from rcp_kernel.features import FeatureHost
-from rcp_store.tokens import Token
+from rcp_store.tokens import Token, TokenFile
 from rcp_tokens.watch import TokenWatch, changes
 
-__all__ = ["TokenAuthenticator", "TokenTables"]
+__all__ = ["PATH", "TokenAuthenticator", "TokenTables"]
 
 log = structlog.get_logger("rcp.identity")
+PATH = "/system/keys"
 
 
 class TokenTables(msgspec.Struct, frozen=True):
@@ -77,6 +80,21 @@ class TokenAuthenticator(Authenticator):
         self._tables = tables
         valid = (token for token in self._tokens if token.revoked is None)
         self._keyring = Keyring({one.hash: self._principal(one) for one in valid})
+        self._host.changed(PATH)
+
+    @property
+    def every(self) -> list[Token]:
+        """All keys, also those that are not valid any more, oldest first."""
+        return self._tokens
+
+    async def revoke(self, token: Token) -> None:
+        """Revoke a key in the store, and end its sessions.
+
+        :raises ConfigError: the store cannot be opened.
+        """
+        path = self._host.ledger.path
+        assert path is not None  # it has the key
+        self._take(await asyncio.to_thread(_revoked, path, token.id))
 
     def _principal(self, token: Token) -> Principal:
         return Principal(token.name, self._granted(token), self.name, token.hash, token.expires)
@@ -114,3 +132,10 @@ class TokenAuthenticator(Authenticator):
         """Whether any key is valid."""
         now = self._host.clock.now()
         return any(token.state(now) == "good" for token in self._tokens)
+
+
+def _revoked(path: Path, id_: str) -> list[Token]:
+    """Revoke a key, and return all as they are then. Blocks."""
+    with closing(TokenFile(path, there=True)) as table:
+        table.revoke(id_)
+        return table.every()

@@ -32,7 +32,8 @@ class Authenticator(ABC):
 
     name: str
     """The feature's name. The `proof` of every principal is this word, or this word, a space and
-    more; two principals with different proofs are two persons."""
+    more; two principals with different proofs are two persons. Only `logins` proves principals of
+    other proofs, each with its `login`."""
     signed: bool = False
     """Whether its tokens cannot be guessed: an address that has sent too many invalid ones may then
     still try others, at a slow pace."""

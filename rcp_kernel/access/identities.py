@@ -39,6 +39,8 @@ __all__ = ["Identities", "check_proofs", "store_file"]
 log = structlog.get_logger("rcp.identity")
 _OWN = ("none", "key", "certificate")
 """Proofs of the gateway itself."""
+_LOGINS = "logins"
+"""The authenticator that keeps logins, each for the principal of another proof."""
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
@@ -164,6 +166,9 @@ class Identities:
         """Return the principal with its current rights; None if its credentials are invalid."""
         if principal.expires is not None and principal.expires <= self._clock.now():
             return None
+        if principal.login is not None:
+            logins = self._authenticators.get(_LOGINS)
+            return None if logins is None else logins.renewed(principal)
         if principal.anonymous:
             with suppress(Unauthenticated):
                 return self.anonymous()

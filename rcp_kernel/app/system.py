@@ -12,6 +12,7 @@ import msgspec
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.status import StatusReport
+from rcp_kernel.contract.identity import same
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.features import Filter, Pages, Service, SystemResource, View
@@ -258,12 +259,11 @@ class System(BaseBackend):
         return {"generation": sight.number}
 
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
-        principal = session.principal
         places = session.rights.places("/system/sessions", Operation.EXECUTE)
         return [
             s.plain()
             for s in self._sessions.known.values()
-            if "*" in places or s.tenant in places or s.principal == principal
+            if "*" in places or s.tenant in places or same(s.principal, session.principal)
         ]
 
     def _list_commands(self, session: Session) -> Iterator[Body | None]:

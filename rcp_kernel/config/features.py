@@ -15,6 +15,7 @@ BUILTIN: tuple[str, ...] = (
     "inventory",
     "jwt",
     "leases",
+    "logins",
     "motion_limits",
     "places",
     "plans",

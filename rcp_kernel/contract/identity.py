@@ -50,6 +50,8 @@ class Principal(msgspec.Struct, frozen=True, cache_hash=True):
     """When the proof is not good any more, ns since the UNIX epoch; None: it stays good."""
     via: str | None = None
     """The hub that asserted it, for records; the same person may come by way of several."""
+    login: str | None = None
+    """The id of the login that stands for the credential, and that may end before it."""
 
     @property
     def tenants(self) -> tuple[str, ...]:

@@ -28,6 +28,13 @@ class SessionDirectory(Protocol):
         """Return the session by which a client commands: another one, if this one only listens."""
         ...
 
+    def end(self, session: Session, reason: str) -> None:
+        """End a connected session, with all that it holds; its client may connect again.
+
+        `reason` completes the error `token_expired` that the client receives.
+        """
+        ...
+
     def tell(self, key: str, code: str, **facts: Any) -> None:
         """Send a notice to all sessions of a holder; disconnected ones receive it on resume."""
         ...

@@ -305,6 +305,8 @@ class Session:
             "tenant": self.tenant,
             "transport": self.transport,
             "connected": self.connection is not None,
+            "address": self.connection.peer.address if self.connection else None,
+            "login": self.principal.login,
             "created": iso(self.created),
             "subscriptions": len(self.subscriptions),
             "commands": sum(1 for c in self.commands.values() if not c.final),

@@ -19,7 +19,7 @@ from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.identity import Principal, same
 from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.errors import QueueFull, TokenExpired
+from rcp_kernel.errors import QueueFull, RcpError, TokenExpired
 from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.backpressure import Relief
 from rcp_kernel.sessions.command import CommandTable
@@ -118,6 +118,10 @@ class Sessions:
         """List the sessions that act for a holder: one, or all that its principal has."""
         own = self.known.get(key)
         return [own] if own else [s for s in self.everyone() if key in s.holders]
+
+    def end(self, session: Session, reason: str) -> None:
+        """End a session as one whose credentials are no longer valid."""
+        self._expel(session, TokenExpired(reason))
 
     def tell(self, key: str, code: str, **facts: Any) -> None:
         """Send a notice to all sessions of a holder."""
@@ -225,9 +229,9 @@ class Sessions:
             renewed(session)
         self._lapsing.watch(session)
 
-    def _expel(self, session: Session) -> None:
+    def _expel(self, session: Session, why: RcpError | None = None) -> None:
         """End a session with invalid credentials, and all that it holds."""
-        error = TokenExpired("the session's credentials are no longer valid")
+        error = why or TokenExpired("the session's credentials are no longer valid")
         connection = session.connection
         if connection is not None:
             for id_ in session.subscriptions:

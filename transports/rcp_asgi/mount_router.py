@@ -11,6 +11,7 @@ from typing import Any
 import structlog
 
 from rcp_asgi.cors import allowing, is_preflight, preflight
+from rcp_asgi.login_cookie import apply_login
 from rcp_asgi.origins import Origins
 from rcp_asgi.request_head import METHODS
 from rcp_asgi.urls import check_url
@@ -61,6 +62,8 @@ class MountRouter:
                 self._strip(scope)
             app, secrets = self._find(scope["type"], scope["path"])
             check_url(scope, secrets)
+            if origin is None:
+                apply_login(self._client_api, scope)
         except (Forbidden, BadRequest) as error:
             self._client_api.refused("request", error.code)
             await _turn_away(scope, receive, send, error)

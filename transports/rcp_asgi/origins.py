@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 from rcp_kernel.errors import Forbidden
 from rcp_web.asgi import Scope
+from rcp_web.own_page import is_same_origin
 
 __all__ = ["Origins", "is_loopback"]
 
@@ -19,7 +20,6 @@ _LOOKED_AT = frozenset(
     (b"host", b"origin", b"sec-fetch-site", b"sec-fetch-mode", b"sec-fetch-dest")
 )
 _SECURE = ("https", "wss")
-_DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 def is_loopback(host: str) -> bool:
@@ -67,7 +67,7 @@ class Origins:
                 self._check_embedding(found, scope["method"])
             return None
         text = origin.decode("latin-1").lower()
-        if host is not None and _is_same(text, host, secure=scope["scheme"] in _SECURE):
+        if host is not None and is_same_origin(text, host, secure=scope["scheme"] in _SECURE):
             return None
         if text in self._origins or "*" in self._origins:
             return text
@@ -107,12 +107,3 @@ def _name(host: bytes) -> str:
         return urlsplit("//" + host.decode("latin-1")).hostname or ""
     except ValueError:  # brackets around something other than an address
         return ""
-
-
-def _is_same(origin: str, host: bytes, *, secure: bool) -> bool:
-    """Return whether a page is the gateway's own: a proxy may have added TLS."""
-    scheme, _, netloc = origin.partition("://")
-    port = _DEFAULT_PORTS.get(scheme)
-    if port is None or (secure and scheme != "https"):
-        return False
-    return netloc.removesuffix(port) == host.decode("latin-1").lower().removesuffix(port)

@@ -10,6 +10,7 @@ from rcp_http.call import Call
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context
 from rcp_http.controllers import Catalogue, Commands, Files, Status
+from rcp_http.logins import Login
 from rcp_http.messages import Messages
 from rcp_http.octets import range_headers
 from rcp_http.request import HttpRequest
@@ -41,8 +42,11 @@ class HttpApp:
         self._context = Context(client_api, config, self._answers)
         self._messages = Messages(client_api, config, self._answers, self._context)
         self.calls = Application(
-            [Router(PREFIX, route_handlers=[Catalogue, Status, Commands, Files])],
-            dependencies={"call": Provide(self._call)},
+            [Router(PREFIX, route_handlers=[Catalogue, Status, Commands, Files, Login])],
+            dependencies={
+                "call": Provide(self._call),
+                "client_api": Provide(self._get_client_api, sync_to_thread=False),
+            },
             refuse=self._refusal,
             remedy="See /rcp/v1/openapi.json.",
             described=True,
@@ -70,6 +74,9 @@ class HttpApp:
             told = to_internal_error(error, path=path)
             body, media, headers = self._refusal(scope, told)
             await respond(send, told.http, body, media, [*headers, *headers_of(told)])
+
+    def _get_client_api(self) -> ClientApi:
+        return self._client_api
 
     async def _call(self, request: Asked) -> Call:
         http: HttpRequest = scope_of(request)[_REQUEST]

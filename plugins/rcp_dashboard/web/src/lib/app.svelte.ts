@@ -4,6 +4,7 @@ import type { Approval } from "./approvals.ts";
 import { msgpack } from "rcp-client/msgpack";
 
 import { forget, keep, kept } from "./kept.ts";
+import { beginLogin, endLogin, isLoggedIn } from "./login.ts";
 import { robotsOf } from "./robots.ts";
 import { latchedOf } from "./stops.ts";
 import { Tabs } from "./tabs.ts";
@@ -78,7 +79,11 @@ class App {
   /** When the gateway began, as its status tells, in ms since the epoch. */
   #began: number | undefined;
 
-  readonly #tabs = new Tabs(BASE, () => this.token, () => this.#change(undefined));
+  /** Whether this page goes by the login that the gateway keeps for the browser. */
+  #cookie = false;
+  /** Whether the gateway did not answer when it was to end the login. */
+  stillLoggedIn = $state(false);
+  readonly #tabs = new Tabs(BASE, () => this.token, () => this.#cookie, () => this.#change(undefined));
 
   constructor() {
     onWake(() => this.client.session.check());
@@ -96,9 +101,10 @@ class App {
     return new Client({ url: BASE, name: "dashboard", ping: 2, codec: msgpack, encoding: "json", ...(token && { token }) });
   }
 
-  /** Connect with the token that is kept here or that another tab has, or as nobody. */
+  /** Connect with the token that is kept here, by the cookie, with the token that another tab has, or as nobody. */
   async open(): Promise<void> {
-    const found = this.token === null ? await this.#tabs.token() : undefined;
+    this.#cookie = this.token === null && (await isLoggedIn(BASE));
+    const found = this.token === null && !this.#cookie ? await this.#tabs.token() : undefined;
     if (found !== undefined) {
       keep(TOKEN, found, "tab");
       this.client = this.#make();
@@ -225,14 +231,24 @@ class App {
     return this.mayReset || (tenant !== undefined && this.#resets.has(tenant));
   }
 
-  /** Log in with a token, or out without one; `remember` keeps it on this computer. */
-  login(token: string | undefined, remember = false): void {
-    const before = this.token;
-    if (token === undefined && before !== null) this.#tabs.logOut(before);
-    this.#change(token, remember);
+  /** Log in with a token; `remember` keeps the login when the browser is closed. The token is kept only where the gateway keeps no login. */
+  async logIn(token: string, remember: boolean): Promise<void> {
+    const cookie = await beginLogin(BASE, token, remember);
+    this.#change(cookie ? undefined : token, remember, cookie);
   }
 
-  #change(token: string | undefined, remember = false): void {
+  /** Log out, in all tabs. */
+  async logOut(): Promise<void> {
+    const token = this.token ?? undefined;
+    this.stillLoggedIn = token === undefined && this.#cookie && !(await endLogin(BASE));
+    if (this.stillLoggedIn) return;
+    if (token !== undefined || this.#cookie) this.#tabs.logOut(token);
+    this.#change(undefined);
+  }
+
+  #change(token: string | undefined, remember = false, cookie = false): void {
+    this.#cookie = cookie;
+    this.stillLoggedIn = false;
     forget(TOKEN);
     if (token) keep(TOKEN, token, remember ? "computer" : "tab");
     this.client.close();

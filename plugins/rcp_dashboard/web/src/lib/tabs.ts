@@ -1,4 +1,4 @@
-/** The tabs of one browser share a login: a new one asks the others, and a logout is for all that have the same token. */
+/** The tabs of one browser share a login: a new one asks the others, and a logout is for all that have the same token, or the cookie. */
 
 const WAIT = 150; // ms that another tab may take to answer
 
@@ -14,8 +14,8 @@ export class Tabs {
   readonly #channel: BroadcastChannel | undefined;
   #asked: ((token: string) => void) | undefined;
 
-  /** `own` is the token of this tab; `ended` is told when it was logged out in another. */
-  constructor(base: string, own: () => string | null, ended: () => void) {
+  /** `own` is the token of this tab, `cookie` whether it has none and goes by the cookie; `ended` is told when it was logged out in another. */
+  constructor(base: string, own: () => string | null, cookie: () => boolean, ended: () => void) {
     this.#base = base;
     if (typeof BroadcastChannel === "undefined") return;
     this.#channel = new BroadcastChannel("rcp.login");
@@ -24,7 +24,7 @@ export class Tabs {
       const token = own();
       if (data.kind === "ask" && token !== null) this.#send("token", token);
       if (data.kind === "token" && data.token) this.#asked?.(data.token);
-      if (data.kind === "logout" && token !== null && data.token === token) ended();
+      if (data.kind === "logout" && (data.token === undefined ? cookie() : data.token === token)) ended();
     };
   }
 
@@ -40,8 +40,8 @@ export class Tabs {
     return found;
   }
 
-  /** Tell the other tabs that this token is logged out. */
-  logOut(token: string): void {
+  /** Tell the other tabs that this token is logged out, or without one, the cookie. */
+  logOut(token?: string): void {
     this.#send("logout", token);
   }
 

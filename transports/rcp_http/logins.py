@@ -1,0 +1,152 @@
+"""`/login`: begin and end the login that a browser keeps in a cookie."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from litestar import Controller, delete, get, post
+from litestar.di import NamedDependency
+from litestar.types import ASGIApp
+
+from rcp_http.openapi_calls import TEXT
+from rcp_http.openapi_responses import refusals
+from rcp_kernel.api import Principal
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clock import iso
+from rcp_kernel.errors import BadRequest, Forbidden, UnknownPath
+from rcp_web.application import Asked, response, scope_of
+from rcp_web.asgi import Headers, Scope, peer_of, read_body
+from rcp_web.calls import call as declared
+from rcp_web.logins import LOGINS, LoginService, login_cookie, no_cookie, shown_login
+from rcp_web.own_page import own_origin
+
+__all__ = ["Login"]
+
+_LONGEST = 32_768  # bytes of a body: a token has at most 16,384 characters
+_NO_STORE: Headers = [(b"cache-control", b"no-store")]
+_STATE: dict[str, Any] = {
+    "type": "object",
+    "required": ["principal", "expires"],
+    "properties": {
+        "principal": {"type": ["string", "null"], "description": "Whose login the cookie is."},
+        "expires": {"type": ["string", "null"], "description": "When it ends at the latest."},
+    },
+}
+_WANTED: dict[str, Any] = {
+    "type": "object",
+    "required": ["token"],
+    "properties": {
+        "token": TEXT,
+        "remember": {
+            "type": "boolean",
+            "description": "Whether the browser keeps the login when it is closed.",
+        },
+    },
+    "additionalProperties": False,
+}
+
+
+class _Wanted(msgspec.Struct, forbid_unknown_fields=True):
+    token: str
+    remember: bool = False
+
+
+def _answers(*statuses: int) -> dict[str, Any]:
+    content = {"application/json": {"schema": _STATE}}
+    return {"200": {"description": "The login.", "content": content}} | refusals(statuses)
+
+
+class Login(Controller):
+    """The login of a browser."""
+
+    path = "/login"
+    tags = ("gateway",)
+
+    @get(
+        **declared("Tell whose login the cookie is.", responses=_answers(400, 404)),
+        sync_to_thread=False,
+    )
+    def state(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
+        """Answer with the principal of the cookie, if there is one."""
+        logins, secret = _service(client_api), shown_login(scope_of(request))
+        return _state(None if secret is None else logins.find(secret))
+
+    @post(
+        **declared(
+            "Begin a login that the browser keeps in a cookie.",
+            responses=_answers(400, 401, 403, 404, 408, 413, 429, 503),
+            body={"required": True, "content": {"application/json": {"schema": _WANTED}}},
+        ),
+        status_code=200,
+    )
+    async def begin(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
+        """Begin a login for the principal of a token, in place of the one in the cookie."""
+        scope, logins = scope_of(request), _service(client_api)
+        origin = _page(scope)
+        login_cookie(origin, "", 0)  # refuses a page that is not to have one
+        wanted = _read(await read_body(request.receive, _LONGEST, None))
+        peer = peer_of(scope)
+        principal = await client_api.identify(wanted.token, peer)
+        made = logins.begin(principal, peer.address, remember=wanted.remember)
+        former = shown_login(scope)
+        if former is not None:
+            logins.end(former)
+        cookie = login_cookie(origin, made.secret, made.lifetime if wanted.remember else None)
+        return _state(logins.find(made.secret), cookie)
+
+    @delete(
+        **declared("End the login in the cookie.", responses=_answers(400, 403, 404)),
+        status_code=200,
+        sync_to_thread=False,
+    )
+    def end(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
+        """End the login, here and in the browser."""
+        scope, logins = scope_of(request), _service(client_api)
+        origin = _page(scope)
+        secret = shown_login(scope)
+        if secret is not None:
+            logins.end(secret)
+        return _state(None, no_cookie(origin))
+
+
+def _service(client_api: ClientApi) -> LoginService:
+    found = client_api.service(LOGINS)
+    if found is None:
+        raise UnknownPath(
+            "this gateway keeps no logins",
+            remedy="Send the token with each request, or have the feature `logins` turned on.",
+        )
+    return found
+
+
+def _page(scope: Scope) -> str:
+    """Return the origin of the page that asks: another one must not log its visitors in or out.
+
+    :raises Forbidden: it is not a page of this gateway.
+    """
+    origin = own_origin(scope)
+    if origin is None:
+        raise Forbidden(
+            "only pages of this gateway can log in with a cookie",
+            remedy="Send `Authorization: Bearer <token>` with each request instead.",
+        )
+    return origin
+
+
+def _read(data: bytes) -> _Wanted:
+    try:
+        return msgspec.json.decode(data, type=_Wanted)
+    except (msgspec.DecodeError, UnicodeDecodeError):  # whose text may repeat the token
+        raise BadRequest(
+            "the body is not a login", remedy='Send `{"token": "...", "remember": false}` as JSON.'
+        ) from None
+
+
+def _state(principal: Principal | None, *cookies: tuple[bytes, bytes]) -> ASGIApp:
+    expires = None if principal is None else principal.expires
+    body = {
+        "principal": None if principal is None else principal.name,
+        "expires": None if expires is None else iso(expires),
+    }
+    return response(200, msgspec.json.encode(body), headers=[*_NO_STORE, *cookies])
