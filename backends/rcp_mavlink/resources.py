@@ -11,6 +11,7 @@ from rcp_kernel.model import READS, Resource
 from rcp_mavlink import messages as m
 from rcp_mavlink.derived import Derived
 from rcp_mavlink.direct_commands import DirectCommands
+from rcp_mavlink.equipment import Equipment
 from rcp_mavlink.files import (
     Check,
     Entry,
@@ -92,6 +93,7 @@ def resources(
     family = vehicle.family
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
+    found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()
     found += offers(family, hub.config.max_speed)

@@ -30,6 +30,7 @@ from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.derived import Derived, DerivedFrame, deriveds
 from rcp_mavlink.described import Described
 from rcp_mavlink.direct_commands import DirectCommands
+from rcp_mavlink.equipment import Equipment
 from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
 from rcp_mavlink.forwarding import FRAMES, SEND, Forwarding
@@ -97,9 +98,13 @@ class Robot:
         self.plans = Plans(hub, vehicle)
         self.parameters = Parameters(hub, vehicle, self._on_parameter)
         self.setpoints = Setpoints(hub, vehicle, self.motion, self.intervals.request)
+        self._equipment = Equipment(
+            hub, vehicle, self._commands, self.intervals, self.motion, self.parameters, self.setpoints
+        )  # fmt: skip
+        self._writes = self._equipment.writes()
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,
-            end_setpoints=self.setpoints.end, latched=lambda: host.is_latched(self.scope),
+            end_setpoints=self._end_all, latched=lambda: host.is_latched(self.scope),
         )  # fmt: skip
         self.recovery = Recovery(vehicle, self.motion, self.stop)
         self.watchdogs = Watchdogs(vehicle, config, self.parameters, self.scope)
@@ -160,6 +165,7 @@ class Robot:
             "action/set_mode": self._set_mode,
             **{name: self._ending(name, verb) for name, verb in leading.items()},
             **missions.verbs(),
+            **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
             "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
             "action/camera/photo": Cameras(
@@ -253,7 +259,7 @@ class Robot:
     async def close(self) -> None:
         """Release the vehicle."""
         self._closed = True
-        self.setpoints.end()
+        self._end_all()
         self.guard.take_back()
         await self.stop.close()
         for task in list(self._tasks):
@@ -444,12 +450,22 @@ class Robot:
             await self.setpoints.offboard()
         return await self.motion.set_mode(given, progress)
 
+    def _end_writes(self) -> None:
+        """End whatever is held by writes."""
+        self.setpoints.end()
+        self._equipment.end_writes()
+
+    def _end_all(self) -> None:
+        """End what is held by writes, and what moves beside the flight."""
+        self._end_writes()
+        self._equipment.end()
+
     def _ending(self, name: str, verb: Verb) -> Verb:
         """Wrap a command so that it ends the active set-points."""
         verb = verb if name in _ALLOWED_BLIND else self._seen_to_move(verb)
 
         async def run(given: Any, progress: Progress) -> Any:
-            self.setpoints.end()
+            self._end_writes()
             return await verb(given, progress)
 
         return run
@@ -521,7 +537,9 @@ class Robot:
         self.vehicle.check()
         if name == SEND:
             return self._forwarding.write(value)
-        if name == "actuator/velocity":
+        if name in self._writes:
+            await self._writes[name](value)
+        elif name == "actuator/velocity":
             y, z = getattr(value, "y", 0.0), getattr(value, "z", 0.0)
             own = m.Velocity(value.x, y, z, value.yaw_rate)
             await self.setpoints.velocity(own, partial(self._limited, strictly=False))

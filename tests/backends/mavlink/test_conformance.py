@@ -36,7 +36,12 @@ HEADING, KEPT = 90.0, 0.05  # deg that it looks to at first, rad by which it may
 GUIDED = 4
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
+PAYLOADS = {
+    "DISARM_DELAY": 0.0, "SERVO9_FUNCTION": 0.0, "RELAY1_FUNCTION": 1.0, "GRIP_ENABLE": 1.0,
+    "WINCH_TYPE": 1.0, "CHUTE_ENABLED": 1.0,
+}  # fmt: skip
 ON_THE_GROUND = (
+    "action/motor_test",
     "action/arm", "action/calibrate", "service/reboot", "service/reset_system", "service/enable",
     "action/param/load", "action/param/reset",
 )  # fmt: skip
@@ -55,7 +60,7 @@ class MavlinkRig(Hurried, StopRig):
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
         async with (
-            twin(latency=0.1, heading=HEADING) as running,
+            twin(latency=0.1, heading=HEADING, parameters=PAYLOADS) as running,
             relay(running.ports[0]) as self.relay,
         ):
             airborne(running.vehicle)
@@ -93,6 +98,12 @@ class MavlinkRig(Hurried, StopRig):
                 ve * math.cos(yaw) - vn * math.sin(yaw),
             )
             return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
+        if name == "actuator/position":
+            if pilot.place is None or pilot.depth is None:
+                return {}
+            n, e = pilot.place
+            place = {"x": round(e, 1) + 0.0, "y": round(n, 1) + 0.0, "z": round(-pilot.depth, 1)}
+            return {"position": place}
         if name == "actuator/cmd_vel":
             # The last turn ends while the velocity is repeated, which shows in its second decimal.
             turned = await self.truth("actuator/velocity")
@@ -121,6 +132,10 @@ class MavlinkRig(Hurried, StopRig):
                 {"linear": {"x": 2.0}},
                 {"linear": {"z": 1.0}, "angular": {"z": 0.25}},
             ),
+            "actuator/position": (
+                {"position": {"x": 2.0, "y": 4.0, "z": 20.0}},
+                {"position": {"x": 3.0, "y": -4.0, "z": 21.0}},
+            ),
             "actuator/velocity": ({"x": 2.0}, {"x": 0.0, "z": 1.0}),
             "actuator/attitude": ({"pitch": -0.125, "thrust": 0.5}, {"roll": 0.125, "thrust": 0.5}),
         }[name]
@@ -148,6 +163,14 @@ class MavlinkRig(Hurried, StopRig):
             "action/gimbal": Goal(good={"pitch": -0.5}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
+            "action/motor_test": Goal(
+                good={"motor": 1}, bad={"motor": 9}, long={"motor": 1, "seconds": 3.0}
+            ),
+            "action/winch": Goal(
+                good={"length": 1.0},
+                bad={"length": 90.0, "speed": 5.0},
+                long={"length": 40.0, "speed": 0.1},
+            ),
             "action/param/load": Goal(good={"text": "RTL_ALT,2000\n"}, bad={"text": "NO_SUCH,1\n"}),
             "action/param/reset": Goal(good=None),
             "action/plan/load": Goal(good={"text": WAYPOINTS}, bad={"text": "{}"}),
@@ -172,6 +195,7 @@ class MavlinkRig(Hurried, StopRig):
             armed(vehicle)
         else:
             airborne(vehicle)
+        vehicle.payloads.line = 0.0
         if name.startswith("action/mission/"):
             items = [HERE, *[FLOWN if name == "action/mission/run" else LONG] * 3]
             mission.plan.replace(items)
@@ -223,6 +247,10 @@ class MavlinkRig(Hurried, StopRig):
                 return flight.mission.paused
             case "action/mission/resume":
                 return not flight.mission.paused
+            case "action/motor_test":
+                return not vehicle.motor_test.motor
+            case "action/winch":
+                return vehicle.payloads.line == result["length"]
             case "action/gimbal":
                 return abs(math.radians(vehicle.mount.pitch) - result["pitch"]) < 0.02
             case "action/camera/photo":
@@ -233,7 +261,10 @@ class MavlinkRig(Hurried, StopRig):
                 return True
 
     async def at_rest(self) -> bool:
-        return self.vehicle.body.landed or speed(self.vehicle) < 0.5
+        vehicle = self.vehicle
+        if vehicle.motor_test.motor or vehicle.payloads.line_speed:
+            return False
+        return vehicle.body.landed or speed(vehicle) < 0.5
 
     async def break_link(self) -> None:
         self.device.muted = True
