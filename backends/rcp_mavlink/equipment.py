@@ -1,4 +1,4 @@
-"""What a vehicle has beside its flights: origins, payloads, motors, sticks, held positions."""
+"""What a vehicle has beside its journeys: turns, circles, held positions, sticks, motors, payloads."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ from rcp_mavlink.commands import Commands
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import Intervals
+from rcp_mavlink.journeys import Journeys
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.motor_tests import MotorTests
+from rcp_mavlink.orbits import Orbits
 from rcp_mavlink.origins import Origins
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.payloads import Payloads
 from rcp_mavlink.position_targets import PositionTargets
 from rcp_mavlink.setpoints import Setpoints
+from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.sticks import Sticks
+from rcp_mavlink.turns import Turns
 from rcp_mavlink.vehicle import Vehicle
 from rcp_mavlink.winches import Winches
 
@@ -37,35 +41,44 @@ class Equipment:
         motion: Motion,
         parameters: Parameters,
         setpoints: Setpoints,
+        limit: SpeedLimit,
+        journeys: Journeys,
     ) -> None:
+        fastest = hub.config.max_speed
+        self._turns = Turns(vehicle, commands, motion, limit, fastest)
+        self._orbits = Orbits(vehicle, commands, motion, parameters, limit, journeys)
         self._origins = Origins(hub, vehicle, commands, intervals)
         self._payloads = Payloads(vehicle, commands, intervals)
         self._winches = Winches(vehicle, commands, intervals, motion)
         self._motors = MotorTests(vehicle, commands, intervals, motion)
-        self._positions = PositionTargets(hub, vehicle, setpoints, parameters)
         self._sticks = Sticks(hub, vehicle, motion)
+        self.writes: dict[str, Callable[[Any], Awaitable[None]]] = {
+            "actuator/position": PositionTargets(hub, vehicle, setpoints, parameters).write,
+            "actuator/sticks": self._sticks.positions,
+            "actuator/rc": self._sticks.pulses,
+        }
+        """The handler of each path that is written."""
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path that is executed."""
         return {
+            **self._turns.verbs(),
             **self._origins.verbs(),
             **self._payloads.verbs(),
             **self._winches.verbs(),
             **self._motors.verbs(),
         }
 
-    def writes(self) -> dict[str, Callable[[Any], Awaitable[None]]]:
-        """Return the handler of each path that is written."""
-        return {
-            "actuator/position": self._positions.write,
-            "actuator/sticks": self._sticks.positions,
-            "actuator/rc": self._sticks.pulses,
-        }
+    def leading(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
+        """Return the handler of each path that ends what the vehicle does."""
+        return {**self._turns.leading(), **self._orbits.leading()}
 
     @staticmethod
     def resources(family: Family, *, sticks: bool) -> list[Resource]:
         """List what a vehicle of a family has."""
         found = [
+            *Turns.resources(family),
+            *Orbits.resources(family),
             *Origins.resources(),
             *Payloads.resources(),
             *Winches.resources(),

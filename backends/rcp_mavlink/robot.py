@@ -39,6 +39,7 @@ from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.identity import describe
 from rcp_mavlink.intervals import FASTEST, Intervals
+from rcp_mavlink.journeys import Journeys
 from rcp_mavlink.logs import Logs
 from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.missions import Missions
@@ -98,10 +99,12 @@ class Robot:
         self.plans = Plans(hub, vehicle)
         self.parameters = Parameters(hub, vehicle, self._on_parameter)
         self.setpoints = Setpoints(hub, vehicle, self.motion, self.intervals.request)
+        self.speed_limit = SpeedLimit(vehicle, self.parameters)
+        journeys = Journeys(vehicle, self._commands, self.motion, self.parameters, self.speed_limit)
         self._equipment = Equipment(
-            hub, vehicle, self._commands, self.intervals, self.motion, self.parameters, self.setpoints
+            hub, vehicle, self._commands, self.intervals, self.motion, self.parameters,
+            self.setpoints, self.speed_limit, journeys,
         )  # fmt: skip
-        self._writes = self._equipment.writes()
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,
             end_setpoints=self._end_all, latched=lambda: host.is_latched(self.scope),
@@ -145,12 +148,11 @@ class Robot:
             148: self._describe,  # AUTOPILOT_VERSION
             242: self._homed,  # HOME_POSITION
         }
-        self.speed_limit = SpeedLimit(vehicle, self.parameters)
-        self._flights = Flights(
-            vehicle, self._commands, self.motion, self.parameters, self.speed_limit
-        )
+        self._flights = Flights(vehicle, self._commands, self.motion, self.parameters, journeys)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
-        leading = {**self._flights.verbs(), "action/mission/run": missions.run}
+        leading = {
+            **self._flights.verbs(), **self._equipment.leading(), "action/mission/run": missions.run
+        }  # fmt: skip
         logs, files = Logs(hub, vehicle), Files(hub, vehicle)
         self._described = Described(config.parameters, files)
         self._forwarding = Forwarding(hub, vehicle)
@@ -171,7 +173,7 @@ class Robot:
             "action/camera/photo": Cameras(
                 hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)
             ).photo,
-            "action/calibrate": Calibration(vehicle, self._commands).calibrate,
+            **Calibration(vehicle, self._commands, self.intervals, self.motion).verbs(),
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
@@ -537,8 +539,8 @@ class Robot:
         self.vehicle.check()
         if name == SEND:
             return self._forwarding.write(value)
-        if name in self._writes:
-            await self._writes[name](value)
+        if name in self._equipment.writes:
+            await self._equipment.writes[name](value)
         elif name == "actuator/velocity":
             y, z = getattr(value, "y", 0.0), getattr(value, "z", 0.0)
             own = m.Velocity(value.x, y, z, value.yaw_rate)

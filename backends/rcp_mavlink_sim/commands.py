@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink_sim import payload_commands
+from rcp_mavlink_sim import calibration_commands, payload_commands
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.requests import CommandRequest, Peer, outcome
 from rcp_mavlink_sim.telemetry import MAKERS
@@ -204,21 +204,6 @@ def _reboot(c: CommandRequest) -> int:
     return _OK
 
 
-def _calibrate(c: CommandRequest) -> int:
-    vehicle = c.peer.vehicle
-    if vehicle.armed:
-        vehicle.send_text(4, "Disarm to allow calibration")
-        return _FAILED
-    if c.p[0] == 1:
-        vehicle.send_text(6, "Calibrating gyros")
-    elif c.p[2] == 1:
-        vehicle.send_text(6, "Calibrating barometer")
-        vehicle.send_text(6, "Barometer calibration complete")
-    elif c.p[4] not in (1, 2, 4):
-        return _UNSUPPORTED
-    return _OK
-
-
 def _checks(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if vehicle.armed:
@@ -329,7 +314,6 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_DO_SET_MISSION_CURRENT: _current,
     mav.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
-    mav.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
     mav.MAV_CMD_PREFLIGHT_STORAGE: _storage,
     mav.MAV_CMD_RUN_PREARM_CHECKS: _checks,
     mav.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
@@ -345,6 +329,7 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
     mav.MAV_CMD_DO_MOTOR_TEST: _motor_test,
     **payload_commands.DOERS,
+    **calibration_commands.DOERS,
 }
 KNOWN = frozenset(_DOERS)
 """The supported commands."""

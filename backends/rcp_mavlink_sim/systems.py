@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rcp_mavlink_sim.arming import complaints
+from rcp_mavlink_sim.calibrations import Calibrations
 from rcp_mavlink_sim.camera import Camera
 from rcp_mavlink_sim.failsafes import Failsafes
 from rcp_mavlink_sim.fence import Fence
@@ -48,6 +49,7 @@ class Systems(VehicleState):
         self.mount = Mount(self)
         self.payloads = Payloads(self)
         self.motor_test = MotorTest(self)
+        self.calibrations = Calibrations(self)
 
     def complaints(self) -> list[str]:
         """List what prevents arming, in ArduPilot's words; empty if it may arm."""

@@ -262,6 +262,8 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: sensing.range_finder,
     mav.MAVLINK_MSG_ID_POWER_STATUS: sensing.power,
     mav.MAVLINK_MSG_ID_WINCH_STATUS: _winch,
+    mav.MAVLINK_MSG_ID_MAG_CAL_PROGRESS: lambda v: v.calibrations.progress(),
+    mav.MAVLINK_MSG_ID_MAG_CAL_REPORT: lambda _: None,  # sent when it is there
     **mount_messages.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

@@ -128,6 +128,7 @@ class Vehicle(Systems):
         self.mount.step(seconds)
         self.payloads.step(seconds)
         self.motor_test.check()
+        self.calibrations.step(seconds)
         self._blow()
         self.fence.check()
         self.failsafes.check(seconds)

@@ -26,6 +26,7 @@ from hurry import Hurried
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
+from rcp_mavlink.messages import Calibrate
 from rcp_mavlink_sim import Twin, Vehicle
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.plans import Item
@@ -41,7 +42,7 @@ PAYLOADS = {
     "WINCH_TYPE": 1.0, "CHUTE_ENABLED": 1.0,
 }  # fmt: skip
 ON_THE_GROUND = (
-    "action/motor_test",
+    "action/motor_test", "service/calibrate/continue",
     "action/arm", "action/calibrate", "service/reboot", "service/reset_system", "service/enable",
     "action/param/load", "action/param/reset",
 )  # fmt: skip
@@ -56,6 +57,7 @@ class MavlinkRig(Hurried, StopRig):
     cancel_within = 5.0
     device: Twin
     relay: Relay
+    calibrating: asyncio.Future[Any]
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
@@ -144,6 +146,8 @@ class MavlinkRig(Hurried, StopRig):
         mission = {"items": [{"command": "NAV_WAYPOINT", "latitude": LAT, "longitude": LON}]}
         unknown = {"items": [{"command": "NAV_WAIPOINT"}]}
         return {
+            # The vehicle keeps few logs, and each flight of the other goals adds one.
+            "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "action/move_to": Goal(
                 good={"north": 10.0, "altitude": 20.0},
                 bad={"latitude": 1.0},
@@ -163,6 +167,14 @@ class MavlinkRig(Hurried, StopRig):
             "action/gimbal": Goal(good={"pitch": -0.5}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
+            "service/calibrate/continue": Goal(good=None),
+            "action/turn": Goal(good={"by": 0.5}, bad={}, long={"by": 3.0, "rate": 0.1}),
+            "action/orbit": Goal(
+                good={"radius": 2.0, "speed": 2.0, "turns": 0.5},
+                bad={"radius": 2.0, "latitude": 1.0},
+                long={"radius": 10.0, "turns": 100},
+            ),
+            "service/mission/set_current": Goal(good={"item": 2}, bad={"item": 9}),
             "action/motor_test": Goal(
                 good={"motor": 1}, bad={"motor": 9}, long={"motor": 1, "seconds": 3.0}
             ),
@@ -175,7 +187,6 @@ class MavlinkRig(Hurried, StopRig):
             "action/param/reset": Goal(good=None),
             "action/plan/load": Goal(good={"text": WAYPOINTS}, bad={"text": "{}"}),
             **_files(),
-            "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "service/reboot": Goal(good=None),
             "service/reset_system": Goal(good=None),
             "service/enable": Goal(good=None),
@@ -196,7 +207,7 @@ class MavlinkRig(Hurried, StopRig):
         else:
             airborne(vehicle)
         vehicle.payloads.line = 0.0
-        if name.startswith("action/mission/"):
+        if name.startswith("action/mission/") or name == "service/mission/set_current":
             items = [HERE, *[FLOWN if name == "action/mission/run" else LONG] * 3]
             mission.plan.replace(items)
             mission.changed()
@@ -209,6 +220,20 @@ class MavlinkRig(Hurried, StopRig):
             else:
                 skip(vehicle, lambda: mission.current > 0)
         await agrees(self.backend, vehicle)
+        if name == "service/calibrate/continue":
+            await self._wait_for_a_position()
+
+    async def _wait_for_a_position(self) -> None:
+        asked = asyncio.Event()
+
+        def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
+            if feedback is not None:
+                asked.set()
+
+        robot, goal = self.backend.robots[""], Calibrate("accelerometer_full")
+        self.calibrating = asyncio.ensure_future(robot.execute("action/calibrate", goal, progress))
+        async with asyncio.timeout(30):
+            await asked.wait()
 
     async def _tidy(self) -> None:
         """Have the file there that is removed and renamed, and not the one that is made."""
@@ -247,6 +272,15 @@ class MavlinkRig(Hurried, StopRig):
                 return flight.mission.paused
             case "action/mission/resume":
                 return not flight.mission.paused
+            case "service/calibrate/continue":
+                self.calibrating.cancel()
+                return vehicle.calibrations.position == 2
+            case "action/turn":
+                return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < KEPT
+            case "action/orbit":
+                return flight.mode is Mode.BRAKE
+            case "service/mission/set_current":
+                return flight.mission.current == result["item"]
             case "action/motor_test":
                 return not vehicle.motor_test.motor
             case "action/winch":
