@@ -110,6 +110,8 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Patterns of additional messages of the dialect to expose: `VIBRATION`, `GPS*`."""
     forward: bool = False
     """Expose whole frames, for ground stations behind the gateway (`[plugins.ground_stations]`)."""
+    sticks: bool = False
+    """Expose the sticks of a transmitter: `actuator/sticks` and `actuator/rc`."""
     rate: Annotated[float, Meta(ge=1, le=50, extra_json_schema={"unit": "Hz"})] = 4.0
     """Rate of the messages that the gateway itself needs: position, landed state, health."""
     timeout: Seconds = 0.6

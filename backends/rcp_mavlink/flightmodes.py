@@ -25,6 +25,7 @@ _KINDS = {1: "plane", 10: "rover", 11: "boat", 12: "sub", **dict.fromkeys(range(
 _RISING = ("action/takeoff", "action/land")
 _STICKS = "actuator/velocity"
 _ATTITUDE = "actuator/attitude"
+_POSITION = "actuator/position"
 
 
 class Family(NamedTuple):
@@ -193,10 +194,10 @@ def _of_px4(kind: str) -> Family:
 def _without(kind: str) -> frozenset[str]:
     match kind:
         case "plane" | "vtol":
-            return frozenset({_STICKS})
+            return frozenset({_STICKS, _POSITION})
         case "rover" | "boat":
             return frozenset({*_RISING, _ATTITUDE})
         case "sub":
-            return frozenset({*_RISING, "action/rtl", _ATTITUDE})
+            return frozenset({*_RISING, "action/rtl", _ATTITUDE, _POSITION})
         case _:
             return frozenset()

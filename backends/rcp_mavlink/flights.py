@@ -15,7 +15,6 @@ from rcp_mavlink.journeys import Journeys, holding
 from rcp_mavlink.motion import Motion, unanswered
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.places import fix_of, located, part, reach
-from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["Flights"]
@@ -32,11 +31,11 @@ class Flights:
         commands: Commands,
         motion: Motion,
         parameters: Parameters,
-        limit: SpeedLimit,
+        journeys: Journeys,
     ) -> None:
         self._vehicle, self._commands = vehicle, commands
         self._motion, self._parameters = motion, parameters
-        self._journeys = Journeys(vehicle, commands, motion, parameters, limit)
+        self._journeys = journeys
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path."""

@@ -8,7 +8,7 @@ from msgspec import Meta, Struct, defstruct
 
 from rcp_kernel.types import PoseStamped
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Calibrating", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetItem", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
@@ -139,7 +139,20 @@ class Gimbal(Struct, frozen=True, forbid_unknown_fields=True):
 class Calibrate(Struct, frozen=True, forbid_unknown_fields=True):
     """The sensor to calibrate; the vehicle must be still and level."""
 
-    what: Literal["gyro", "barometer", "level", "accelerometer"] = "gyro"
+    what: Literal[
+        "gyro", "barometer", "level", "accelerometer", "accelerometer_full", "compass"
+    ] = "gyro"
+    """`accelerometer` only measures it level; `accelerometer_full` takes six positions, and for
+    `compass` the vehicle has to be turned."""
+
+
+class Calibrating(Struct, frozen=True):
+    """What the vehicle waits for."""
+
+    text: str
+    """What to do now, in words."""
+    position: str | None
+    """The position to put it in, if it waits for one."""
 
 
 class Item(Struct, frozen=True, forbid_unknown_fields=True):
@@ -167,6 +180,13 @@ class Uploaded(Struct, frozen=True):
     """The number of items that the vehicle now has."""
 
     count: Count
+
+
+class SetItem(Struct, frozen=True, forbid_unknown_fields=True):
+    """An item of the mission."""
+
+    item: Annotated[int, Meta(ge=1, le=1000, extra_json_schema={"unit": "1"})]
+    """The first is 1."""
 
 
 class MissionProgress(Struct, frozen=True):

@@ -19,6 +19,7 @@ __all__ = ["Missions"]
 
 _ACTIVE, _PAUSED, _COMPLETE = 3, 4, 5
 _STARTING = 5.0  # s
+_SET_CURRENT = 224
 _PAUSING = 15.0  # s
 
 
@@ -35,6 +36,7 @@ class Missions:
             "action/mission/upload": self.upload,
             "action/mission/pause": self.pause,
             "action/mission/resume": self.resume,
+            "service/mission/set_current": self.set_current,
         }
 
     async def upload(self, given: m.Items, progress: Progress) -> m.Uploaded:
@@ -114,4 +116,18 @@ class Missions:
             lambda: self._now()["mission_state"] == _ACTIVE, _STARTING
         ):
             raise DeviceTimeout("resume: accepted, but the vehicle does not continue")
+        return self._progress()
+
+    async def set_current(self, given: m.SetItem, _: Progress) -> m.MissionProgress:
+        """Set the item that is flown next; a running mission goes there at once.
+
+        :raises DeviceTimeout: the vehicle does not report the item.
+        """
+        vehicle = self._vehicle
+        # The first item of an ArduPilot is home, which is not counted here.
+        number = given.item - 1 if vehicle.family.px4 else given.item
+        command = Command(_SET_CURRENT, (float(number), 0.0, 0.0, 0.0))
+        await self._commands.send(command, "set_current")
+        if not await vehicle.until(lambda: self._now()["seq"] == number, _STARTING):
+            raise DeviceTimeout("set_current: accepted, but the vehicle does not report the item")
         return self._progress()

@@ -11,6 +11,7 @@ from rcp_kernel.model import READS, Resource
 from rcp_mavlink import messages as m
 from rcp_mavlink.derived import Derived
 from rcp_mavlink.direct_commands import DirectCommands
+from rcp_mavlink.equipment import Equipment
 from rcp_mavlink.files import (
     Check,
     Entry,
@@ -92,6 +93,7 @@ def resources(
     family = vehicle.family
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
+    found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()
     found += offers(family, hub.config.max_speed)
@@ -173,13 +175,14 @@ def _actions() -> list[Resource]:
         _action("mission/resume", "Resume a paused mission.", 30, output=m.MissionProgress),
         _action("gimbal", "Point the camera.", 30, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5},)),
         _action("camera/photo", "Take a picture of what the camera points at: `action/gimbal` turns it, pitch -1.57 straight down.", 60, output=m.Photo),
-        _action("calibrate", "Calibrate a sensor; the vehicle must not move.", 120, input=m.Calibrate | None, output=m.Calibrated, examples=(None, {"what": "gyro"})),
+        _action("calibrate", "Calibrate a sensor, disarmed; the feedback tells what the vehicle waits for.", 900, input=m.Calibrate | None, output=m.Calibrated, feedback=m.Calibrating, examples=(None, {"what": "compass"})),
     ]  # fmt: skip
 
 
 def _services() -> list[Resource]:
     return [
         Resource(name="service/mission/download", meta=READS, description="Return the vehicle's mission, without home.", output=m.Items, timeout=120),
+        Resource(name="service/mission/set_current", moves=True, description="Set the item of the mission that is flown next; completes when the vehicle reports it.", input=m.SetItem, output=m.MissionProgress, examples=({"item": 2},), timeout=15, max_age=30.0),
         Resource(name="service/mission/clear", description="Clear the mission.", output=m.Uploaded, timeout=30),
         Resource(name="service/fence/upload", description="Replace the geofence: polygons and circles.", input=m.Items, output=m.Uploaded, examples=(_FENCE,), timeout=120),
         Resource(name="service/fence/download", meta=READS, description="Return the vehicle's geofence.", output=m.Items, timeout=120),
@@ -189,6 +192,7 @@ def _services() -> list[Resource]:
         Resource(name="service/log/read", meta=READS, description="Return a part of an on-board log, at most 1 MiB.", input=LogRange, output=LogPiece, timeout=600),
         Resource(name="service/param/read", meta=READS, description="Read any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
         Resource(name="service/param/save", description="Save the parameters permanently on the vehicle."),
+        Resource(name="service/calibrate/continue", description="Tell a calibration with `accelerometer_full` that the vehicle is in the position that it waits for (ArduPilot; PX4 sees it itself).", output=m.Calibrating),
         Resource(name="service/reboot", description="Reboot the autopilot; refused while armed.", timeout=90),
     ]  # fmt: skip
 

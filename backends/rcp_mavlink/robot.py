@@ -30,6 +30,7 @@ from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.derived import Derived, DerivedFrame, deriveds
 from rcp_mavlink.described import Described
 from rcp_mavlink.direct_commands import DirectCommands
+from rcp_mavlink.equipment import Equipment
 from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
 from rcp_mavlink.forwarding import FRAMES, SEND, Forwarding
@@ -38,6 +39,7 @@ from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.identity import describe
 from rcp_mavlink.intervals import FASTEST, Intervals
+from rcp_mavlink.journeys import Journeys
 from rcp_mavlink.logs import Logs
 from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.missions import Missions
@@ -97,9 +99,15 @@ class Robot:
         self.plans = Plans(hub, vehicle)
         self.parameters = Parameters(hub, vehicle, self._on_parameter)
         self.setpoints = Setpoints(hub, vehicle, self.motion, self.intervals.request)
+        self.speed_limit = SpeedLimit(vehicle, self.parameters)
+        journeys = Journeys(vehicle, self._commands, self.motion, self.parameters, self.speed_limit)
+        self._equipment = Equipment(
+            hub, vehicle, self._commands, self.intervals, self.motion, self.parameters,
+            self.setpoints, self.speed_limit, journeys,
+        )  # fmt: skip
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,
-            end_setpoints=self.setpoints.end, latched=lambda: host.is_latched(self.scope),
+            end_setpoints=self._end_all, latched=lambda: host.is_latched(self.scope),
         )  # fmt: skip
         self.recovery = Recovery(vehicle, self.motion, self.stop)
         self.watchdogs = Watchdogs(vehicle, config, self.parameters, self.scope)
@@ -140,12 +148,11 @@ class Robot:
             148: self._describe,  # AUTOPILOT_VERSION
             242: self._homed,  # HOME_POSITION
         }
-        self.speed_limit = SpeedLimit(vehicle, self.parameters)
-        self._flights = Flights(
-            vehicle, self._commands, self.motion, self.parameters, self.speed_limit
-        )
+        self._flights = Flights(vehicle, self._commands, self.motion, self.parameters, journeys)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
-        leading = {**self._flights.verbs(), "action/mission/run": missions.run}
+        leading = {
+            **self._flights.verbs(), **self._equipment.leading(), "action/mission/run": missions.run
+        }  # fmt: skip
         logs, files = Logs(hub, vehicle), Files(hub, vehicle)
         self._described = Described(config.parameters, files)
         self._forwarding = Forwarding(hub, vehicle)
@@ -160,12 +167,13 @@ class Robot:
             "action/set_mode": self._set_mode,
             **{name: self._ending(name, verb) for name, verb in leading.items()},
             **missions.verbs(),
+            **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
             "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
             "action/camera/photo": Cameras(
                 hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)
             ).photo,
-            "action/calibrate": Calibration(vehicle, self._commands).calibrate,
+            **Calibration(vehicle, self._commands, self.intervals, self.motion).verbs(),
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
@@ -253,7 +261,7 @@ class Robot:
     async def close(self) -> None:
         """Release the vehicle."""
         self._closed = True
-        self.setpoints.end()
+        self._end_all()
         self.guard.take_back()
         await self.stop.close()
         for task in list(self._tasks):
@@ -444,12 +452,22 @@ class Robot:
             await self.setpoints.offboard()
         return await self.motion.set_mode(given, progress)
 
+    def _end_writes(self) -> None:
+        """End whatever is held by writes."""
+        self.setpoints.end()
+        self._equipment.end_writes()
+
+    def _end_all(self) -> None:
+        """End what is held by writes, and what moves beside the flight."""
+        self._end_writes()
+        self._equipment.end()
+
     def _ending(self, name: str, verb: Verb) -> Verb:
         """Wrap a command so that it ends the active set-points."""
         verb = verb if name in _ALLOWED_BLIND else self._seen_to_move(verb)
 
         async def run(given: Any, progress: Progress) -> Any:
-            self.setpoints.end()
+            self._end_writes()
             return await verb(given, progress)
 
         return run
@@ -521,7 +539,9 @@ class Robot:
         self.vehicle.check()
         if name == SEND:
             return self._forwarding.write(value)
-        if name == "actuator/velocity":
+        if name in self._equipment.writes:
+            await self._equipment.writes[name](value)
+        elif name == "actuator/velocity":
             y, z = getattr(value, "y", 0.0), getattr(value, "z", 0.0)
             own = m.Velocity(value.x, y, z, value.yaw_rate)
             await self.setpoints.velocity(own, partial(self._limited, strictly=False))

@@ -34,6 +34,8 @@ _SENSORS = (
     Sensor("sensor/servos", "SERVO_OUTPUT_RAW", "Outputs to servos and motors, as pulse widths."),
     Sensor("sensor/vibration", "VIBRATION", "Vibration, and clipping counts of the accelerometers."),
     Sensor("sensor/navigation", "NAV_CONTROLLER_OUTPUT", "Target of the navigation controller, and its errors."),
+    Sensor("sensor/origin", "GPS_GLOBAL_ORIGIN", "Origin of the estimator, from which the frame `local` is measured."),
+    Sensor("sensor/winch", "WINCH_STATUS", "Line that is out, its speed and tension, and the state of the winch."),
     Sensor("sensor/fence", "FENCE_STATUS", "Geofence breaches: state, count and type."),
 )  # fmt: skip
 _ARDUPILOT = (

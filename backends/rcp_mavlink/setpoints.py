@@ -51,13 +51,21 @@ class Setpoints:
         self, value: m.Velocity, limited: Callable[[m.Velocity], m.Velocity]
     ) -> None:
         """Send a velocity in the body frame, always within the present limits; all zeros is rest."""
-        resting = not (value.x or value.y or value.z or value.yaw_rate)
-        if resting and (self._task is None or not self._leads()):
+        if not (value.x or value.y or value.z or value.yaw_rate):
+            await self.rest()
+            return
+        self.check()
+        self._kept = None
+        await self.lead(lambda: self._moving(limited(value)))
+
+    async def rest(self) -> None:
+        """Bring it to rest by a velocity of zero, if it follows a set-point."""
+        if self._task is None or not self._leads():
             self.end()
             return
-        self._check()
+        self.check()
         self._kept = None
-        await self._lead(lambda: self._moving(limited(value)), _PARTING if resting else None)
+        await self.lead(lambda: self._moving(m.Velocity()), _PARTING)
 
     def _moving(self, value: m.Velocity) -> Any:
         return self._hub.dialect.module.MAVLink_set_position_target_local_ned_message(
@@ -74,14 +82,14 @@ class Setpoints:
             if led:
                 await self._motion.hold()
             return
-        self._check()
+        self.check()
         heading = await self._heading(value.yaw)
-        self._check()  # another command may have arrived meanwhile
+        self.check()  # another command may have arrived meanwhile
         q = _quaternion(value.roll, value.pitch, heading)
         message = self._hub.dialect.module.MAVLink_set_attitude_target_message(
             0, vehicle.system, vehicle.component, _ATTITUDE_ALONE, q, 0.0, 0.0, 0.0, value.thrust
         )
-        await self._lead(lambda: message, None)
+        await self.lead(lambda: message)
 
     async def _heading(self, requested: float | None) -> float:
         """Return the heading to hold: an attitude always has one, and 0 would be north.
@@ -118,7 +126,7 @@ class Setpoints:
         vehicle = self._vehicle
         return vehicle.mode == vehicle.family.led and vehicle.armed
 
-    def _check(self) -> None:
+    def check(self) -> None:
         """Check that the vehicle would follow.
 
         :raises ModeForbids: it accepts no set-points in its mode.
@@ -137,7 +145,11 @@ class Setpoints:
             raise PreconditionFailed("the vehicle is on the ground", remedy="Take off first.")
         self._motion.measurement.check(strict=False)
 
-    async def _lead(self, make: Callable[[], Any], left: int | None) -> None:
+    async def lead(self, make: Callable[[], Any], left: int | None = None) -> None:
+        """Send what `make` returns again and again, in the mode for it; None: until it is ended.
+
+        :raises ModeForbids: the vehicle does not enter the mode.
+        """
         check_fence()
         self._make, self._left = make, left
         self._hub.send(self._vehicle, make())
@@ -172,7 +184,7 @@ class Setpoints:
         """Enter OFFBOARD with a set-point of rest."""
         if not self._vehicle.armed:
             raise PreconditionFailed("OFFBOARD: the vehicle is not armed", remedy="Arm it first.")
-        await self._lead(lambda: self._moving(m.Velocity()), None)
+        await self.lead(lambda: self._moving(m.Velocity()))
 
     async def _repeat(self) -> None:
         hold = self._vehicle.family.px4  # PX4 would treat their absence as a failure

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
-import msgspec
-
+from rcp_mavlink_sim import calibration_commands, payload_commands
 from rcp_mavlink_sim.modes import Mode
-from rcp_mavlink_sim.streams import Streams
+from rcp_mavlink_sim.requests import CommandRequest, Peer, outcome
 from rcp_mavlink_sim.telemetry import MAKERS
-from rcp_mavlink_sim.vehicle import Vehicle
 from rcp_mavlink_sim.wire import mav
 
-__all__ = ["KNOWN", "CommandRequest", "Peer", "run"]
+__all__ = ["KNOWN", "run"]
 
 _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_ACCEPTED,
@@ -33,32 +31,6 @@ _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
 """Modes that obey CONDITION_YAW; others accept it without effect."""
 _GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
-
-
-class Peer(Protocol):
-    """The sender of a command, as far as commands need it."""
-
-    vehicle: Vehicle
-    streams: Streams
-
-    def send(self, message: Any) -> None:
-        """Send a message to it with the next batch."""
-
-    def later(self, do: Callable[[], None]) -> None:
-        """Run something after the reply has been sent."""
-
-
-class CommandRequest(msgspec.Struct, frozen=True):
-    """A received command, LONG or INT."""
-
-    peer: Peer
-    number: int
-    p: tuple[float, float, float, float, float, float, float]
-    """Its parameters; latitude and longitude in degrees."""
-    frame: int
-    whole: bool
-    """Whether it came as COMMAND_INT."""
-    sender: tuple[int, int]
 
 
 def run(peer: Peer, message: Any) -> int:
@@ -83,17 +55,16 @@ def run(peer: Peer, message: Any) -> int:
         return _DENIED
 
 
-def _result(done: bool) -> int:  # noqa: FBT001 - the outcome, as a result code
-    return _OK if done else _FAILED
-
-
 def _arm(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
-    return _result(vehicle.arm(c.p[1]) if c.p[0] == 1 else vehicle.flight.disarm(c.p[1]))
+    if c.p[0] == 1:
+        return outcome(vehicle.arm(c.p[1]))
+    vehicle.motor_test.end()
+    return outcome(vehicle.flight.disarm(c.p[1]))
 
 
 def _take_off(c: CommandRequest) -> int:
-    return _result(c.peer.vehicle.flight.take_off(c.p[6]))
+    return outcome(c.peer.vehicle.flight.take_off(c.p[6]))
 
 
 def _mode(mode: Mode) -> Callable[[CommandRequest], int]:
@@ -101,7 +72,7 @@ def _mode(mode: Mode) -> Callable[[CommandRequest], int]:
         vehicle = c.peer.vehicle
         if mode not in vehicle.kind.modes.values():
             return _UNSUPPORTED
-        return _result(vehicle.flight.set_mode(mode))
+        return outcome(vehicle.flight.set_mode(mode))
 
     return change
 
@@ -109,7 +80,7 @@ def _mode(mode: Mode) -> Callable[[CommandRequest], int]:
 def _set_mode(c: CommandRequest) -> int:
     if not int(c.p[0]) & mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return _UNSUPPORTED
-    return _result(c.peer.vehicle.set_custom_mode(int(c.p[1])))
+    return outcome(c.peer.vehicle.set_custom_mode(int(c.p[1])))
 
 
 def _reposition(c: CommandRequest) -> int:
@@ -144,11 +115,11 @@ def _speed(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     kind, speed = c.p[0], c.p[1]
     if vehicle.kind.name == "plane":
-        return _result(_airspeed(vehicle, kind, speed))
+        return outcome(_airspeed(vehicle, kind, speed))
     if not 0 < speed <= _QUICKEST:
         return _FAILED if vehicle.kind.drives else _DENIED
     which = "" if vehicle.kind.drives else {2: "up", 3: "down"}.get(int(kind), "")
-    return _result(vehicle.flight.change_speed(speed, which or "speed"))
+    return outcome(vehicle.flight.change_speed(speed, which or "speed"))
 
 
 def _airspeed(vehicle: Any, kind: float, speed: float) -> bool:
@@ -196,7 +167,7 @@ def _start(c: CommandRequest) -> int:
     if not vehicle.armed or not vehicle.flight.set_mode(Mode.AUTO):
         return _FAILED
     vehicle.flight.mission.start()
-    return _result(vehicle.flight.mission.running)
+    return outcome(vehicle.flight.mission.running)
 
 
 def _pause(c: CommandRequest) -> int:
@@ -208,7 +179,7 @@ def _pause(c: CommandRequest) -> int:
 
 
 def _current(c: CommandRequest) -> int:
-    return _result(c.peer.vehicle.flight.mission.go_to(int(c.p[0])))
+    return outcome(c.peer.vehicle.flight.mission.go_to(int(c.p[0])))
 
 
 def _terminate(c: CommandRequest) -> int:
@@ -233,21 +204,6 @@ def _reboot(c: CommandRequest) -> int:
     return _OK
 
 
-def _calibrate(c: CommandRequest) -> int:
-    vehicle = c.peer.vehicle
-    if vehicle.armed:
-        vehicle.send_text(4, "Disarm to allow calibration")
-        return _FAILED
-    if c.p[0] == 1:
-        vehicle.send_text(6, "Calibrating gyros")
-    elif c.p[2] == 1:
-        vehicle.send_text(6, "Calibrating barometer")
-        vehicle.send_text(6, "Barometer calibration complete")
-    elif c.p[4] not in (1, 2, 4):
-        return _UNSUPPORTED
-    return _OK
-
-
 def _checks(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if vehicle.armed:
@@ -258,7 +214,7 @@ def _checks(c: CommandRequest) -> int:
 
 
 def _interval(c: CommandRequest) -> int:
-    return _result(c.peer.streams.every(int(c.p[0]), c.p[1]))
+    return outcome(c.peer.streams.every(int(c.p[0]), c.p[1]))
 
 
 def _which_interval(c: CommandRequest) -> int:
@@ -298,6 +254,14 @@ def _fence(c: CommandRequest) -> int:
     return _OK
 
 
+def _motor_test(c: CommandRequest) -> int:
+    """Turn one motor for a while; what is not a copter has no such test."""
+    vehicle = c.peer.vehicle
+    if vehicle.kind.name != "copter":
+        return _UNSUPPORTED
+    return outcome(vehicle.motor_test.begin(c.p[0], c.p[1], c.p[2], c.p[3]))
+
+
 def _mount(c: CommandRequest) -> int:
     pitch, roll, yaw = c.p[:3]
     return _OK if c.peer.vehicle.mount.turn(pitch, yaw, roll=roll) else _DENIED
@@ -333,14 +297,6 @@ def _storage(c: CommandRequest) -> int:
     return _OK
 
 
-def _servo(c: CommandRequest) -> int:
-    return _result(c.peer.vehicle.outputs.set_servo(c.p[0], c.p[1]))
-
-
-def _relay(c: CommandRequest) -> int:
-    return _result(c.peer.vehicle.outputs.set_relay(c.p[0], c.p[1]))
-
-
 _PLACES = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 192, 195, 201})
 _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
@@ -358,7 +314,6 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_DO_SET_MISSION_CURRENT: _current,
     mav.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
-    mav.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
     mav.MAV_CMD_PREFLIGHT_STORAGE: _storage,
     mav.MAV_CMD_RUN_PREARM_CHECKS: _checks,
     mav.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
@@ -372,8 +327,9 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: _take_gimbal,
     mav.MAV_CMD_DO_DIGICAM_CONTROL: _photo,
     mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
-    mav.MAV_CMD_DO_SET_SERVO: _servo,
-    mav.MAV_CMD_DO_SET_RELAY: _relay,
+    mav.MAV_CMD_DO_MOTOR_TEST: _motor_test,
+    **payload_commands.DOERS,
+    **calibration_commands.DOERS,
 }
 KNOWN = frozenset(_DOERS)
 """The supported commands."""

@@ -68,6 +68,7 @@ class GroundStation:
             "MISSION_REQUEST_INT": self._mission_request,
             "MISSION_CLEAR_ALL": self._mission_clear,
             "MISSION_SET_CURRENT": self._mission_current,
+            "SET_GPS_GLOBAL_ORIGIN": self._origin,
             "REQUEST_DATA_STREAM": self._streams,
             "TIMESYNC": self._timesync,
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
@@ -271,6 +272,10 @@ class GroundStation:
     def _streams(self, message: Any) -> None:
         on = bool(message.start_stop)
         self.streams.group(message.req_stream_id, message.req_message_rate, on=on)
+
+    def _origin(self, message: Any) -> None:
+        place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+        self.vehicle.set_origin(place)
 
     def _timesync(self, message: Any) -> None:
         if message.tc1 == 0:

@@ -173,13 +173,14 @@ def rc(v: Systems) -> Any:
     """Return RC_CHANNELS."""
     lost = v.failsafes.radio_lost
     return mav.MAVLink_rc_channels_message(
-        milliseconds(v), 0 if lost else 8, *v.sticks.pulses, *([_NOTHING] * 10), 0 if lost else 255
+        milliseconds(v), 0 if lost else 16, *v.sticks.pulses, _NOTHING, _NOTHING, 0 if lost else 255
     )
 
 
-def servos(v: VehicleState) -> Any:
+def servos(v: Systems) -> Any:
     """Return SERVO_OUTPUT_RAW."""
     pulses = dict(enumerate(v.body.pulses(armed=v.armed), 1)) | v.outputs.pulses
+    pulses |= v.motor_test.pulses()
     all_ = [pulses.get(output, 0) for output in range(1, 17)]
     return mav.MAVLink_servo_output_raw_message(microseconds(v) & 0xFFFFFFFF, 0, *all_)
 

@@ -114,4 +114,5 @@ def _target(vehicle: Vehicle, message: Any) -> tuple[float, float, float] | None
     if frame in _OFFSET_FRAMES or frame in _BODY_FRAMES:
         x, y = _turned(vehicle, frame, message.x, message.y)
         return body.n + x, body.e + y, body.d + message.z
-    return message.x, message.y, message.z
+    north, east, down = vehicle.from_origin()
+    return message.x + north, message.y + east, message.z + down

@@ -53,6 +53,8 @@ class VehicleState:
         self.home: tuple[float, float, float] | None = None
         self.seen_at = (0.0, 0.0)
         """The last known position, north and east, m."""
+        self.ekf_origin: tuple[float, float, float] | None = None
+        """Latitude, longitude (deg) and height (m) of the estimator's origin."""
         self.armed = False
         self.armed_for = 0.0
         self.sticks = Sticks()
@@ -121,11 +123,25 @@ class VehicleState:
             self.origin[2] - height, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, round(self.time * 1e6),
         )  # fmt: skip
 
+    def set_origin(self, place: tuple[float, float, float]) -> None:
+        """Set the estimator's origin and report it; one that is set stays until the next boot."""
+        lat, lon, _ = place
+        if self.ekf_origin is None and abs(lat) <= 90 and abs(lon) <= 180:
+            self.ekf_origin = place
+            self.broadcast(self.global_origin())
+
+    def from_origin(self) -> tuple[float, float, float]:
+        """Return the estimator's origin: north, east and down from where it was switched on, m."""
+        if self.ekf_origin is None:
+            return 0.0, 0.0, 0.0
+        lat, lon, height = self.ekf_origin
+        return (*self.place_of(lat, lon), self.origin[2] - height)
+
     def global_origin(self) -> Any:
-        """Return GPS_GLOBAL_ORIGIN; None without a position."""
-        if not self.position_ok:
+        """Return GPS_GLOBAL_ORIGIN; None before it is set."""
+        if self.ekf_origin is None:
             return None
-        lat, lon, height = self.origin
+        lat, lon, height = self.ekf_origin
         return mav.MAVLink_gps_global_origin_message(
             round(lat * 1e7), round(lon * 1e7), round(height * 1000), round(self.time * 1e6)
         )

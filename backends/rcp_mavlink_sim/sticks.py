@@ -7,14 +7,15 @@ from typing import Any
 __all__ = ["Sticks"]
 
 _CENTRE, _HALF = 1500, 400  # µs
-_RELEASE, _IGNORE = 0, 65535
+_RELEASE, _RELEASE_UPPER, _IGNORE = 0, 65534, 65535
+_UPPER = 8  # the first channel, from 0, that 0 does not release
 _NOTHING = 0x7FFF
-_CHANNELS = 8
+_CHANNELS = 16
 _DEAD = 0.05
 
 
 class Sticks:
-    """Eight channels, centred without input."""
+    """Sixteen channels, centred without input."""
 
     def __init__(self) -> None:
         self.pulses = [_CENTRE] * _CHANNELS  # µs
@@ -50,6 +51,8 @@ class Sticks:
         """Handle RC_CHANNELS_OVERRIDE; released channels are centred again."""
         for channel in range(_CHANNELS):
             pulse = getattr(message, f"chan{channel + 1}_raw")
+            if channel >= _UPPER and pulse in (_RELEASE, _RELEASE_UPPER):
+                pulse = _IGNORE if pulse == _RELEASE else _RELEASE
             if pulse == _RELEASE:
                 self.pulses[channel] = _CENTRE
             elif pulse != _IGNORE:

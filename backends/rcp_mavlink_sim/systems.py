@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rcp_mavlink_sim.arming import complaints
+from rcp_mavlink_sim.calibrations import Calibrations
 from rcp_mavlink_sim.camera import Camera
 from rcp_mavlink_sim.failsafes import Failsafes
 from rcp_mavlink_sim.fence import Fence
@@ -13,8 +14,10 @@ from rcp_mavlink_sim.flights.copter import CopterFlight
 from rcp_mavlink_sim.flights.ground import GroundFlight
 from rcp_mavlink_sim.flights.plane import PlaneFlight
 from rcp_mavlink_sim.modes import needs_position
+from rcp_mavlink_sim.motor_test import MotorTest
 from rcp_mavlink_sim.mount import Mount
 from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.payloads import Payloads
 from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["Systems"]
@@ -44,6 +47,9 @@ class Systems(VehicleState):
         self.failsafes = Failsafes(self, self.flight)
         self.fence = Fence(self, self.flight)
         self.mount = Mount(self)
+        self.payloads = Payloads(self)
+        self.motor_test = MotorTest(self)
+        self.calibrations = Calibrations(self)
 
     def complaints(self) -> list[str]:
         """List what prevents arming, in ArduPilot's words; empty if it may arm."""

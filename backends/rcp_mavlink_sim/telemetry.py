@@ -61,7 +61,7 @@ def heartbeat(v: Systems) -> Any:
     flags = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mav.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
     flags |= 0 if mode is Mode.MANUAL else mav.MAV_MODE_FLAG_STABILIZE_ENABLED
     flags |= 0 if v.kind.by_hand(mode) else mav.MAV_MODE_FLAG_GUIDED_ENABLED
-    flags |= mav.MAV_MODE_FLAG_SAFETY_ARMED if v.armed else 0
+    flags |= mav.MAV_MODE_FLAG_SAFETY_ARMED if v.armed or v.motor_test.motor else 0
     return mav.MAVLink_heartbeat_message(
         v.kind.type, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, v.kind.number(mode), _state(v), 3
     )
@@ -110,7 +110,9 @@ def _estimate(v: Systems) -> tuple[float, float, float, float, float, float]:
 def _local(v: Systems) -> Any:
     if not v.position_ok:
         return None
-    return mav.MAVLink_local_position_ned_message(_ms(v), *_estimate(v))
+    n, e, d, *speeds = _estimate(v)
+    north, east, down = v.from_origin()
+    return mav.MAVLink_local_position_ned_message(_ms(v), n - north, e - east, d - down, *speeds)
 
 
 def _global(v: Systems) -> Any:
@@ -213,6 +215,13 @@ def _system_time(v: Systems) -> Any:
     return mav.MAVLink_system_time_message(round(time.time() * 1e6), _ms(v))
 
 
+def _winch(v: Systems) -> Any:
+    winch, nan = v.payloads, math.nan
+    return mav.MAVLink_winch_status_message(
+        sensing.microseconds(v), winch.line, winch.line_speed, nan, nan, nan, 32767, winch.winch_status()
+    )  # fmt: skip
+
+
 def _version(v: Systems) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
     hashed, nothing = list(b"70746572"), [0] * 8
@@ -252,6 +261,9 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_FENCE_STATUS: _fence,
     mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: sensing.range_finder,
     mav.MAVLINK_MSG_ID_POWER_STATUS: sensing.power,
+    mav.MAVLINK_MSG_ID_WINCH_STATUS: _winch,
+    mav.MAVLINK_MSG_ID_MAG_CAL_PROGRESS: lambda v: v.calibrations.progress(),
+    mav.MAVLINK_MSG_ID_MAG_CAL_REPORT: lambda _: None,  # sent when it is there
     **mount_messages.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

@@ -75,7 +75,7 @@ class Vehicle(Systems):
 
     def arm(self, force: float = 0.0) -> bool:
         """Start the motors; return whether this succeeded."""
-        if self.armed:
+        if self.armed or self.motor_test.motor:  # a test of motors counts as armed
             return True
         reasons = [] if force in FORCE else self.complaints()
         if (wrong := mode_complaint(self, self.flight)) is not None:
@@ -120,12 +120,15 @@ class Vehicle(Systems):
     def _watch_over(self, seconds: float) -> None:
         self._announce_boot()
         if self.home is None and self.position_ok:
-            self.broadcast(self.global_origin())
+            self.set_origin(self.origin)
             self.set_home(None)
             self.send_text(6, "EKF3 IMU0 is using GPS")
         self.sticks.expire(self.wall)
         self.noise.step(seconds)
         self.mount.step(seconds)
+        self.payloads.step(seconds)
+        self.motor_test.check()
+        self.calibrations.step(seconds)
         self._blow()
         self.fence.check()
         self.failsafes.check(seconds)

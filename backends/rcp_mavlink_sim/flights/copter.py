@@ -24,6 +24,7 @@ class CopterFlight(Flight):
         super().__init__(vehicle)
         self._waited = 0.0
         self._steered = False
+        self._centre, self._angle = (0.0, 0.0), 0.0
 
     def limits(self) -> None:
         """Apply the speeds of the parameters."""
@@ -90,10 +91,36 @@ class CopterFlight(Flight):
                 self._return(dt)
             case Mode.LAND:
                 self.descend()
+            case Mode.CIRCLE:
+                self._circle(dt)
             case mode if mode in _BY_STICK:
                 self._by_stick(mode)
             case _:
                 pass
+
+    def enter(self, mode: Mode) -> None:
+        """Enter a mode; the centre of a circle is ahead by its radius."""
+        super().enter(mode)
+        if mode is Mode.CIRCLE:
+            body, radius = self._vehicle.body, self._vehicle.params["CIRCLE_RADIUS"] / 100
+            self._centre = (
+                body.n + radius * math.cos(body.yaw),
+                body.e + radius * math.sin(body.yaw),
+            )
+            self._angle = body.yaw + math.pi
+
+    def _circle(self, dt: float) -> None:
+        """Go round, and face the centre (`AC_Circle`)."""
+        pilot, p = self._vehicle.pilot, self._vehicle.params
+        radius, rate = p["CIRCLE_RADIUS"] / 100, math.radians(p["CIRCLE_RATE"])
+        if radius > 0:
+            fastest = min(pilot.limits.speed, math.sqrt(radius * pilot.limits.acceleration))
+            rate = math.copysign(min(abs(rate), fastest / radius), rate)
+        self._angle += rate * dt
+        s, c = math.sin(self._angle), math.cos(self._angle)
+        pilot.place = (self._centre[0] + radius * c, self._centre[1] + radius * s)
+        pilot.velocity = (-radius * rate * s, radius * rate * c)
+        pilot.yaw = self._angle + math.pi
 
     def _by_stick(self, mode: Mode) -> None:
         vehicle = self._vehicle

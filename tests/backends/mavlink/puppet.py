@@ -32,6 +32,7 @@ class Puppet(asyncio.DatagramProtocol):
         self.mode, self.armed, self.landed = 0, False, 1
         self.lat, self.lon, self.height, self.sea = LAT, LON, 0.0, 400.0
         self.velocity = (0.0, 0.0, 0.0)
+        self.heading = 0.0  # rad
         self.health = 1 << 28
         self.params: dict[str, tuple[float, int]] = {}
         self.results: dict[int, Callable[[Any], int]] = {}
@@ -144,7 +145,14 @@ class Puppet(asyncio.DatagramProtocol):
         here = (round(self.lat * 1e7), round(self.lon * 1e7))
         above = round((self.height + self.sea) * 1e3), round(self.height * 1e3)
         v = [round(100 * part) for part in self.velocity]
-        self.send("GLOBAL_POSITION_INT", self.clock, *here, *above, *v, 0)
+        self.send(
+            "GLOBAL_POSITION_INT",
+            self.clock,
+            *here,
+            *above,
+            *v,
+            round(math.degrees(self.heading) * 100),
+        )
         self.send("EXTENDED_SYS_STATE", 0, self.landed)
         self.send("SYS_STATUS", 1 << 28, 1 << 28, self.health, 0, 12000, 0, 90, 0, 0, 0, 0, 0, 0)
         for more in self.also:

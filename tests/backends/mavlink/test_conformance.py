@@ -26,6 +26,7 @@ from hurry import Hurried
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
+from rcp_mavlink.messages import Calibrate
 from rcp_mavlink_sim import Twin, Vehicle
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.plans import Item
@@ -36,7 +37,12 @@ HEADING, KEPT = 90.0, 0.05  # deg that it looks to at first, rad by which it may
 GUIDED = 4
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
+PAYLOADS = {
+    "DISARM_DELAY": 0.0, "SERVO9_FUNCTION": 0.0, "RELAY1_FUNCTION": 1.0, "GRIP_ENABLE": 1.0,
+    "WINCH_TYPE": 1.0, "CHUTE_ENABLED": 1.0,
+}  # fmt: skip
 ON_THE_GROUND = (
+    "action/motor_test", "service/calibrate/continue",
     "action/arm", "action/calibrate", "service/reboot", "service/reset_system", "service/enable",
     "action/param/load", "action/param/reset",
 )  # fmt: skip
@@ -51,11 +57,12 @@ class MavlinkRig(Hurried, StopRig):
     cancel_within = 5.0
     device: Twin
     relay: Relay
+    calibrating: asyncio.Future[Any]
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
         async with (
-            twin(latency=0.1, heading=HEADING) as running,
+            twin(latency=0.1, heading=HEADING, parameters=PAYLOADS) as running,
             relay(running.ports[0]) as self.relay,
         ):
             airborne(running.vehicle)
@@ -93,6 +100,12 @@ class MavlinkRig(Hurried, StopRig):
                 ve * math.cos(yaw) - vn * math.sin(yaw),
             )
             return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
+        if name == "actuator/position":
+            if pilot.place is None or pilot.depth is None:
+                return {}
+            n, e = pilot.place
+            place = {"x": round(e, 1) + 0.0, "y": round(n, 1) + 0.0, "z": round(-pilot.depth, 1)}
+            return {"position": place}
         if name == "actuator/cmd_vel":
             # The last turn ends while the velocity is repeated, which shows in its second decimal.
             turned = await self.truth("actuator/velocity")
@@ -121,6 +134,10 @@ class MavlinkRig(Hurried, StopRig):
                 {"linear": {"x": 2.0}},
                 {"linear": {"z": 1.0}, "angular": {"z": 0.25}},
             ),
+            "actuator/position": (
+                {"position": {"x": 2.0, "y": 4.0, "z": 20.0}},
+                {"position": {"x": 3.0, "y": -4.0, "z": 21.0}},
+            ),
             "actuator/velocity": ({"x": 2.0}, {"x": 0.0, "z": 1.0}),
             "actuator/attitude": ({"pitch": -0.125, "thrust": 0.5}, {"roll": 0.125, "thrust": 0.5}),
         }[name]
@@ -129,6 +146,8 @@ class MavlinkRig(Hurried, StopRig):
         mission = {"items": [{"command": "NAV_WAYPOINT", "latitude": LAT, "longitude": LON}]}
         unknown = {"items": [{"command": "NAV_WAIPOINT"}]}
         return {
+            # The vehicle keeps few logs, and each flight of the other goals adds one.
+            "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "action/move_to": Goal(
                 good={"north": 10.0, "altitude": 20.0},
                 bad={"latitude": 1.0},
@@ -148,11 +167,26 @@ class MavlinkRig(Hurried, StopRig):
             "action/gimbal": Goal(good={"pitch": -0.5}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
+            "service/calibrate/continue": Goal(good=None),
+            "action/turn": Goal(good={"by": 0.5}, bad={}, long={"by": 3.0, "rate": 0.1}),
+            "action/orbit": Goal(
+                good={"radius": 2.0, "speed": 2.0, "turns": 0.5},
+                bad={"radius": 2.0, "latitude": 1.0},
+                long={"radius": 10.0, "turns": 100},
+            ),
+            "service/mission/set_current": Goal(good={"item": 2}, bad={"item": 9}),
+            "action/motor_test": Goal(
+                good={"motor": 1}, bad={"motor": 9}, long={"motor": 1, "seconds": 3.0}
+            ),
+            "action/winch": Goal(
+                good={"length": 1.0},
+                bad={"length": 90.0, "speed": 5.0},
+                long={"length": 40.0, "speed": 0.1},
+            ),
             "action/param/load": Goal(good={"text": "RTL_ALT,2000\n"}, bad={"text": "NO_SUCH,1\n"}),
             "action/param/reset": Goal(good=None),
             "action/plan/load": Goal(good={"text": WAYPOINTS}, bad={"text": "{}"}),
             **_files(),
-            "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "service/reboot": Goal(good=None),
             "service/reset_system": Goal(good=None),
             "service/enable": Goal(good=None),
@@ -172,7 +206,8 @@ class MavlinkRig(Hurried, StopRig):
             armed(vehicle)
         else:
             airborne(vehicle)
-        if name.startswith("action/mission/"):
+        vehicle.payloads.line = 0.0
+        if name.startswith("action/mission/") or name == "service/mission/set_current":
             items = [HERE, *[FLOWN if name == "action/mission/run" else LONG] * 3]
             mission.plan.replace(items)
             mission.changed()
@@ -185,6 +220,20 @@ class MavlinkRig(Hurried, StopRig):
             else:
                 skip(vehicle, lambda: mission.current > 0)
         await agrees(self.backend, vehicle)
+        if name == "service/calibrate/continue":
+            await self._wait_for_a_position()
+
+    async def _wait_for_a_position(self) -> None:
+        asked = asyncio.Event()
+
+        def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
+            if feedback is not None:
+                asked.set()
+
+        robot, goal = self.backend.robots[""], Calibrate("accelerometer_full")
+        self.calibrating = asyncio.ensure_future(robot.execute("action/calibrate", goal, progress))
+        async with asyncio.timeout(30):
+            await asked.wait()
 
     async def _tidy(self) -> None:
         """Have the file there that is removed and renamed, and not the one that is made."""
@@ -223,6 +272,19 @@ class MavlinkRig(Hurried, StopRig):
                 return flight.mission.paused
             case "action/mission/resume":
                 return not flight.mission.paused
+            case "service/calibrate/continue":
+                self.calibrating.cancel()
+                return vehicle.calibrations.position == 2
+            case "action/turn":
+                return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < KEPT
+            case "action/orbit":
+                return flight.mode is Mode.BRAKE
+            case "service/mission/set_current":
+                return flight.mission.current == result["item"]
+            case "action/motor_test":
+                return not vehicle.motor_test.motor
+            case "action/winch":
+                return vehicle.payloads.line == result["length"]
             case "action/gimbal":
                 return abs(math.radians(vehicle.mount.pitch) - result["pitch"]) < 0.02
             case "action/camera/photo":
@@ -233,7 +295,10 @@ class MavlinkRig(Hurried, StopRig):
                 return True
 
     async def at_rest(self) -> bool:
-        return self.vehicle.body.landed or speed(self.vehicle) < 0.5
+        vehicle = self.vehicle
+        if vehicle.motor_test.motor or vehicle.payloads.line_speed:
+            return False
+        return vehicle.body.landed or speed(vehicle) < 0.5
 
     async def break_link(self) -> None:
         self.device.muted = True

@@ -1,0 +1,97 @@
+"""What a vehicle has beside its journeys: turns, circles, held positions, sticks, motors, payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+from rcp_mavlink.commands import Commands
+from rcp_mavlink.flightmodes import Family
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.intervals import Intervals
+from rcp_mavlink.journeys import Journeys
+from rcp_mavlink.motion import Motion
+from rcp_mavlink.motor_tests import MotorTests
+from rcp_mavlink.orbits import Orbits
+from rcp_mavlink.origins import Origins
+from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.payloads import Payloads
+from rcp_mavlink.position_targets import PositionTargets
+from rcp_mavlink.setpoints import Setpoints
+from rcp_mavlink.speeds import SpeedLimit
+from rcp_mavlink.sticks import Sticks
+from rcp_mavlink.turns import Turns
+from rcp_mavlink.vehicle import Vehicle
+from rcp_mavlink.winches import Winches
+
+__all__ = ["Equipment"]
+
+
+class Equipment:
+    """The services of one vehicle that need no more than its commands and messages."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        vehicle: Vehicle,
+        commands: Commands,
+        intervals: Intervals,
+        motion: Motion,
+        parameters: Parameters,
+        setpoints: Setpoints,
+        limit: SpeedLimit,
+        journeys: Journeys,
+    ) -> None:
+        fastest = hub.config.max_speed
+        self._turns = Turns(vehicle, commands, motion, limit, fastest)
+        self._orbits = Orbits(vehicle, commands, motion, parameters, limit, journeys)
+        self._origins = Origins(hub, vehicle, commands, intervals)
+        self._payloads = Payloads(vehicle, commands, intervals)
+        self._winches = Winches(vehicle, commands, intervals, motion)
+        self._motors = MotorTests(vehicle, commands, intervals, motion)
+        self._sticks = Sticks(hub, vehicle, motion)
+        self.writes: dict[str, Callable[[Any], Awaitable[None]]] = {
+            "actuator/position": PositionTargets(hub, vehicle, setpoints, parameters).write,
+            "actuator/sticks": self._sticks.positions,
+            "actuator/rc": self._sticks.pulses,
+        }
+        """The handler of each path that is written."""
+
+    def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
+        """Return the handler of each path that is executed."""
+        return {
+            **self._turns.verbs(),
+            **self._origins.verbs(),
+            **self._payloads.verbs(),
+            **self._winches.verbs(),
+            **self._motors.verbs(),
+        }
+
+    def leading(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
+        """Return the handler of each path that ends what the vehicle does."""
+        return {**self._turns.leading(), **self._orbits.leading()}
+
+    @staticmethod
+    def resources(family: Family, *, sticks: bool) -> list[Resource]:
+        """List what a vehicle of a family has."""
+        found = [
+            *Turns.resources(family),
+            *Orbits.resources(family),
+            *Origins.resources(),
+            *Payloads.resources(),
+            *Winches.resources(),
+            *MotorTests.resources(),
+            *PositionTargets.resources(family.led),
+        ]
+        return found + (Sticks.resources() if sticks else [])
+
+    def end_writes(self) -> None:
+        """Release the sticks."""
+        self._sticks.end()
+
+    def end(self) -> None:
+        """Stop at once what moves beside the flight."""
+        self._motors.end()
+        self._winches.end()
