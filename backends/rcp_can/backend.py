@@ -13,7 +13,7 @@ from anyio.abc import TaskGroup
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.bus import Bus
-from rcp_can.commissioning import CommissioningPart
+from rcp_can.commissioning import CommissioningPart, procedures_of
 from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
@@ -216,7 +216,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     powers = group_powers(config, drives, groups)
     motors = [MotorPart(axis, shared_modes(axis, axes.values())) for axis in axes.values()]
     commissioned = [
-        CommissioningPart(axis, [*excitations(axis), *axis.drive.procedures()])
+        CommissioningPart(axis, [*excitations(axis), *procedures_of(axis)])
         for axis in axes.values()
         if axis.config.commissioning
     ]

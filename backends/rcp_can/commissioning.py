@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import Any
 
 import anyio
@@ -15,11 +16,16 @@ from rcp_can.procedure import Procedure
 from rcp_can.standstill import rested
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.spi import Progress, fenced_off
+from rcp_kernel.spi import Progress, check_fence, fenced_off
 
-__all__ = ["CommissioningPart"]
+__all__ = ["CommissioningPart", "procedures_of"]
 
 _IDENTITY = ("vendor", "model", "firmware", "serial")
+
+
+def procedures_of(axis: Axis) -> Sequence[Procedure]:
+    """List the procedures of a motor's drive."""
+    return axis.drive.procedures(axis.config.gear, axis.velocity_limit)
 
 
 class CommissioningPart(Part):
@@ -90,9 +96,13 @@ class CommissioningPart(Part):
             return await procedure.run(value, progress)
         axis.owner = name
         try:
-            if procedure.motion == "none":
-                return await procedure.run(value, progress)
-            return await unless_lost(axis, procedure.run(value, progress))
+            match procedure.motion:
+                case "none":
+                    return await procedure.run(value, progress)
+                case "set_points":
+                    return await unless_lost(axis, procedure.run(value, progress))
+                case "own":
+                    return await self._run(procedure, value, progress)
         except (asyncio.CancelledError, RcpError) as error:
             if procedure.motion == "set_points":
                 await abandon(axis, error)
@@ -102,6 +112,16 @@ class CommissioningPart(Part):
         finally:
             axis.owner = axis.ended = None
             axis.show()
+
+    async def _run(self, procedure: Procedure, value: Any, progress: Progress) -> Any:
+        """Let the drive move by itself; return when it is at rest afterwards."""
+        axis = self._axis
+        check_fence()
+        axis.forget(None)
+        axis.end_stop()
+        result = await unless_lost(axis, procedure.run(value, progress))
+        await rested(axis)
+        return result
 
     def _check(self, procedure: Procedure, value: Any) -> None:
         """Check that a procedure can begin.
@@ -147,7 +167,8 @@ class CommissioningPart(Part):
         :raises RcpError: the procedure was cancelled, and rest is not confirmed.
         """
         axis = self._axis
-        if not fenced_off():  # otherwise the stop that ended it already controls the drive
+        # A stop that ended it already controls the drive; and it may not have begun to move.
+        if not fenced_off() and not axis.resting:
             axis.stop()
         axis.leaving = True
         try:

@@ -117,8 +117,11 @@ class Drive(ABC):
         """Whether it runs a procedure of its own, which may move it at any moment."""
         return False
 
-    def procedures(self) -> Sequence[Procedure]:
-        """List what sets up this make of drive."""
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """List what sets up this make of drive.
+
+        `gear` is turns of its shaft per turn of the joint, `velocity` the limit of the joint in rad/s.
+        """
         return ()
 
     @property

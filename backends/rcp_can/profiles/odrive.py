@@ -199,7 +199,7 @@ class OdriveDrive(Drive):
         """Whether it calibrates, or may be about to."""
         return self._unsettled > 0 or self._state in SELF_MOVING
 
-    def procedures(self) -> Sequence[Procedure]:
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
         """Offer calibration, and storing of the configuration."""
         return odrive_procedures(self)
 
