@@ -36,6 +36,7 @@ from rcp_can.raw import BusPart
 from rcp_can.sdo import Sdo
 from rcp_can.standstill import motion_of_all
 from rcp_can.stop_plan import stop_plans
+from rcp_can.traffic import TrafficPart
 from rcp_kernel.errors import (
     AdapterUnavailable,
     ConfigError,
@@ -220,7 +221,18 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         for axis in axes.values()
         if axis.config.commissioning
     ]
-    for part in (*lines, *motors, *commissioned, *devices, *nodes, *drives, *groups, *powers):
+    traffic = [TrafficPart(bus, host) for bus in buses.values()]
+    for part in (
+        *lines,
+        *traffic,
+        *motors,
+        *commissioned,
+        *devices,
+        *nodes,
+        *drives,
+        *groups,
+        *powers,
+    ):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:
