@@ -109,10 +109,12 @@ class AxisState:
 
     @property
     def slow(self) -> bool:
-        """Whether the last reported velocity is below standstill."""
+        """Whether the last report shows standstill, and no procedure of the drive may end it."""
         velocity = self.status.velocity
-        return velocity is not None and abs(velocity) <= max(
-            _RESTING, self.config.standstill * self.config.gear
+        return (
+            velocity is not None
+            and not self.drive.busy
+            and abs(velocity) <= max(_RESTING, self.config.standstill * self.config.gear)
         )
 
     @property

@@ -13,10 +13,12 @@ from anyio.abc import TaskGroup
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.bus import Bus
+from rcp_can.commissioning import CommissioningPart, procedures_of
 from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.eds_node import EdsPart
+from rcp_can.excitation import excitations
 from rcp_can.facts import Facts
 from rcp_can.group_power import group_powers
 from rcp_can.health import Health
@@ -34,6 +36,7 @@ from rcp_can.raw import BusPart
 from rcp_can.sdo import Sdo
 from rcp_can.standstill import motion_of_all
 from rcp_can.stop_plan import stop_plans
+from rcp_can.traffic import TrafficPart
 from rcp_kernel.errors import (
     AdapterUnavailable,
     ConfigError,
@@ -213,7 +216,23 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     ]
     powers = group_powers(config, drives, groups)
     motors = [MotorPart(axis, shared_modes(axis, axes.values())) for axis in axes.values()]
-    for part in (*lines, *motors, *devices, *nodes, *drives, *groups, *powers):
+    commissioned = [
+        CommissioningPart(axis, [*excitations(axis), *procedures_of(axis)])
+        for axis in axes.values()
+        if axis.config.commissioning
+    ]
+    traffic = [TrafficPart(bus, host) for bus in buses.values()]
+    for part in (
+        *lines,
+        *traffic,
+        *motors,
+        *commissioned,
+        *devices,
+        *nodes,
+        *drives,
+        *groups,
+        *powers,
+    ):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:

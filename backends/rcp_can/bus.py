@@ -144,7 +144,7 @@ class Bus:
         except QueueFull:
             self.refused += 1
             raise
-        self._busy += self._duration(message)
+        self._busy += self.duration(message)
         for tap in self.taps:
             tap(message)
 
@@ -234,7 +234,7 @@ class Bus:
     def _take(self, batch: list[can.Message]) -> None:
         known, taps = self._known, self.taps
         for message in batch:
-            self._busy += self._duration(message)
+            self._busy += self.duration(message)
             for tap in taps:
                 tap(message)
             if message.is_error_frame:
@@ -251,6 +251,11 @@ class Bus:
                     self.malformed += 1
         for function in self._after_batch:
             function()
+
+    def takes(self, identifier: int, *, extended: bool) -> bool:
+        """Return whether anything listens to an identifier."""
+        key = identifier | (extended << 31)
+        return bool(self._known.get(key) or self._find(identifier, key))
 
     def _find(self, identifier: int, key: int) -> tuple[Listener, ...]:
         extended = key >> 31
@@ -276,7 +281,8 @@ class Bus:
         elif state is not None and self.wire is not None and state != self.state:
             self._turn(state, detail)  # type: ignore[arg-type]
 
-    def _duration(self, message: can.Message) -> float:
+    def duration(self, message: can.Message) -> float:
+        """Return how long a frame occupies the bus, s; 0 without a bit rate."""
         bitrate = self.config.bitrate
         if bitrate is None:
             return 0.0

@@ -57,6 +57,8 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     gravity: tuple[tuple[float, float], ...] = ()
     """Torque that holds the joint against gravity: pairs of position (rad) and torque (N·m), which is
     fed forward to the drive."""
+    commissioning: bool = False
+    """Offer what sets up and measures the drive: its procedures, step response and chirp."""
     options: dict[str, Any] = {}
     """Options of the profile, listed in its table."""
 

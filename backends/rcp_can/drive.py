@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcp_can.bus import Bus, Route
 from rcp_can.motor_messages import Mode
+from rcp_can.procedure import Procedure
 from rcp_can.status import Fault, Status
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 from rcp_kernel.spi import check_fence
@@ -110,6 +111,18 @@ class Drive(ABC):
     def loose(self) -> bool:
         """Whether a set-point from another master would move it after a stop."""
         return False
+
+    @property
+    def busy(self) -> bool:
+        """Whether it runs a procedure of its own, which may move it at any moment."""
+        return False
+
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """List what sets up this make of drive.
+
+        `gear` is turns of its shaft per turn of the joint, `velocity` the limit of the joint in rad/s.
+        """
+        return ()
 
     @property
     def server(self) -> Sdo | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Container, Coroutine
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import anyio
 
@@ -26,8 +26,9 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, fenced_off
 
-__all__ = ["MotorPart", "abandon", "drive_to", "released"]
+__all__ = ["MotorPart", "abandon", "drive_to", "released", "unless_lost"]
 
+_T = TypeVar("_T")
 _FEEDBACK = 0.1  # s between two progress reports of a move
 _SETTLE = 3.0  # s the joint may need to settle after its set-point has arrived
 _POLL_PERIOD = 0.01  # s
@@ -179,7 +180,7 @@ class MotorPart(Part):
         axis.forget(None)
         axis.owner = f"action/{axis.name}/home"
         try:
-            await _unless_lost(axis, axis.drive.home())
+            await unless_lost(axis, axis.drive.home())
         except (asyncio.CancelledError, RcpError) as error:
             await abandon(axis, error)
             raise
@@ -213,7 +214,7 @@ def _is_zero(name: str, value: float) -> bool:
     return value == 0.0 and not name.endswith("/position")
 
 
-async def _unless_lost(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
+async def unless_lost(axis: Axis, work: Coroutine[Any, Any, _T]) -> _T:
     """Await an operation of the drive; end it with the reason if the motor becomes unavailable."""
     task = asyncio.ensure_future(work)
     reasons: list[RcpError] = []
@@ -235,7 +236,7 @@ async def _unless_lost(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
             task.exception()  # retrieved: what ends it here may outweigh that it failed as well
     if reasons:
         raise reasons[0]
-    task.result()
+    return task.result()
 
 
 async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
@@ -255,7 +256,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
         axis.forget(None)
         goal = (move.position - axis.config.offset) * axis.ratio
         raw = None if acceleration is None else acceleration * axis.config.gear
-        await _unless_lost(axis, axis.drive.move(goal, velocity * axis.config.gear, raw))
+        await unless_lost(axis, axis.drive.move(goal, velocity * axis.config.gear, raw))
         axis.ended = lost.append
     else:
         axis.ended = lost.append

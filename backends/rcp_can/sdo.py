@@ -142,8 +142,10 @@ class Sdo:
                     await self._abort(index, sub, 0x05040005)
                 toggle ^= 0x10
 
-    async def download(self, index: int, sub: int, data: bytes) -> None:
-        """Write an object.
+    async def download(
+        self, index: int, sub: int, data: bytes, *, seconds: float = _TIMEOUT
+    ) -> None:
+        """Write an object; `seconds` is the time for the response, for a value of up to four bytes.
 
         :raises SdoAborted: the node refuses.
         :raises DeviceTimeout: the node does not respond.
@@ -152,7 +154,7 @@ class Sdo:
             if 0 < len(data) <= 4:
                 command = 0x23 | (4 - len(data)) << 2
                 frame = struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
-                await self._request(frame, _DOWNLOADED, index, sub)
+                await self._request(frame, _DOWNLOADED, index, sub, seconds)
                 return
             frame = struct.pack("<BHBI", 0x21, index, sub, len(data))
             await self._request(frame, _DOWNLOADED, index, sub)
@@ -171,14 +173,16 @@ class Sdo:
         self._bus.send(0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, code))
         raise SdoAborted(self._node, index, sub, code)
 
-    async def _request(self, frame: bytes, specifier: int, index: int, sub: int) -> bytes:
+    async def _request(
+        self, frame: bytes, specifier: int, index: int, sub: int, seconds: float = _TIMEOUT
+    ) -> bytes:
         """Send a request; return the response to it, whatever else arrives before."""
         self._answer = asyncio.get_running_loop().create_future()
         self._expected, self._specifier = struct.pack("<HB", index, sub), specifier
         self._mismatched = False
         try:
             self._bus.send(0x600 + self._node, frame)
-            async with asyncio.timeout(_TIMEOUT):  # `wait_for` may swallow a cancellation
+            async with asyncio.timeout(seconds):  # `wait_for` may swallow a cancellation
                 answer = await self._answer
         except TimeoutError:
             if self._bus.up:

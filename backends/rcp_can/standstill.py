@@ -36,6 +36,9 @@ def motion_of(axis: Axis) -> MotionState:
         return MotionState(
             None, f"motor '{axis.name}': no velocity received for {age:.1f} s", energised
         )
+    if axis.drive.busy:
+        text = f"motor '{axis.name}' runs a procedure of its drive"
+        return MotionState(False, text, energised)
     if not axis.slow:
         text = f"motor '{axis.name}' moves at {abs(velocity):.2g} rad/s"
         return MotionState(False, text, energised)

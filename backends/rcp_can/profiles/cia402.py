@@ -14,6 +14,8 @@ import structlog
 from rcp_can.bus import Bus, Route
 from rcp_can.drive import Drive, Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
+from rcp_can.procedure import Procedure
+from rcp_can.profiles.cia402_homing import Homing, homing_of
 from rcp_can.profiles.cia402_identity import read_identity
 from rcp_can.profiles.cia402_objects import (
     COMMANDS,
@@ -25,6 +27,7 @@ from rcp_can.profiles.cia402_objects import (
 )
 from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.profiles.cia402_pdos import eds_map, own_map, own_pdos
+from rcp_can.profiles.cia402_procedures import cia402_procedures
 from rcp_can.profiles.cia402_setup import has_object, map_pdos, set_up
 from rcp_can.sdo import Sdo
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
@@ -36,7 +39,7 @@ __all__ = ["PROFILE", "Cia402Drive"]
 
 log = structlog.get_logger("rcp.can")
 _PRE_OPERATIONAL, _OPERATIONAL, _START, _RESET = 0x7F, 0x05, 0x01, 0x81
-_REACHED, _LIMIT, _ACKNOWLEDGED, _HOMED, _HOMING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 12, 1 << 13
+_REACHED, _LIMIT, _ACKNOWLEDGED = 1 << 10, 1 << 11, 1 << 12
 _NEW_SET_POINT, _AT_ONCE = 1 << 4, 1 << 5
 _FAST = 0.05  # s: a set-point older than this is not worth sending
 _UNDER_WAY = 1  # PDOs that may have left the drive before our request reached it
@@ -80,7 +83,7 @@ class Cia402Drive(Drive):
         self._control = COMMANDS["disable_voltage"]
         self._goal = self._rate = self._torque = self._offset = 0
         self._nmt: int | None = None
-        self._moving = False
+        self._moving = self._homing = False
         self._statuswords = 0
         self._configured = self._watched = False
         self._sync = options.sync
@@ -110,6 +113,15 @@ class Cia402Drive(Drive):
     def server(self) -> Sdo:
         """Its SDO client, the only one for this node."""
         return self.sdo
+
+    @property
+    def busy(self) -> bool:
+        """Whether it homes."""
+        return self._homing
+
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """Offer homing by a method, and storing of its parameters."""
+        return cia402_procedures(self, gear * self._scale, velocity)
 
     def routes(self) -> tuple[Route, ...]:
         """Return its PDOs, emergencies, heartbeats and SDO responses."""
@@ -211,6 +223,7 @@ class Cia402Drive(Drive):
         self._statuswords += 1
         was, self.state = self.state, state_of(statusword)
         status.enabled = self.state == "enabled"
+        self._homing = self._homing and status.enabled
         status.holding = self.state in _POWERED
         if was in _FAULTS and self.state not in _FAULTS:
             self._emergencies.clear()
@@ -393,31 +406,47 @@ class Cia402Drive(Drive):
     async def home(self) -> None:
         """Home by the configured method."""
         await self.write("homing_method", self.options.homing_method)
+        await self.find_reference(self.options.home_timeout)
+
+    async def find_reference(self, seconds: float) -> None:
+        """Home by the method and the speeds in the drive (CiA 402-2, 10.5).
+
+        :raises DeviceRejected: it does not start, or ends with an error.
+        :raises DeviceTimeout: it takes longer than `seconds`.
+        """
         self._mode = MODES["homing"]
         await self.until(
             lambda: self._shown == MODES["homing"],
             "in homing mode",
             again=lambda: self._push(COMMANDS["enable"]),
         )
+        # A statusword that was on the bus may still tell the end of the last homing.
+        first = self._statuswords + _UNDER_WAY
+        self._homing = True
         self._push(COMMANDS["enable"] | _NEW_SET_POINT)
-        done = _HOMED | _REACHED
+        began = time.monotonic()
+
+        def outcome() -> Homing:
+            if self._statuswords <= first:
+                return Homing.RUNNING
+            return homing_of(self._statusword, time.monotonic() - began)
+
         await self.until(
-            lambda: self._statusword & done == done or bool(self._statusword & _HOMING_ERROR),
-            "homed",
-            seconds=self.options.home_timeout,
+            lambda: outcome() is not Homing.RUNNING or not self._homing, "homed", seconds=seconds
         )
-        error = self._statusword & _HOMING_ERROR
+        found = outcome()
         self._goal = round((self.status.position or 0.0) * self._scale)
         self._mode, self._rate = self._modes("velocity"), 0
         self._transmit(*_RATES)
         self._push(COMMANDS["enable"])
-        if error:
-            raise DeviceRejected("homing failed: the drive reports a homing error")
+        self._homing = False
+        if found is not Homing.DONE:
+            raise DeviceRejected(f"homing failed: {found.value}")
         self.status.homed = True
 
     def command(self, mode: Mode, value: float, velocity: float) -> None:
         """Send a set-point together with its mode."""
-        self._moving = False
+        self._moving = self._homing = False
         offset = (self.torque_offset or 0.0) / self.options.rated_torque * 1000
         self._offset = round(max(-_I16, min(_I16, offset)))
         if mode == "position":

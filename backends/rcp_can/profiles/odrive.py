@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from rcp_can.bus import Route
 from rcp_can.codec import Field, Layout
-from rcp_can.drive import Drive, Fault, Profile, Protection, Reach, StopFrame
+from rcp_can.drive import Drive, Fault, Identity, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
-from rcp_kernel.errors import DeviceRejected
+from rcp_can.procedure import Procedure
+from rcp_can.profiles.odrive_endpoints import Endpoints, set_watchdog
+from rcp_can.profiles.odrive_procedures import odrive_procedures
+from rcp_can.profiles.odrive_states import SELF_MOVING, reason
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
 if TYPE_CHECKING:
     import can
@@ -28,6 +32,9 @@ _SLOW = 0.4  # s between two requests for a state, which take time to take effec
 _BEATS = 0.5  # s within which a heartbeat must come
 _ENCODER, _HEARTBEAT = 0.02, 0.1  # s: periods of the drive's reports, which are 10 and 100 ms
 _FEED_PERIOD = 0.1  # s without a message that feeds the drive's watchdog, after which one is sent
+_IDENTITY = 0.5  # s within which it tells what it is
+_REBOOT = 10.0  # s within which it has stored its configuration and is back
+_SAVE = 1  # action of a reboot
 _FAST = 0.05  # s: a set-point older than this is not worth sending
 
 
@@ -36,6 +43,16 @@ def _f(name: str, scale: float = 1.0) -> Field:
 
 
 MESSAGES: dict[str, tuple[int, Layout]] = {
+    "version": (
+        0x00,
+        Layout(
+            "<",
+            Field("protocol", "B"),
+            *(Field(f"hardware_{part}", "B") for part in ("major", "minor", "variant")),
+            *(Field(f"firmware_{part}", "B") for part in ("major", "minor", "revision")),
+            Field("unreleased", "B"),
+        ),
+    ),
     "heartbeat": (
         0x01,
         Layout(
@@ -43,6 +60,26 @@ MESSAGES: dict[str, tuple[int, Layout]] = {
         ),
     ),
     "error": (0x03, Layout("<", Field("active", "I"), Field("disarm_reason", "I"))),
+    "access": (
+        0x04,
+        Layout(
+            "<",
+            Field("opcode", "B"),
+            Field("endpoint", "H"),
+            Field("reserved", "B"),
+            Field("value", "I"),
+        ),
+    ),
+    "value": (
+        0x05,
+        Layout(
+            "<",
+            Field("reserved_0", "B"),
+            Field("endpoint", "H"),
+            Field("reserved_1", "B"),
+            Field("value", "I"),
+        ),
+    ),
     "address": (
         0x06,
         Layout("<", Field("node", "B"), Field("serial_low", "I"), Field("serial_high", "H")),
@@ -66,6 +103,7 @@ MESSAGES: dict[str, tuple[int, Layout]] = {
     "trap_acceleration": (0x12, Layout("<", _f("acceleration", TURN), _f("deceleration", TURN))),
     "current": (0x14, Layout("<", _f("set_point"), _f("measured"))),
     "temperature": (0x15, Layout("<", _f("drive"), _f("motor"))),
+    "reboot": (0x16, Layout("<", Field("action", "B"))),
     "supply": (0x17, Layout("<", _f("voltage"), _f("current"))),
     "clear": (0x18, Layout("<", Field("identify", "B"))),
     "absolute": (0x19, Layout("<", _f("position", TURN))),
@@ -99,6 +137,9 @@ _ERRORS = {
 }
 
 
+_HEARTBEATS = 2  # that may predate a request
+
+
 class OdriveOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Options of an ODrive axis."""
 
@@ -107,6 +148,9 @@ class OdriveOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     trapezoid: bool = True
     """Use the drive's own trapezoidal trajectories, which report their end."""
     home_timeout: float = 60.0
+    endpoints: str = ""
+    """The file `flat_endpoints.json` of its firmware, 0.6 or newer: the watchdog is set and read
+    back."""
 
 
 class OdriveDrive(Drive):
@@ -122,6 +166,13 @@ class OdriveDrive(Drive):
         self._mode: tuple[int, int] | None = None
         self._state = 0
         self._serial: tuple[float, float] | None = None
+        self._version: dict[str, int] | None = None
+        self._result = 0
+        self._unsettled = 0
+        """Heartbeats to come that may predate the request for a calibration."""
+        self.values: dict[int, int] = {}
+        """The endpoints read since they were last asked for, as raw 32-bit values."""
+        self._endpoints = Endpoints.load(options.endpoints) if options.endpoints else None
         self._moving = False
         self._ours = False
         self._fed = 0.0
@@ -133,7 +184,7 @@ class OdriveDrive(Drive):
         self._read = {
             MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))
             for name in (
-                *("heartbeat", "error", "address", "encoder"),
+                *("version", "heartbeat", "error", "value", "address", "encoder"),
                 *("current", "temperature", "supply", "torques"),
             )
         }
@@ -142,6 +193,15 @@ class OdriveDrive(Drive):
     def beats(self) -> float | None:
         """Several of its periods, which are 100 ms by default."""
         return _BEATS if self.status.beat else None
+
+    @property
+    def busy(self) -> bool:
+        """Whether it calibrates, or may be about to."""
+        return self._unsettled > 0 or self._state in SELF_MOVING
+
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """Offer calibration, and storing of the configuration."""
+        return odrive_procedures(self)
 
     def period(self, signal: str) -> float:
         """Return the period of its encoder message, or of the heartbeat for the state."""
@@ -166,12 +226,11 @@ class OdriveDrive(Drive):
         status.beat = time.monotonic()
         if state == 0 or (self._state not in (0, 1) and state == _IDLE and error & 1):
             status.resets += 1
-        self._state = state
+        self._state, self._result = state, result
+        self._unsettled = max(0, self._unsettled - 1)
         status.enabled = state not in (0, _IDLE)
         status.reached = bool(done & 1) if self._moving else None
         status.faults = _faults(error) if error else ()
-        if result not in (0, 1, 3) and not error:  # 1 busy, 3 cancelled
-            status.faults = (Fault("procedure", f"the last procedure ended with {result}", result),)
         status.reports += 1
 
     def _on_error(self, active: int, disarm_reason: int) -> None:
@@ -183,6 +242,33 @@ class OdriveDrive(Drive):
         if self._serial not in (None, serial):
             self.status.twins += 1
         self._serial = serial
+        self._identify()
+
+    def _on_version(self, **found: float) -> None:
+        self._version = {name: int(value) for name, value in found.items()}
+        self._identify()
+
+    def _on_value(self, endpoint: float, value: float, **_: float) -> None:
+        self.values[int(endpoint)] = int(value)
+        self.status.reports += 1
+
+    def _identify(self) -> None:
+        version, serial = self._version, self._serial
+        if version is None:
+            return
+        hardware = ".".join(
+            str(version[f"hardware_{part}"]) for part in ("major", "minor", "variant")
+        )
+        self.identity = Identity(
+            vendor="ODrive",
+            model=f"hardware {hardware}",
+            firmware=".".join(
+                str(version[f"firmware_{part}"]) for part in ("major", "minor", "revision")
+            )
+            + ("-dev" if version["unreleased"] else ""),
+            serial=None if serial is None else f"{int(serial[1]):04X}{int(serial[0]):08X}",
+        )
+        self.status.reports += 1
 
     def _on_encoder(self, position: float, velocity: float) -> None:
         self.status.position, self.status.velocity = position, velocity
@@ -229,6 +315,90 @@ class OdriveDrive(Drive):
         if slow in (1, 17, 33):
             name = {1: "temperature", 17: "supply", 33: "address"}[slow]
             self.send(self._base | MESSAGES[name][0], remote=True, length=8, lifetime=_FAST)
+
+    def _request(self, name: str) -> None:
+        self.send(self._base | MESSAGES[name][0], remote=True, length=8)
+
+    async def configure(self) -> None:
+        """Ask what it is; set its watchdog and read it back, if its endpoints are known."""
+
+        def ask() -> None:
+            self._request("version")
+            self._request("address")
+
+        try:
+            await self.until(
+                lambda: None not in (self.identity, self._serial, self.status.enabled),
+                "telling its version and state",
+                again=ask,
+                seconds=_IDENTITY,
+                faults=False,
+            )
+        except DeviceTimeout:  # older firmware does not tell
+            if self._endpoints is not None:
+                raise
+        if self._endpoints is not None:
+            self.protection = await set_watchdog(self, self._endpoints, self.watchdog)
+
+    async def read_endpoint(self, number: int) -> int:
+        """Read one of its endpoints, as a raw 32-bit value.
+
+        :raises DeviceTimeout: it does not answer.
+        """
+        self.values.pop(number, None)
+        await self.until(
+            lambda: number in self.values,
+            f"telling endpoint {number}",
+            again=lambda: self._transmit("access", endpoint=number),
+            faults=False,
+        )
+        return self.values[number]
+
+    def write_endpoint(self, number: int, value: int) -> None:
+        """Write one of its endpoints; it does not answer."""
+        self._transmit("access", opcode=1, endpoint=number, value=value)
+
+    async def calibrate(self, state: int, seconds: float, tell: Callable[[int], None]) -> None:
+        """Run a calibration; return when it has ended in idle without an error.
+
+        :raises DeviceRejected: it does not start, or fails, with the drive's reason.
+        :raises DeviceTimeout: it does not end in time.
+        """
+        self._unsettled, self._ours, self._input = _HEARTBEATS, True, ("velocity", {})
+        seen: list[int] = []
+
+        def ended() -> bool:
+            if self._state in SELF_MOVING and self._state not in seen[-1:]:
+                seen.append(self._state)
+                tell(self._state)
+            return not self.busy
+
+        try:
+            self._transmit("state", state=state)
+            await self.until(ended, "at the end of its calibration", seconds=seconds)
+        finally:
+            self._ours = False
+        if (failure := reason(self._result)) is not None:
+            raise DeviceRejected(f"the calibration failed: {failure}")
+        if not seen:
+            raise DeviceRejected(
+                "the drive did not start the calibration",
+                remedy="Check that its motor and encoder are configured (odrivetool).",
+            )
+
+    async def save(self) -> None:
+        """Store the configuration; the drive reboots once it has.
+
+        :raises DeviceTimeout: it was not seen to reboot.
+        """
+        resets = self.status.resets
+        self._transmit("reboot", action=_SAVE)
+        await self.until(
+            lambda: self.status.resets > resets and self._state == _IDLE,
+            "seen to reboot, so it may not have stored its configuration",
+            seconds=_REBOOT,
+            faults=False,
+        )
 
     async def enable(self) -> None:
         """Enter closed loop control at velocity zero, whatever set-point the drive still has."""
@@ -281,7 +451,10 @@ class OdriveDrive(Drive):
             lambda: self._state != _HOMING, "done with homing", seconds=self.options.home_timeout
         )
         if self._state != _CLOSED_LOOP:
-            raise DeviceRejected("homing ended, and the axis is idle")
+            failure = reason(self._result)
+            raise DeviceRejected(
+                "homing ended, and the axis is idle" + (f": {failure}" if failure else "")
+            )
         self.status.homed = True
 
     def _control(self, mode: Mode, input_mode: int) -> None:
@@ -318,8 +491,10 @@ class OdriveDrive(Drive):
         self.status.reached = None
 
     def stop(self) -> None:
-        """Brake with all available torque: velocity zero, without a ramp."""
+        """Brake with all available torque: velocity zero, without a ramp; end a calibration."""
         self._moving = False
+        if self.busy:  # it ignores its inputs
+            self._transmit("state", urgent=True, state=_IDLE)
         self._mode = _CONTROL["velocity"], _PASSTHROUGH
         self._fed, self._input = time.monotonic(), ("velocity", {})
         self._transmit("velocity", urgent=True)

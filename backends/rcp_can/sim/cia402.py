@@ -27,8 +27,12 @@ _WORDS = {
     "fault": 0x218,
 }
 _PRE_OPERATIONAL = 0x7F
+_STORAGE, _NOT_STORED = 0x06060000, 0x08000020  # abort codes of CiA 301
 _STANDSTILL = 0.02  # rad/s at which a quick stop ends
-_REACHED, _ACKNOWLEDGED, _HOMED = 1 << 10, 1 << 12, 1 << 12
+_REACHED, _ACKNOWLEDGED, _HOMED, _HOMING_ERROR = 1 << 10, 1 << 12, 1 << 12, 1 << 13
+_HERE = frozenset((35, 37))  # homing methods that use the position where it is
+_SETTLES = 0.2  # s that they take
+_SAVE, _LOAD = b"save", b"load"
 _DONE = 0.005  # rad
 _LEAST = {0x000: 2, 0x600: 8}
 """Length of NMT and SDO frames, which canopen does not check."""
@@ -73,7 +77,20 @@ class Cia402Twin(Twin):
         self._control = 0
         self._acknowledged = self._homed = False
         self._controlled: int | None = None
-        self._homing = 0.0
+        self._homing: str | None = None
+        """What it does to home: `search`, `leave`, `settle`; None: nothing."""
+        self._homing_error = False
+        self._settling = 0.0
+        self.switch = -2.0
+        """Position of its reference switch, rad."""
+        self.stuck = False
+        """Its reference switch does not close: homing ends with an error, half a turn behind it."""
+        self.storage_fails = False
+        """Refuses to store parameters, for a hardware error."""
+        self.stores_on_command = True
+        """Tells that it stores, or restores, parameters if it is told to."""
+        self.stored: dict[int, bytes] = {}
+        """What was written to its parameters when they were stored."""
         self._master_seen: float | None = None
         self._astray: float | None = None
         """Since when the following error is too large."""
@@ -112,7 +129,8 @@ class Cia402Twin(Twin):
         super().boot()
         self.local.data_store.clear()
         self.state, self._control, self.emergency = "switch_on_disabled", 0, 0
-        self._acknowledged = self._homed = False
+        self._acknowledged = self._homed = self._homing_error = False
+        self._homing = None
         self._master_seen = None
         self.local.nmt._state = 0x7F  # noqa: SLF001
         self._hello = True
@@ -188,11 +206,21 @@ class Cia402Twin(Twin):
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes) -> None:
         entry = index, subindex
+        if index in (0x1010, 0x1011) and subindex:
+            self._keep(index, subindex, bytes(data))
         if entry == OBJECTS["controlword"][:2]:
             self._controlled = struct.unpack("<H", data)[0]
 
+    def _keep(self, index: int, subindex: int, signature: bytes) -> None:
+        """Store or restore parameters, if the signature is right (CiA 301, 7.5.2.13)."""
+        if signature != (_SAVE if index == 0x1010 else _LOAD) or self.storage_fails:
+            raise canopen.SdoAbortedError(_STORAGE if self.storage_fails else _NOT_STORED)
+        self.stored[index] = signature
+
     def _read(self, index: int, subindex: int, od: Any) -> int | None:
         entry = index, subindex
+        if index in (0x1010, 0x1011) and subindex:
+            return int(self.stores_on_command)
         if entry == OBJECTS["statusword"][:2]:
             return self.statusword
         if entry == OBJECTS["mode_shown"][:2]:
@@ -231,7 +259,11 @@ class Cia402Twin(Twin):
             return word
         mode = self.get("mode")
         if mode == MODES["homing"]:
-            return word | (_HOMED | _REACHED if self._homed else 0)
+            if self._homing_error:
+                return word | _HOMING_ERROR
+            if self._homing is not None:
+                return word
+            return word | _REACHED | (_HOMED if self._homed else 0)
         if mode == MODES["profile_position"]:
             near = abs(self.plant.goal - self.plant.position) < _DONE
             word |= _REACHED if near and abs(self.plant.velocity) < 0.05 else 0
@@ -351,9 +383,53 @@ class Cia402Twin(Twin):
                 self._acknowledged = False
         elif mode == MODES["homing"]:
             if new and not old & 0x10:
-                self._homing, self._homed = 0.2, False
+                self._start_homing()
+            elif not new and self._homing is not None:
+                self._homing = None
+                self.plant.hold()
         else:
             self._follow()
+
+    def _start_homing(self) -> None:
+        """Begin to home; method 0, which is none, is not started (CiA 402-2, table 129)."""
+        method = self.get("homing_method")
+        self._homed = self._homing_error = False
+        if method in _HERE:
+            self._homing, self._settling = "settle", _SETTLES
+        elif method:
+            speed = self.get_raw(0x6099, 1)
+            self._homing, self._homing_error = ("search", False) if speed else (None, True)
+            self._turn(-speed)
+
+    def _turn(self, counts: float) -> None:
+        plant = self.plant
+        plant.loop, plant.goal, plant.ramp = "velocity", counts / self.scale, None
+
+    def _home(self, step: float) -> None:
+        """Go on homing: search the switch, leave it slowly, and count from there."""
+        plant = self.plant
+        if self.state != "enabled" or self.get("mode") != MODES["homing"]:
+            self._homing = None
+        elif self._homing == "search" and plant.position <= self.switch:
+            if not self.stuck:
+                self._homing = "leave"
+                self._turn(self.get_raw(0x6099, 2))
+            elif plant.position <= self.switch - math.pi:
+                self._homing, self._homing_error = None, True
+                plant.hold()
+        elif self._homing == "leave" and plant.position > self.switch:
+            plant.position -= self.switch
+            self.switch = 0.0
+            plant.hold()
+            self._homing, self._settling = "settle", 0.0
+        elif self._homing == "settle":
+            self._settling -= step
+            if self._settling <= 0 and abs(plant.velocity) < _STANDSTILL:
+                if self.get("homing_method") in _HERE:
+                    self.switch -= plant.position
+                    plant.position = 0.0
+                plant.hold()
+                self._homing, self._homed = None, True
 
     def _follow(self) -> None:
         """Apply the set-points of the active mode."""
@@ -394,9 +470,5 @@ class Cia402Twin(Twin):
             self._miss_master()
         self._end_quick_stop()
         self._watch_following(now)
-        if self._homing > 0:
-            self._homing -= 0.005
-            if self._homing <= 0:
-                self.plant.position = 0.0
-                self.plant.hold()
-                self._homed = True
+        if self._homing is not None:
+            self._home(0.005)

@@ -8,7 +8,7 @@ from canopen import objectdictionary as od
 
 from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
 
-__all__ = ["DEFAULTS", "OBJECTS_OF_TWIN", "make_dictionary"]
+__all__ = ["DEFAULTS", "HOMING_METHODS", "OBJECTS_OF_TWIN", "make_dictionary"]
 
 _TYPES = {
     "b": od.INTEGER8,
@@ -26,6 +26,8 @@ OBJECTS_OF_TWIN = {
     "quick_stop_deceleration": (0x6085, 0, "I"),
 }
 """Objects that the gateway leaves as the drive has them."""
+HOMING_METHODS = 1, 2, 17, 18, 35, 37
+_ARRAYS = frozenset((0x60E3,))
 _READ_ONLY = frozenset(("error_code", "statusword", "mode_shown", "position", "velocity", "torque"))
 
 
@@ -51,7 +53,7 @@ def make_dictionary(node: int) -> od.ObjectDictionary:
     consumer.add_member(_entry("Consumer", 0x1016, 1, "I", 0))
     made.add_object(consumer)
     for name, (index, sub, code) in (OBJECTS | OBJECTS_OF_TWIN).items():
-        if sub == 0:
+        if sub == 0 and index not in _ARRAYS:
             access = "ro" if name in _READ_ONLY else "rw"
             text = name.replace("_", " ").capitalize()
             _variable(made, text, index, code, DEFAULTS.get(name, 0), access=access)
@@ -61,6 +63,10 @@ def make_dictionary(node: int) -> od.ObjectDictionary:
     ):
         interpolation.add_member(_entry(name, 0x60C2, sub, code, value))
     made.add_object(interpolation)
+    _array(made, "Homing speeds", 0x6099, "I", (0, 0))
+    _array(made, "Supported homing methods", 0x60E3, "b", HOMING_METHODS, access="ro")
+    _array(made, "Store parameters", 0x1010, "I", (1, 1, 1))
+    _array(made, "Restore default parameters", 0x1011, "I", (1, 1, 1))
     behaviour = od.ODArray("Error behaviour", 0x1029)
     behaviour.add_member(_entry("Entries", 0x1029, 0, "B", 1, access="ro"))
     behaviour.add_member(_entry("Communication error", 0x1029, 1, "B", 0))
@@ -74,6 +80,22 @@ def _variable(
     made: od.ObjectDictionary, name: str, index: int, code: str, value: int, *, access: str = "rw"
 ) -> None:
     made.add_object(_entry(name, index, 0, code, value, access=access))
+
+
+def _array(
+    made: od.ObjectDictionary,
+    name: str,
+    index: int,
+    code: str,
+    values: tuple[int, ...],
+    *,
+    access: str = "rw",
+) -> None:
+    array = od.ODArray(name, index)
+    array.add_member(_entry("Entries", index, 0, "B", len(values), access="ro"))
+    for sub, value in enumerate(values, 1):
+        array.add_member(_entry(f"{name} {sub}", index, sub, code, value, access=access))
+    made.add_object(array)
 
 
 def _entry(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any
 
 from rcp_can.profiles.odrive import MESSAGES
@@ -11,11 +12,18 @@ from rcp_can.sim.twin import Twin
 if TYPE_CHECKING:
     import can
 
-__all__ = ["OdriveTwin"]
+__all__ = ["ENDPOINTS", "OdriveTwin"]
 
 _NAMES = {command: name for name, (command, _) in MESSAGES.items()}
 _WATCHDOG = 24  # bit of the error
 _DONE = 0.01  # rad
+_CALIBRATING = {3: (4, 7), 4: (4,), 6: (6,), 7: (7,), 10: (10,), 12: (12,), 13: (13,), 14: (14,)}
+"""The states that a requested one goes through."""
+_LASTS = 0.4  # s of each
+_TURNS = 3.0  # rad/s
+_BOOT = 0.3  # s without a message
+ENDPOINTS = {"axis0.config.watchdog_timeout": 301, "axis0.config.enable_watchdog": 300}
+"""Its settings that can be accessed, by their names in flat_endpoints.json."""
 
 
 class OdriveTwin(Twin):
@@ -27,20 +35,35 @@ class OdriveTwin(Twin):
         self.state = 1
         self.control, self.input = 2, 1
         self.watchdog: float | None = options.get("watchdog")
+        self._watchdog_time = self.watchdog or 0.0
+        self._stored = self._watchdog_time, self.watchdog
         self._homing = 0.0
+        self.result = 0
+        self.fails: tuple[int, int] | None = None
+        """Error bits and result with which its next calibration fails."""
+        self.keeps_watchdog = False
+        """Ignores writes to the settings of its watchdog."""
+        self.saved: list[float | None] = []
+        """The time of the watchdog, each time that its configuration was stored."""
+        self._sequence: list[tuple[int, float]] = []
+        """The states of a calibration that are left, and how long each lasts, s."""
+        self._booting = 0.0
         self._heartbeat = options.get("heartbeat", 0.05)
         self._feedback = options.get("feedback", 0.01)
 
     def boot(self) -> None:
         """Reboot."""
         super().boot()
-        self.error, self.state = 0, 0
+        self.error, self.state, self.result = 0, 0, 0
+        self._sequence = []
+        self._watchdog_time, self.watchdog = self._stored
         self._transmit("heartbeat")
         self.state = 1
 
     def break_down(self) -> None:
         """Trip on over-current."""
         super().break_down()
+        self._sequence = []
         self.error, self.state = 1 << 12, 1
 
     def take(self, message: can.Message) -> None:
@@ -56,6 +79,8 @@ class OdriveTwin(Twin):
         handler = getattr(self, f"_on_{name}", None)
         if handler is not None:
             layout = MESSAGES[name][1]
+            if self._booting:
+                return
             try:
                 handler(**layout.decode(message.data.ljust(layout.size, b"\0")))
             except ValueError:
@@ -70,10 +95,73 @@ class OdriveTwin(Twin):
                 self._homing = 0.3
             else:
                 self.plant.hold()
+        elif state in _CALIBRATING and self.state == 1 and not self.refuses and not self.error:
+            self.feed()
+            self.result = 1
+            self._sequence = [(each, _LASTS) for each in _CALIBRATING[int(state)]]
+            self._next_state()
         elif state == 1:
+            self.result = 2 if self.state != 1 else self.result
             self.enabled = False
             self.state = 1
+            self._sequence = []
             self.plant.off()
+
+    def _next_state(self) -> None:
+        """Enter the next state of the calibration; each but that of the motor turns the shaft."""
+        self.enabled = bool(self._sequence)
+        self.state = self._sequence[0][0] if self._sequence else 1
+        if not self._sequence:
+            self.result = 0
+        if self.state in (1, 4):
+            self.plant.off()
+        else:
+            self.plant.loop, self.plant.goal, self.plant.ramp = "velocity", _TURNS, None
+
+    def _calibrate(self, step: float) -> None:
+        state, left = self._sequence[0]
+        if self.fails is not None and left < _LASTS / 2:
+            (self.error, self.result), self.fails = self.fails, None
+            self.enabled, self.state, self._sequence = False, 1, []
+            self.plant.off()
+            return
+        self._sequence[0] = state, left - step
+        if left <= step:
+            self._sequence.pop(0)
+            self._next_state()
+
+    def _on_access(self, opcode: float, endpoint: float, reserved: float, value: float) -> None:
+        raw = struct.pack("<I", int(value))
+        match int(endpoint), int(opcode):
+            case (number, 0) if number in ENDPOINTS.values():
+                on = self.watchdog is not None
+                word = struct.pack("<f", self._watchdog_time)
+                if number == ENDPOINTS["axis0.config.enable_watchdog"]:
+                    word = struct.pack("<I", on)
+                self._tell_value(number, struct.unpack("<I", word)[0])
+            case _ if self.keeps_watchdog:
+                return
+            case (number, 1) if number == ENDPOINTS["axis0.config.watchdog_timeout"]:
+                self._watchdog_time = struct.unpack("<f", raw)[0]
+                if self.watchdog is not None:
+                    self.watchdog = self._watchdog_time
+            case (number, 1) if number == ENDPOINTS["axis0.config.enable_watchdog"]:
+                self.watchdog = self._watchdog_time if raw[0] else None
+            case _:
+                return
+
+    def _tell_value(self, endpoint: int, value: int) -> None:
+        command, layout = MESSAGES["value"]
+        self.send(self.node << 5 | command, layout.encode(endpoint=endpoint, value=value))
+
+    def _on_reboot(self, action: float) -> None:
+        if self.state != 1 or action > 1:
+            return
+        if action == 1:
+            self._stored = self._watchdog_time, self.watchdog
+            self.saved.append(self.watchdog)
+        super().boot()
+        self._booting = _BOOT
 
     def _on_mode(self, control: int, input: int) -> None:  # noqa: A002
         self.control, self.input = int(control), int(input)
@@ -115,8 +203,16 @@ class OdriveTwin(Twin):
     def tick(self, now: float) -> None:
         """Send heartbeat and feedback; check the watchdog."""
         step = 0.005
+        if self._booting:
+            self._booting = max(0.0, self._booting - step)
+            if not self._booting:
+                self.boot()
+            return
+        if self._sequence:
+            self._calibrate(step)
         if self.enabled and self.watchdog is not None and self.is_quiet(self.watchdog):
             super().break_down()
+            self._sequence = []
             self.error, self.state = 1 << _WATCHDOG, 1
         if self.state == 11:
             self._homing -= step
@@ -138,7 +234,21 @@ class OdriveTwin(Twin):
             case "heartbeat":
                 done = self.control == 3 and abs(plant.goal - plant.position) < _DONE
                 done = done and abs(plant.velocity) < 0.1
-                return {"error": self.error, "state": self.state, "done": done}
+                return {
+                    "error": self.error,
+                    "state": self.state,
+                    "result": self.result,
+                    "done": done,
+                }
+            case "version":
+                return {
+                    "protocol": 2,
+                    "hardware_major": 4,
+                    "hardware_minor": 4,
+                    "hardware_variant": 58,
+                    "firmware_minor": 6,
+                    "firmware_revision": 10,
+                }
             case "error":
                 return {"active": self.error}
             case "address":
