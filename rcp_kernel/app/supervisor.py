@@ -279,7 +279,11 @@ class BackendSupervisor:
         if not self._woken:
             self._woken = True
             gather = self._hub.flush_scheduler.gather
-            self._loop.call_soon_threadsafe(gather, self._call_all)
+            try:
+                self._loop.call_soon_threadsafe(gather, self._call_all)
+            except RuntimeError:
+                self._woken = False  # so that every later caller is told as well
+                raise
 
     def _call_all(self) -> None:
         self._woken = False  # first: what comes from now on wakes the loop again

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 import msgspec
 
 from rcp_conditions.fields import Field
-from rcp_kernel.clock import iso
+from rcp_kernel.clock import iso, iso_bytes
 from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
 from rcp_kernel.spi import Encoded, Native
 from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value_type
@@ -22,6 +22,7 @@ NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
 
 _BYTES = value_type(bytes)
+_to_json = msgspec.json.Encoder().encode
 _JSON = Encoding.JSON  # Python 3.11 takes 0.1 µs to look it up in the enum
 _BODIES = {encoding: f"body in {encoding}" for encoding in Encoding}
 """Keys of bodies among a sample's encodings."""
@@ -268,9 +269,12 @@ class Sample(Body):
 
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
         if encoding is _JSON:
-            time = self._time or self._format_time()  # the property takes twice as long
-            head = b'"seq":%d,"timestamp":"%b","body":' % (self.seq, time.encode())
-            return b"".join((head, body, b"}"))
+            try:
+                time = iso_bytes(self.timestamp)
+            except Exception:  # `time` tells of it, and has another one
+                time = self.time.encode()
+            seq = _to_json(self.seq)
+            return b"".join((b'"seq":', seq, b',"timestamp":"', time, b'","body":', body, b"}"))
         facts = encode_frame({"seq": self.seq, "timestamp": self.time}, b"", encoding)
         key = b"\xa4body" if encoding is Encoding.MSGPACK else b"\x64body"
         return b"".join((facts[1:], key, body))  # without the map's own head
