@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Generator
 from pathlib import Path
 
+import httpx
 import pytest
 
 from clients.cutting import CuttingProxy
@@ -97,12 +98,6 @@ def test_the_example_drives_once_though_answers_are_lost(example: Path, running:
 
 def commands(running: Demo) -> int:
     """Count the commands that drove the robot."""
-    done = subprocess.run(
-        [BIN / "rcpctl", "read", "/system/commands", "-o", "json"],
-        env=running.environment | {"RCP_URL": running.url, "RCP_TOKEN": running.key},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=_PATIENCE,
-    )
-    return done.stdout.count('"/tenant/alpha/action/move_to"')
+    path = "/rcp/v1/commands?path=/tenant/alpha/action/move_to&limit=1000"
+    headers = {"authorization": f"Bearer {running.key}"}
+    return len(httpx.get(running.url + path, headers=headers, timeout=_PATIENCE).json()["body"])
