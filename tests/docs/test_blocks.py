@@ -36,6 +36,7 @@ TARGETS = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULT
 # What is not of this project, so that only the shell says whether it can be written like this.
 FOREIGN = frozenset(
     [
+        "./main",
         "cat",
         "cd",
         "claude",
@@ -45,6 +46,7 @@ FOREIGN = frozenset(
         "echo",
         "export",
         "go",
+        "jupyter",
         "mkdir",
         "mosquitto",
         "npx",
@@ -54,6 +56,7 @@ FOREIGN = frozenset(
         "pytest",
         "python",
         "ros2",
+        "rustc",
         "sudo",
         "systemctl",
         "umask",

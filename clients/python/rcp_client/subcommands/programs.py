@@ -32,7 +32,7 @@ def mcp_tools(ctx: click.Context, **arguments: Any) -> int:
 
 @click.command(context_settings=CONTEXT)
 @common
-@click.option("--lang", required=True, type=click.Choice(["go", "python", "typescript"]),
+@click.option("--lang", required=True, type=click.Choice(["go", "python", "rust", "typescript"]),
               help="Output language.")  # fmt: skip
 @click.argument("pattern", required=False)
 @click.pass_context

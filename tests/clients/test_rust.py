@@ -1,0 +1,103 @@
+"""Generated Rust compiles whatever a catalogue says, and drives a robot of the demo, also when connections are cut."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Generator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from clients.cutting import CuttingProxy
+from docs.demo import BIN, Demo, demo
+from docs.pages import ROOT
+from plugins.client.test_codegen import HOSTILE
+from programs import program
+from rcp_client.codegen import generate
+
+EXAMPLE = ROOT / "examples" / "rust" / "main.rs"
+_PATIENCE = 240  # s for the compiler, and for the example, on a busy machine
+
+
+def rustc(source: Path, *options: str) -> None:
+    done = subprocess.run(
+        [program("rustc"), "--edition", "2021", "-D", "warnings", *options, str(source)],
+        cwd=source.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=_PATIENCE,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
+    with demo(tmp_path_factory.mktemp("runtime")) as live:
+        yield live
+
+
+@pytest.fixture(scope="module")
+def example(running: Demo, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example, compiled with what was generated for the demo."""
+    folder = tmp_path_factory.mktemp("rust")
+    shutil.copy(EXAMPLE, folder)
+    text = subprocess.run(
+        [BIN / "rcpctl", "codegen", "--lang", "rust"],
+        env=running.environment | {"RCP_URL": running.url},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=_PATIENCE,
+    ).stdout
+    (folder / "rcp.rs").write_text(text, encoding="utf-8")
+    rustc(folder / "main.rs")
+    return folder / "main"
+
+
+def drives(example: Path, url: str, key: str) -> None:
+    done = subprocess.run(
+        [example],
+        env=os.environ | {"RCP_URL": url, "RCP_TOKEN": key},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=_PATIENCE,
+    )
+    assert done.returncode == 0, done.stderr
+    *poses, refused, there, ended = done.stdout.splitlines()
+    assert len(poses) == 3
+    assert all(re.fullmatch(r"\d+ x -?\d+\.\d\d m", line) for line in poses)
+    assert [refused, there, ended] == [
+        "refused: out_of_range",
+        "there: x 0.5 y 0.5",
+        "ended: cancelled",
+    ]
+
+
+def test_odd_names_and_texts_are_good_rust(tmp_path: Path) -> None:
+    (tmp_path / "odd.rs").write_text(generate("rust", HOSTILE, "http://h\n*/"), encoding="utf-8")
+    rustc(tmp_path / "odd.rs", "--crate-type", "lib", "--emit", "metadata")
+
+
+def test_the_example_drives(example: Path, running: Demo) -> None:
+    drives(example, running.url, running.key)
+
+
+def test_the_example_drives_once_though_answers_are_lost(example: Path, running: Demo) -> None:
+    before = commands(running)
+    with CuttingProxy(running.url) as proxy:
+        drives(example, proxy.url, running.key)
+        assert proxy.cuts > 4
+    assert commands(running) == before + 2
+
+
+def commands(running: Demo) -> int:
+    """Count the commands that drove the robot."""
+    path = "/rcp/v1/commands?path=/tenant/alpha/action/move_to&limit=1000"
+    headers = {"authorization": f"Bearer {running.key}"}
+    return len(httpx.get(running.url + path, headers=headers, timeout=_PATIENCE).json()["body"])
