@@ -292,6 +292,29 @@ async def over_websocket(gateway: Gateway, token: str | None, client: Signed | N
             await ask(type="hello", id="again", body={"token": f"{token}x"})
 
 
+async def over_cookie(gateway: Gateway, token: str) -> None:
+    """Log in as a page of the gateway, look around by the cookie, and log out."""
+    async with httpx.AsyncClient(
+        base_url=gateway.url,
+        verify=gateway.context(),
+        headers={"origin": gateway.url},
+        timeout=BOUND,
+    ) as http:
+        begun = await http.post("/rcp/v1/login", json={"token": token})
+        gateway.kept.hear("POST /rcp/v1/login", begun.text)
+        for secret in http.cookies.values():  # which the browser alone is told
+            gateway.kept.keep("login", secret)
+        for name in ("sessions", "logins", "keys", "audit", "log", "status"):
+            hear(gateway, await http.get(f"{CONTEXT}/system/{name}"))
+        hear(gateway, await http.get("/rcp/v1/login"))
+        for wrong in ({"token": [token]}, {"tokn": token}, token):
+            hear(gateway, await http.post("/rcp/v1/login", json=wrong))
+        cookies = "; ".join(f"{name}={value}" for name, value in http.cookies.items())
+        foreign = {"origin": "https://evil.example", "cookie": cookies}
+        hear(gateway, await http.put(CONTEXT + POSE, json=1, headers=foreign))
+        hear(gateway, await http.delete("/rcp/v1/login"))
+
+
 async def over_events(gateway: Gateway, token: str | None, client: Signed | None = None) -> None:
     """Read an event stream, over which the session is told with the first event."""
     headers = {} if token is None else {"authorization": f"Bearer {token}"}
@@ -348,6 +371,8 @@ async def test_no_secret_is_told_again(gateway: Gateway) -> None:
         await over_http(gateway, proof, client)
         await over_websocket(gateway, proof, client)
         await over_events(gateway, proof, client)
+        if proof is not None:
+            await over_cookie(gateway, proof)
     for secret in (token, good[3], kept.keep("stray", secrets.token_urlsafe(24))):
         await misplaced(gateway, secret)
     replies = "".join(told for _, told in kept.heard)

@@ -25,6 +25,7 @@ from transports.robot import BOUND, KEY, Site, site, until
 pytestmark = pytest.mark.anyio
 LOGIN = "/rcp/v1/login"
 LIMIT = "/rcp/v1/context/tenant/alpha/param/limit"
+WRITTEN = "/tenant/alpha/param/limit"
 ADMIN = "admin-of-this-test"
 LISTED = "https://listed.example"
 MORE = key("boss", ADMIN, roles={"*": ["admin"]}) + "\n[limits]\nfailed_logins = 20\n"
@@ -247,6 +248,27 @@ async def test_a_login_ends_on_the_gateway_and_with_all_its_sessions(
         assert (await thief.put(LIMIT, json=1.0)).status_code == 401
         bearer = {"authorization": f"Bearer {secret}"}
         assert (await thief.get(LIMIT, headers=bearer)).status_code == 401
+
+
+async def test_two_pages_of_a_login_are_one_person_with_a_session_each(
+    gateway: Site, http: httpx.AsyncClient
+) -> None:
+    secret = await log_in(http)
+    async with await opened(gateway, secret) as page, await opened(gateway, secret) as other:
+        for wire in (page, other):
+            assert (await greeted(wire))["body"]["principal"] == "op"
+        acquire = {"do": "acquire", "scope": "/tenant/alpha"}
+        await page.send(
+            json.dumps({"type": "execute", "id": "l", "path": "/system/leases", "body": acquire})
+        )
+        lease = json.loads(await asyncio.wait_for(page.recv(), BOUND))
+        assert lease["status"] == "completed", lease
+        await other.send(json.dumps({"type": "read", "id": "r", "path": "/system/leases"}))
+        (seen,) = json.loads(await asyncio.wait_for(other.recv(), BOUND))["body"]
+        assert seen["holder"] == "op"
+        await other.send(json.dumps({"type": "write", "id": "w", "path": WRITTEN, "body": 1.0}))
+        refused = json.loads(await asyncio.wait_for(other.recv(), BOUND))
+        assert refused["error"]["code"] == "lease_held"
 
 
 async def test_a_login_does_not_prolong_itself(gateway: Site, http: httpx.AsyncClient) -> None:
