@@ -40,16 +40,21 @@ class Cameras:
 
     async def photo(self, _: None, progress: Progress) -> m.Photo:
         """Take a picture; completes when the camera confirms it."""
-        camera = self._camera if self._camera is not None else await self._find()
+        camera = await self.find()
         if camera is None:
             return await self._taken(Command(_TRIGGER, x=1.0))
-        self._camera = camera
         sequence = float(next(self._sequence))
         return await self._taken(
             Command(_START_CAPTURE, (0.0, 0.0, 1.0, sequence), component=camera)
         )
 
-    async def _find(self) -> int | None:
+    async def find(self) -> int | None:
+        """Return the component id of a camera that takes pictures; None if there is none."""
+        if self._camera is None:
+            self._camera = await self._search()
+        return self._camera
+
+    async def _search(self) -> int | None:
         """Return the component id of a camera that takes pictures; None if there is none."""
         dialect = self._hub.dialect.by_name
         if _INFORMATION not in dialect or _CAPTURED not in dialect:

@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from rcp_kernel.model import READS, Resource
 from rcp_mavlink import messages as m
+from rcp_mavlink.camera_controls import CameraControls
 from rcp_mavlink.derived import Derived
 from rcp_mavlink.direct_commands import DirectCommands
 from rcp_mavlink.equipment import Equipment
@@ -93,6 +94,7 @@ def resources(
     family = vehicle.family
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
+    found += CameraControls.resources()
     found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()

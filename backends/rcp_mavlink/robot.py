@@ -24,6 +24,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
+from rcp_mavlink.camera_controls import CameraControls
 from rcp_mavlink.cameras import Cameras
 from rcp_mavlink.clock import Clock
 from rcp_mavlink.commands import Command, Commands
@@ -170,9 +171,12 @@ class Robot:
             **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
             "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
-            "action/camera/photo": Cameras(
-                hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)
-            ).photo,
+            **CameraControls(
+                hub,
+                vehicle,
+                self._commands,
+                Cameras(hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)),
+            ).verbs(),
             **Calibration(vehicle, self._commands, self.intervals, self.motion).verbs(),
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),

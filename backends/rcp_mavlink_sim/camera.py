@@ -44,6 +44,10 @@ class Camera:
 
     def __init__(self, vehicle: VehicleState, files: Files) -> None:
         self._vehicle, self._files = vehicle, files
+        self.zoom = self.focus = 0.0
+        """In percent."""
+        self.recording_since: float | None = None
+        """Simulated time at which the video began; None if it records none."""
 
     def capture(self, mount: Mount, *, captured: bool) -> None:
         """Take a picture and report it to everybody, also by CAMERA_IMAGE_CAPTURED if `captured`."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink_sim import calibration_commands, payload_commands
+from rcp_mavlink_sim import calibration_commands, camera_commands, payload_commands
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.requests import CommandRequest, Peer, outcome
 from rcp_mavlink_sim.telemetry import MAKERS
@@ -25,7 +25,6 @@ _HIGHEST = 1e5  # m above the sea
 _QUICKEST = 1e3  # m/s
 _LAST_MESSAGE = 65535
 _CHANGE_MODE = 1
-_MYSELF = -2
 _ERASE = 2  # PREFLIGHT_STORAGE
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
@@ -262,31 +261,6 @@ def _motor_test(c: CommandRequest) -> int:
     return outcome(vehicle.motor_test.begin(c.p[0], c.p[1], c.p[2], c.p[3]))
 
 
-def _mount(c: CommandRequest) -> int:
-    pitch, roll, yaw = c.p[:3]
-    return _OK if c.peer.vehicle.mount.turn(pitch, yaw, roll=roll) else _DENIED
-
-
-def _pitch_yaw(c: CommandRequest) -> int:
-    locked = bool(int(c.p[4]) & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
-    return _OK if c.peer.vehicle.mount.turn(c.p[0], c.p[1], locked=locked) else _DENIED
-
-
-def _take_gimbal(c: CommandRequest) -> int:
-    system, component = int(c.p[0]), int(c.p[1])
-    if system == _MYSELF:
-        system, component = c.sender
-    if system >= 0:
-        c.peer.vehicle.mount.control = (system, component)
-    return _OK
-
-
-def _photo(c: CommandRequest) -> int:
-    vehicle = c.peer.vehicle
-    vehicle.camera.capture(vehicle.mount, captured=c.number == mav.MAV_CMD_IMAGE_START_CAPTURE)
-    return _OK
-
-
 def _storage(c: CommandRequest) -> int:
     """Reset the parameters; there is nothing else to store, as each write is stored at once."""
     vehicle = c.peer.vehicle
@@ -322,14 +296,10 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _version,
     mav.MAV_CMD_GET_HOME_POSITION: _get_home,
     mav.MAV_CMD_DO_FENCE_ENABLE: _fence,
-    mav.MAV_CMD_DO_MOUNT_CONTROL: _mount,
-    mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _pitch_yaw,
-    mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: _take_gimbal,
-    mav.MAV_CMD_DO_DIGICAM_CONTROL: _photo,
-    mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
     mav.MAV_CMD_DO_MOTOR_TEST: _motor_test,
     **payload_commands.DOERS,
     **calibration_commands.DOERS,
+    **camera_commands.DOERS,
 }
 KNOWN = frozenset(_DOERS)
 """The supported commands."""

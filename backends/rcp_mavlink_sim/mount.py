@@ -27,11 +27,14 @@ class Mount:
         self.control: tuple[int, int] = (0, 0)
         """System and component that have control."""
         self.photos = 0
+        self.region: tuple[float, float, float] | None = None
+        """Latitude, longitude (deg) and height above the sea (m) that it keeps in view."""
 
     def turn(self, pitch: float, yaw: float, *, roll: float = 0.0, locked: bool = False) -> bool:
         """Turn to angles, with yaw from north if `locked`; return whether they are valid."""
         if not all(map(math.isfinite, (pitch, yaw, roll))):
             return False
+        self.region = None
         p = self._vehicle.params
         self._wanted = (roll, _within(pitch, p["MNT1_PITCH_MIN"], p["MNT1_PITCH_MAX"]), yaw)
         self._locked = locked
@@ -39,6 +42,8 @@ class Mount:
 
     def step(self, seconds: float) -> None:
         """Continue to turn."""
+        if self.region is not None:
+            self._look_at(self.region)
         most = _QUICKEST * seconds
         roll, pitch, yaw = self._wanted
         if self._locked:
@@ -48,6 +53,20 @@ class Mount:
         self.roll += _within(roll - self.roll, -most, most)
         self.pitch += _within(pitch - self.pitch, -most, most)
         self.yaw += _within(yaw - self.yaw, -most, most)
+
+    def _look_at(self, region: tuple[float, float, float]) -> None:
+        v, p = self._vehicle, self._vehicle.params
+        north, east = v.place_of(*region[:2])
+        north, east = north - v.body.n, east - v.body.e
+        below = v.origin[2] - v.body.d - region[2]
+        pitch = math.degrees(math.atan2(-below, math.hypot(north, east)))
+        yaw = math.degrees(math.atan2(east, north))
+        self._wanted = (0.0, _within(pitch, p["MNT1_PITCH_MIN"], p["MNT1_PITCH_MAX"]), yaw)
+        self._locked = True
+
+    def look_ahead(self) -> None:
+        """Keep no place in view any more, and turn ahead."""
+        self.region, self._wanted, self._locked = None, (0.0, 0.0, 0.0), False
 
     def flags(self) -> int:
         """Return the GIMBAL_DEVICE_FLAGS in effect; yaw is reported relative to the vehicle."""

@@ -68,6 +68,8 @@ def _gimbal(v: Systems) -> Any:
 
 def _camera(v: Systems) -> Any:
     nothing, able = math.nan, mav.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
+    able |= mav.CAMERA_CAP_FLAGS_CAPTURE_VIDEO
+    able |= mav.CAMERA_CAP_FLAGS_HAS_BASIC_ZOOM | mav.CAMERA_CAP_FLAGS_HAS_BASIC_FOCUS
     return mav.MAVLink_camera_information_message(
         milliseconds(v), list(b"rcp".ljust(32, b"\0")), list(b"simulated".ljust(32, b"\0")), 0,
         nothing, nothing, nothing, WIDTH, HEIGHT, 0, able, 0, b"",
@@ -75,9 +77,16 @@ def _camera(v: Systems) -> Any:
 
 
 def _captures(v: Systems) -> Any:
+    since = v.camera.recording_since
+    recorded = 0 if since is None else round((v.time - since) * 1000)
     return mav.MAVLink_camera_capture_status_message(
-        milliseconds(v), 0, 0, 0.0, 0, 0.0, v.mount.photos
+        milliseconds(v), 0, int(since is not None), 0.0, recorded, 0.0, v.mount.photos
     )
+
+
+def _settings(v: Systems) -> Any:
+    camera = v.camera
+    return mav.MAVLink_camera_settings_message(milliseconds(v), 0, camera.zoom, camera.focus)
 
 
 MAKERS: dict[int, Callable[[Systems], Any]] = {
@@ -88,5 +97,6 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: _manager_status,
     mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: _camera,
     mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: _captures,
+    mav.MAVLINK_MSG_ID_CAMERA_SETTINGS: _settings,
 }
 """The messages of gimbal and camera, by id."""
