@@ -18,7 +18,10 @@ _TIMEOUT, _ENABLED = "axis0.config.watchdog_timeout", "axis0.config.enable_watch
 class _Drive(Protocol):
     """A drive whose endpoints can be accessed."""
 
-    identity: Identity | None
+    @property
+    def identity(self) -> Identity | None:
+        """What it is, as far as it has told."""
+        ...
 
     async def read_endpoint(self, number: int) -> int:
         """Read an endpoint, as a raw 32-bit value."""
