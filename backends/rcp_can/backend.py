@@ -16,6 +16,7 @@ from rcp_can.bus import Bus
 from rcp_can.commissioning import CommissioningPart, procedures_of
 from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
+from rcp_can.dictionary import DictionaryPart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.eds_node import EdsPart
 from rcp_can.excitation import excitations
@@ -201,10 +202,15 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     devices = [
         DevicePart(name, device, buses[device.bus], host) for name, device in config.devices.items()
     ]
+    servers = {
+        name: _sdo(buses[node.bus], node.node, axes.values()) for name, node in config.nodes.items()
+    }
     nodes = [
-        EdsPart(name, node, bus, _sdo(bus, node.node, axes.values()), host, health)
+        EdsPart(name, node, buses[node.bus], servers[name], host, health)
         for name, node in config.nodes.items()
-        for bus in (buses[node.bus],)
+    ]
+    dictionaries = [
+        DictionaryPart(name, node, servers[name]) for name, node in config.nodes.items()
     ]
     drives = [
         DiffDrivePart(name, drive, axes[drive.left], axes[drive.right], host)
@@ -229,6 +235,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         *commissioned,
         *devices,
         *nodes,
+        *dictionaries,
         *drives,
         *groups,
         *powers,

@@ -22,10 +22,10 @@ from rcp_kernel.spi import Host, check_fence
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-__all__ = ["EdsPart"]
+__all__ = ["COMMANDS", "EdsPart"]
 
 _PERIOD = 1.0  # s between two polls of a subscribed parameter
-_COMMANDS = frozenset((0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FF))
+COMMANDS = frozenset((0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FF))
 """Objects that move a drive: controlled by the motor, read-only here."""
 
 
@@ -61,7 +61,7 @@ class EdsPart(Part):
             may = Operation.NONE
             if entry.readable:
                 may |= Operation.READ | Operation.SUBSCRIBE
-            if entry.writable and entry.index not in _COMMANDS:
+            if entry.writable and entry.index not in COMMANDS:
                 may |= Operation.WRITE
             found.append(
                 Resource(

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 from msgspec import Meta, Struct
 
 from rcp_can.motor_messages import Seconds
 from rcp_can.procedure import Procedure
-from rcp_can.sdo import SdoAborted
+from rcp_can.sdo import Sdo, SdoAborted
 from rcp_kernel.errors import DeviceRejected, OutOfRange
 from rcp_kernel.spi import Progress
-
-if TYPE_CHECKING:
-    from rcp_can.profiles.cia402 import Cia402Drive
 
 __all__ = ["Homed", "HomingRequest", "Parameters", "cia402_procedures"]
 
@@ -60,7 +57,28 @@ class Parameters(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     group: Literal["all", "communication", "application"] = "all"
 
 
-def cia402_procedures(drive: Cia402Drive, scale: float, velocity: float) -> Sequence[Procedure]:
+class _Drive(Protocol):
+    """A drive with the objects of CiA 402."""
+
+    @property
+    def server(self) -> Sdo:
+        """Its SDO client."""
+        ...
+
+    async def read(self, name: str) -> int:
+        """Read an object of the profile."""
+        ...
+
+    async def write(self, name: str, value: int) -> None:
+        """Write an object of the profile."""
+        ...
+
+    async def find_reference(self, seconds: float) -> None:
+        """Home by the method in the drive."""
+        ...
+
+
+def cia402_procedures(drive: _Drive, scale: float, velocity: float) -> Sequence[Procedure]:
     """List the procedures; `scale` is drive units per rad of the joint, `velocity` its limit."""
 
     def check(wanted: HomingRequest) -> None:
@@ -116,7 +134,7 @@ def cia402_procedures(drive: Cia402Drive, scale: float, velocity: float) -> Sequ
 
 
 async def _set_up_homing(
-    drive: Cia402Drive, wanted: HomingRequest, scale: float, velocity: float
+    drive: _Drive, wanted: HomingRequest, scale: float, velocity: float
 ) -> None:
     """Write the method and speeds, and read back that the drive has taken them.
 
@@ -148,7 +166,7 @@ async def _set_up_homing(
         await _write(drive, "homing_acceleration", max(1, round(wanted.acceleration * scale)))
 
 
-async def _methods(drive: Cia402Drive) -> list[int]:
+async def _methods(drive: _Drive) -> list[int]:
     """Read the supported methods (0x60E3); none if the drive does not list them."""
     try:
         count = await drive.read("homing_methods")
@@ -160,14 +178,14 @@ async def _methods(drive: Cia402Drive) -> list[int]:
     return [int.from_bytes(each[:1], "little", signed=True) for each in raw]
 
 
-async def _write(drive: Cia402Drive, name: str, value: int) -> None:
+async def _write(drive: _Drive, name: str, value: int) -> None:
     await drive.write(name, value)
     found = await drive.read(name)
     if found != value:
         raise DeviceRejected(f"the drive kept {name.replace('_', ' ')} {found} instead of {value}")
 
 
-async def _sign(drive: Cia402Drive, index: int, signature: bytes, group: str) -> None:
+async def _sign(drive: _Drive, index: int, signature: bytes, group: str) -> None:
     """Write the signature that stores or restores; a drive confirms when it has done so.
 
     :raises DeviceRejected: it cannot, or not for this group.

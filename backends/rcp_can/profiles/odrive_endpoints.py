@@ -5,17 +5,31 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Protocol, Self
 
-from rcp_can.drive import Protection
+from rcp_can.drive import Identity, Protection
 from rcp_kernel.errors import DeviceRejected
-
-if TYPE_CHECKING:
-    from rcp_can.profiles.odrive import OdriveDrive
 
 __all__ = ["Endpoints", "set_watchdog"]
 
 _TIMEOUT, _ENABLED = "axis0.config.watchdog_timeout", "axis0.config.enable_watchdog"
+
+
+class _Drive(Protocol):
+    """A drive whose endpoints can be accessed."""
+
+    @property
+    def identity(self) -> Identity | None:
+        """What it is, as far as it has told."""
+        ...
+
+    async def read_endpoint(self, number: int) -> int:
+        """Read an endpoint, as a raw 32-bit value."""
+        ...
+
+    def write_endpoint(self, number: int, value: int) -> None:
+        """Write an endpoint."""
+        ...
 
 
 class Endpoints:
@@ -43,7 +57,7 @@ class Endpoints:
         return self._numbers[name]
 
 
-async def set_watchdog(drive: OdriveDrive, endpoints: Endpoints, time: float | None) -> Protection:
+async def set_watchdog(drive: _Drive, endpoints: Endpoints, time: float | None) -> Protection:
     """Set the watchdog, unless `time` is None, and return what is read back.
 
     :raises DeviceRejected: the endpoints belong to other firmware, or it keeps another time.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal, Protocol
 
 from msgspec import Meta, Struct
 
@@ -12,9 +12,6 @@ from rcp_can.motor_messages import Seconds
 from rcp_can.procedure import Procedure
 from rcp_can.profiles.odrive_states import CALIBRATIONS, STATES
 from rcp_kernel.spi import Progress
-
-if TYPE_CHECKING:
-    from rcp_can.profiles.odrive import OdriveDrive
 
 __all__ = ["Calibrate", "Calibrated", "CalibrationFeedback", "odrive_procedures"]
 
@@ -51,7 +48,19 @@ class Calibrated(Struct, frozen=True, kw_only=True):
     duration: Seconds
 
 
-def odrive_procedures(drive: OdriveDrive) -> Sequence[Procedure]:
+class _Drive(Protocol):
+    """A drive that calibrates itself."""
+
+    async def calibrate(self, state: int, seconds: float, tell: Callable[[int], None]) -> None:
+        """Run a calibration to its end."""
+        ...
+
+    async def save(self) -> None:
+        """Store the configuration."""
+        ...
+
+
+def odrive_procedures(drive: _Drive) -> Sequence[Procedure]:
     """List the procedures of an ODrive."""
 
     async def calibrate(wanted: Calibrate, progress: Progress) -> Calibrated:
