@@ -75,7 +75,7 @@ class Login(Controller):
     @post(
         **declared(
             "Begin a login that the browser keeps in a cookie.",
-            responses=_answers(400, 401, 403, 404, 408, 413, 429, 503),
+            responses=_answers(400, 401, 403, 404, 413, 429, 503),
             body={"required": True, "content": {"application/json": {"schema": _WANTED}}},
         ),
         status_code=200,
