@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_dashboard.config import DashboardConfig
-from rcp_dashboard.layouts import Layouts
 from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.client_kinds import AdapterKind
 from rcp_kernel.hookspecs import hookimpl
@@ -24,7 +23,7 @@ async def open_dashboard(
     from rcp_dashboard.pages import STATIC, Pages
 
     pages = Pages(STATIC)
-    api = Api(client_api, config, Layouts(client_api.shelf("layouts"), config))
+    api = Api(client_api, config)
     mounts = (
         Mount(name="dashboard", prefix="/", app=pages.app),
         Mount(name="dashboard api", prefix=PREFIX, app=api.app, openapi=api.openapi),

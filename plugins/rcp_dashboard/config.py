@@ -25,7 +25,3 @@ class DashboardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Quality of JPEGs converted from raw images."""
     streams: Annotated[int, Meta(ge=1)] = 16
     """Maximum number of camera streams."""
-    layout_size: Annotated[int, Meta(ge=1024)] = 262_144
-    """Maximum size of a user's layout, in bytes."""
-    layouts: Annotated[int, Meta(ge=1)] = 1000
-    """Maximum number of stored layouts."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rcp_web.calls import Node
 
-__all__ = ["CAMERA", "LATEST", "LAYOUT", "NONE", "PAST", "SERIES", "STREAM", "answer"]
+__all__ = ["CAMERA", "LATEST", "PAST", "SERIES", "STREAM", "answer"]
 
 _REFUSED: Node = {"description": "Refused, with an envelope."}
 _NUMBERS: Node = {"type": "array", "items": {"type": "number"}}
@@ -96,13 +96,11 @@ def _json(schema: Node) -> Node:
 SERIES = _json(_SERIES_BODY)
 LATEST = _json(_LATEST_BODY)
 PAST = _json(_PAST_BODY)
-LAYOUT = _json({})
 CAMERA: Node = {
     media: {"schema": {"type": "string", "format": "binary"}}
     for media in ("image/jpeg", "image/png")
 }
 STREAM: Node = {"multipart/x-mixed-replace": {"schema": {"type": "string"}}}
-NONE: Node = {"204": {"description": "Done."}, "default": _REFUSED}
 
 
 def answer(text: str, content: Node) -> Node:
