@@ -1,4 +1,4 @@
-"""/dashboard/api: telemetry and cameras, with the parameters and responses of all calls."""
+"""/dashboard/api: telemetry, cameras and panels, with the parameters and responses of all calls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rcp_dashboard.camera import Cameras
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.past import Past
 from rcp_dashboard.request import DashboardRequest
-from rcp_dashboard.schemas import CAMERA, LATEST, PAST, SERIES, STREAM, answer
+from rcp_dashboard.schemas import CAMERA, LATEST, PANELS, PAST, SERIES, STREAM, answer
 from rcp_dashboard.telemetry import Telemetry
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
@@ -36,8 +36,9 @@ _QUALITY = query("quality", _INTEGER, "Quality of JPEGs converted from raw pixel
 class Services:
     """The handlers' collaborators."""
 
-    def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
+    def __init__(self, client_api: ClientApi, config: DashboardConfig, panels: bytes) -> None:
         self.client_api = client_api
+        self.panels = panels
         self.telemetry = Telemetry(client_api, config)
         self.past = Past(client_api)
         self.cameras = Cameras(client_api, config)
@@ -141,14 +142,27 @@ class Values(Controller):
         return send_them
 
 
+class Extensions(Controller):
+    """What plugins add to the page."""
+
+    tags = ("dashboard",)
+
+    @get("/panels", **call("Panels of plugins.", responses=answer("Panels of plugins.", PANELS)))
+    async def panels(
+        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
+    ) -> ASGIApp:
+        """Answer with the panels of plugins, and what they read and write."""
+        return response(200, services.panels, headers=_NO_STORE)
+
+
 class Api:
     """Serves and describes the calls."""
 
-    def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
+    def __init__(self, client_api: ClientApi, config: DashboardConfig, panels: bytes) -> None:
         self._client_api = client_api
-        self._services = Services(client_api, config)
+        self._services = Services(client_api, config, panels)
         self.app = Application(
-            [Router(PREFIX, route_handlers=[Values])],
+            [Router(PREFIX, route_handlers=[Values, Extensions])],
             dependencies={
                 "services": Provide(self._get_services, sync_to_thread=False),
                 "asked": Provide(_identify),
@@ -175,7 +189,7 @@ class Api:
         self._services.cameras.close()
 
 
-_PLACES = ("/series", "/latest", "/past", "/camera", "/camera/stream")
+_PLACES = ("/series", "/latest", "/past", "/camera", "/camera/stream", "/panels")
 
 
 async def _identify(request: Asked, services: NamedDependency[Services]) -> DashboardRequest:

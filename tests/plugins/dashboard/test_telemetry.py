@@ -221,7 +221,7 @@ async def test_a_gateway_without_a_recorder_says_that_there_is_no_past(
 async def test_the_api_stands_in_the_openapi_document(http: httpx.AsyncClient) -> None:
     paths = (await http.get("/openapi.json")).json()["paths"]
     ours = {path for path in paths if path.startswith(API)}
-    calls = ("series", "latest", "past", "camera", "camera/stream")
+    calls = ("series", "latest", "past", "camera", "camera/stream", "panels")
     assert ours == {f"{API}/{x}" for x in calls}
     nothing = await http.get(f"{API}/nothing")
     assert nothing.status_code == 404

@@ -40,8 +40,8 @@ CONFIG = (
     + key("blind", BLIND, roles={"alpha": ["blind"]})
     + key("mixed", MIXED, roles={"alpha": ["operator"], "beta": ["viewer"]})
 )
-NOTE: dict[str, Any] = {"rows": [{"panels": [{"kind": "note", "text": "one"}]}]}
-OTHER: dict[str, Any] = {"rows": []}
+NOTE: dict[str, Any] = {"columns": [{"panels": [{"kind": "note", "text": "one"}]}]}
+OTHER: dict[str, Any] = {"columns": []}
 
 
 def still(host: Host) -> ScriptedRobot:
