@@ -42,6 +42,7 @@ export function layoutOf(robot: Robot): Layout {
   if (resources.some((one) => jointsOf(one) !== undefined)) moves.push(panelOf("joints", { robot: name }));
   const state = [...(camera ? plotted(robot) : []), ...gauges(robot)];
   if (at.mode) state.push(panelOf("value", { path: at.mode.path, size: 0.8 }));
+  if (state.length === 0 && at.joints && places.length > 0) state.push(panelOf("value", { path: at.joints.path, size: 1.5 }));
   state.push(panelOf("log", { robot: name }));
   const columns = [
     { size: 1.5, panels: places },

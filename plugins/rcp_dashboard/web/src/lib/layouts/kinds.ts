@@ -23,6 +23,8 @@ interface About {
   /** What is to be chosen, in this order. */
   settings: Setting[];
   robot?: (robot: Robot) => boolean;
+  /** Whether it may be about all robots. */
+  all?: true;
   path?: (resource: Resource) => boolean;
   load: () => Promise<{ default: Component<PanelProps> }>;
 }
@@ -34,12 +36,12 @@ const placed = ({ resources }: Robot): boolean => ["pose", "transforms", "ned"].
 export const ABOUT: Record<Kind, About> = {
   camera: { name: "Camera", settings: ["path"], path: (one) => readable(one) && shapes(one).has("image"), load: () => import("../../panels/CameraPanel.svelte") },
   scene: { name: "Scene", settings: ["robot"], robot: placed, load: () => import("../../panels/ScenePanel.svelte") },
-  map: { name: "Map", settings: ["robot"], robot: ({ resources }) => ofShape(resources, "geo").length > 0, load: () => import("../../panels/MapPanel.svelte") },
+  map: { name: "Map", settings: ["robot"], all: true, robot: ({ resources }) => ofShape(resources, "geo").length > 0, load: () => import("../../panels/MapPanel.svelte") },
   plot: { name: "Plot", settings: ["plots"], load: () => import("../../panels/PlotPanel.svelte") },
   teleop: { name: "Teleop", settings: ["robot", "path"], robot: ({ resources }) => resources.some(steerable), path: steerable, load: () => import("../../panels/TeleopPanel.svelte") },
   joints: { name: "Joints", settings: ["robot"], robot: (one) => drivable(one) && one.resources.some((each) => jointsOf(each) !== undefined), load: () => import("../../panels/JointsPanel.svelte") },
-  log: { name: "Log", settings: ["robot"], robot: () => true, load: () => import("../../panels/LogPanel.svelte") },
-  commands: { name: "Commands", settings: ["robot"], robot: () => true, load: () => import("../../panels/CommandsPanel.svelte") },
+  log: { name: "Log", settings: ["robot"], all: true, robot: () => true, load: () => import("../../panels/LogPanel.svelte") },
+  commands: { name: "Commands", settings: ["robot"], all: true, robot: () => true, load: () => import("../../panels/CommandsPanel.svelte") },
   value: { name: "Value", settings: ["path"], path: (one) => readable(one) && !shapes(one).has("image"), load: () => import("../../panels/ValuePanel.svelte") },
   gauge: { name: "Gauge", settings: ["path", "field", "range"], path: (one) => readable(one) && one.kind !== "event" && !shapes(one).has("image"), load: () => import("../../panels/GaugePanel.svelte") },
   form: { name: "Form", settings: ["path"], path: (one) => one.path.startsWith("/tenant/") && (one.operations.includes("write") || one.operations.includes("execute")), load: () => import("../../panels/FormPanel.svelte") },
@@ -49,6 +51,6 @@ export const ABOUT: Record<Kind, About> = {
 
 /** What a panel is called: by its title, else by its kind and what it is about. */
 export function titleOf(panel: Panel): string {
-  const about = panel.robot ?? panel.path?.split("/").slice(3).join("/");
+  const about = panel.robot || panel.path?.split("/").slice(3).join("/");
   return panel.title || `${panel.kind === "plugin" ? (panel.plugin ?? "Plugin") : ABOUT[panel.kind].name}${about ? ` · ${about}` : ""}`;
 }

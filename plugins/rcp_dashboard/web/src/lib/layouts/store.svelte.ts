@@ -2,6 +2,7 @@ import { type RcpError } from "rcp-client";
 
 import { app } from "../app.svelte.ts";
 import { watch } from "../watch.ts";
+import type { Place } from "./links.ts";
 
 const OWN = "/system/layouts";
 const SHARED = "/system/shared_layouts";
@@ -13,12 +14,6 @@ export interface Entry {
   version: number;
   by: string;
   saved: string;
-}
-
-/** Where a layout is: its name, and the tenant that shares it where it is not the user's own. */
-export interface Place {
-  name: string;
-  tenant?: string | undefined;
 }
 
 /** The layouts that the gateway keeps, as far as this role may see and change them. */
@@ -58,15 +53,4 @@ export class LayoutStore {
 /** Whether a save was refused because somebody else saved or removed the layout since. */
 export function outdated(error: RcpError | undefined): boolean {
   return error?.code === "precondition_failed";
-}
-
-/** A place as it stands in a link behind `#/layout/`: the user, or `@` and the tenant. */
-export function linkOf({ name, tenant }: Place, user: string): string {
-  return `#/layout/${encodeURIComponent(tenant === undefined ? user : `@${tenant}`)}/${encodeURIComponent(name)}`;
-}
-
-/** The place of a link; `other`: the user whose own it is, where that is somebody else. */
-export function placeOf(owner: string, name: string, user: string): Place & { other?: string } {
-  if (owner === user) return { name };
-  return owner.startsWith("@") ? { name, tenant: owner.slice(1) } : { name, other: owner };
 }

@@ -1,0 +1,74 @@
+"""Panels of plugins are folders of files, served so that a browser gives them no rights."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import httpx
+import pytest
+
+from rcp_dashboard.panels import Panels
+from rcp_kernel.errors import ConfigError
+from transports.robot import KEY, site
+
+pytestmark = pytest.mark.anyio
+PANEL = {"title": "Probe", "reads": [{"name": "pose", "description": "where"}]}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Make a panel, with files beside it that are nobody's business."""
+    made = tmp_path / "probe"
+    (made / "__pycache__").mkdir(parents=True)
+    (made / "panel.json").write_text(json.dumps(PANEL))
+    (made / "index.html").write_text("<!doctype html><title>Probe</title>")
+    (made / "__init__.py").write_text("SECRET = 1\n")
+    (made / "__pycache__" / "x.js").write_text("1")
+    (made / ".hidden").write_text("1")
+    (tmp_path / "secret.txt").write_text("secret")
+    (made / "link.txt").symlink_to(tmp_path / "secret.txt")
+    return made
+
+
+async def test_a_panel_is_served_without_rights_and_listed(static: object, folder: Path) -> None:
+    more = f'[plugins.dashboard.panels]\nprobe = "{folder}"\n'
+    async with site(more=more) as gateway, httpx.AsyncClient(base_url=gateway.url) as stranger:
+        page = await stranger.get("/dashboard/panels/probe/index.html")
+        assert page.status_code == 200
+        ours = page.headers.get_list("content-security-policy")[-1]
+        policy = dict((part.strip() + " ").split(" ", 1) for part in ours.split(";"))
+        assert policy["default-src"].strip() == policy["base-uri"].strip() == "'none'"
+        assert policy["sandbox"].strip() == "allow-scripts"
+        assert policy["script-src"].strip() == policy["frame-ancestors"].strip() == "'self'"
+        for name in ("__init__.py", "__pycache__/x.js", ".hidden", "link.txt", "../secret.txt"):
+            missing = await stranger.get(f"/dashboard/panels/probe/{name}")
+            assert missing.status_code == 404, name
+        headers = {"authorization": f"Bearer {KEY}"}
+        listed = await stranger.get("/dashboard/api/panels", headers=headers)
+        assert listed.json()["panels"] == [
+            {"name": "probe", "description": "", "writes": [], **PANEL}
+        ]
+        frames = (await stranger.get("/")).headers.get_list("content-security-policy")[-1]
+        assert "frame-src 'self'" in frames
+
+
+def test_a_panel_that_cannot_be_served_says_why(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="no package 'no_such_panel' is installed"):
+        Panels({"probe": "no_such_panel"})
+    with pytest.raises(ConfigError, match=r"no package '\.\.' is installed"):
+        Panels({"probe": ".."})
+    (folder / "panel.json").write_text('{"title": "x", "reeds": []}')
+    with pytest.raises(ConfigError, match=r"panel\.json.*reeds"):
+        Panels({"probe": str(folder)})
+    (folder / "panel.json").unlink()
+    with pytest.raises(ConfigError, match=r"no panel\.json"):
+        Panels({"probe": str(folder)})
+    (folder / "index.html").unlink()
+    with pytest.raises(ConfigError, match=r"no index\.html"):
+        Panels({"probe": str(folder)})
+
+
+def test_a_package_is_served_without_being_imported() -> None:
+    with pytest.raises(ConfigError, match=r"no index\.html"):
+        Panels({"probe": "rcp_sim"})
