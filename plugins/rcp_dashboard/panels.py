@@ -1,4 +1,4 @@
-"""Panels of plugins: folders of files that the page shows in a frame without rights."""
+"""Panels of plugins: documents that the page shows in a frame without rights."""
 
 from __future__ import annotations
 
@@ -22,20 +22,17 @@ __all__ = ["PREFIX", "Panel", "Panels"]
 PREFIX = "/dashboard/panels"
 _MANIFEST = "panel.json"
 _INDEX = "index.html"
-_MOST = 5_000_000  # bytes of all files of one panel
+_MOST = 5_000_000  # bytes of a document
 _NAME = r"^[A-Za-z0-9_-]{1,64}$"
+# The document has its scripts and styles within it: it comes from nowhere and connects to nowhere.
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data:; font-src 'self'; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'self'; sandbox allow-scripts"
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'; "
+    "sandbox allow-scripts"
 )
 _HEADERS: Headers = [
     (b"content-security-policy", _POLICY.encode()),
     (b"referrer-policy", b"no-referrer"),
-    # The frame has an origin of its own that equals none: modules and fonts are fetched across it.
-    (b"access-control-allow-origin", b"*"),
-    # Beside the listener's `same-origin`: of two, none is in force (Fetch, 3.7). The files are public.
-    (b"cross-origin-resource-policy", b"cross-origin"),
     (b"permissions-policy", b"camera=(), microphone=(), geolocation=(), payment=(), usb=()"),
 ]
 
@@ -69,12 +66,11 @@ class Panels:
         for name, place in places.items():
             folder = _folder(name, place)
             self.listed[name] = _manifest(name, folder)
-            for path, body in _read(name, folder).items():
-                files[f"{PREFIX}/{name}/{path}"] = File.of(body, path)
+            files[f"{PREFIX}/{name}"] = File.of(_document(name, folder), _INDEX)
 
         @get([*files], sync_to_thread=False)
         def panel(request: Asked) -> ASGIApp:
-            """Serve a file of a panel."""
+            """Serve the document of a panel."""
             return answer(scope_of(request), files[request.scope["path"]], _HEADERS)
 
         self.app = Application([panel] if files else [], remedy="/dashboard/api/panels lists them.")
@@ -91,14 +87,12 @@ def _folder(name: str, place: str) -> Path:
     if "/" in place:
         folder = Path(place)
     else:
-        # The package is not imported: only its files are served.
+        # The package is not imported: only two of its files are read.
         found = find_spec(place) if place.isidentifier() else None
         folders = list(found.submodule_search_locations or ()) if found is not None else []
         if not folders:
             raise _wrong(name, f"no package '{place}' is installed; install it, or name a folder")
         folder = Path(folders[0])
-    if not (folder / _INDEX).is_file():
-        raise _wrong(name, f"{folder} has no {_INDEX}")
     return folder
 
 
@@ -111,23 +105,13 @@ def _manifest(name: str, folder: Path) -> Panel:
         raise _wrong(name, f"{folder / _MANIFEST}: {error}") from None
 
 
-def _read(name: str, folder: Path) -> dict[str, bytes]:
-    """Read the files of a panel, without those of Python, hidden ones, and links that lead out."""
-    found: dict[str, bytes] = {}
-    left = _MOST
-    root = folder.resolve()
-    for path in sorted(folder.rglob("*")):
-        inner = path.relative_to(folder)
-        hidden = any(part.startswith((".", "__")) for part in inner.parts)
-        if hidden or path.suffix in {".py", ".pyi", ".pyc"} or not path.is_file():
-            continue
-        if not path.resolve().is_relative_to(root):
-            continue
-        left -= path.stat().st_size
-        if left < 0:
-            raise _wrong(name, f"{folder} has more than {_MOST} bytes")
-        found[inner.as_posix()] = path.read_bytes()
-    return found
+def _document(name: str, folder: Path) -> bytes:
+    found = folder / _INDEX
+    if not found.is_file():
+        raise _wrong(name, f"{folder} has no {_INDEX}")
+    if found.stat().st_size > _MOST:
+        raise _wrong(name, f"{found} has more than {_MOST} bytes")
+    return found.read_bytes()
 
 
 def _wrong(name: str, why: str) -> ConfigError:

@@ -24,8 +24,8 @@ BOUND = 60.0  # s
 EXAMPLE = Path(__file__).parents[2] / "examples/rcp-panel-battery/rcp_panel_battery"
 MANIFEST = """{"title": "Probe", "reads": [{"name": "pose"}], "writes": [{"name": "drive"}]}"""
 INDEX = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Probe</title>
-<script src="probe.js" defer></script><body><p id="tried"></p><p id="got"></p><p id="answer"></p>
-<button id="quiet">Quiet</button></body></html>"""
+<body><p id="tried"></p><p id="got"></p><p id="answer"></p>
+<button id="quiet">Quiet</button><script>"""
 SCRIPT = """
 const show = (id, text) => (document.getElementById(id).textContent = text);
 const send = (message) => parent.postMessage({ rcp: 1, ...message }, "*");
@@ -79,8 +79,8 @@ LAYOUT = {
 async def site(tmp_path_factory: pytest.TempPathFactory) -> AsyncGenerator[Machines]:
     """Run a gateway with two machines and a panel that tries whatever it can."""
     folder = tmp_path_factory.mktemp("probe")
-    for name, text in (("panel.json", MANIFEST), ("index.html", INDEX), ("probe.js", SCRIPT)):
-        (folder / name).write_text(text)
+    (folder / "panel.json").write_text(MANIFEST)
+    (folder / "index.html").write_text(f"{INDEX}{SCRIPT}</script></body></html>")
     async with machines(panels={"probe": str(folder)}) as running:
         await keep(running.url, key_of("otto"), "Probe", LAYOUT)
         yield running

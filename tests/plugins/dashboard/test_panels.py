@@ -1,4 +1,4 @@
-"""Panels of plugins are folders of files, served so that a browser gives them no rights."""
+"""Panels of plugins are documents, served so that a browser gives them no rights."""
 
 from __future__ import annotations
 
@@ -18,30 +18,27 @@ PANEL = {"title": "Probe", "reads": [{"name": "pose", "description": "where"}]}
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Make a panel, with files beside it that are nobody's business."""
+    """Make a panel, with a file beside it that is nobody's business."""
     made = tmp_path / "probe"
-    (made / "__pycache__").mkdir(parents=True)
+    made.mkdir()
     (made / "panel.json").write_text(json.dumps(PANEL))
     (made / "index.html").write_text("<!doctype html><title>Probe</title>")
     (made / "__init__.py").write_text("SECRET = 1\n")
-    (made / "__pycache__" / "x.js").write_text("1")
-    (made / ".hidden").write_text("1")
-    (tmp_path / "secret.txt").write_text("secret")
-    (made / "link.txt").symlink_to(tmp_path / "secret.txt")
     return made
 
 
 async def test_a_panel_is_served_without_rights_and_listed(static: object, folder: Path) -> None:
     more = f'[plugins.dashboard.panels]\nprobe = "{folder}"\n'
     async with site(more=more) as gateway, httpx.AsyncClient(base_url=gateway.url) as stranger:
-        page = await stranger.get("/dashboard/panels/probe/index.html")
+        page = await stranger.get("/dashboard/panels/probe")
         assert page.status_code == 200
         ours = page.headers.get_list("content-security-policy")[-1]
         policy = dict((part.strip() + " ").split(" ", 1) for part in ours.split(";"))
         assert policy["default-src"].strip() == policy["base-uri"].strip() == "'none'"
         assert policy["sandbox"].strip() == "allow-scripts"
-        assert policy["script-src"].strip() == policy["frame-ancestors"].strip() == "'self'"
-        for name in ("__init__.py", "__pycache__/x.js", ".hidden", "link.txt", "../secret.txt"):
+        assert policy["script-src"].strip() == "'unsafe-inline'"
+        assert "connect-src" not in policy
+        for name in ("__init__.py", "index.html", "panel.json", "../probe/panel.json"):
             missing = await stranger.get(f"/dashboard/panels/probe/{name}")
             assert missing.status_code == 404, name
         headers = {"authorization": f"Bearer {KEY}"}
