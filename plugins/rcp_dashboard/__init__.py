@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_dashboard.config import DashboardConfig
-from rcp_dashboard.layouts import Layouts
 from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.client_kinds import AdapterKind
 from rcp_kernel.hookspecs import hookimpl
@@ -22,11 +21,15 @@ async def open_dashboard(
     """Mount the pages and the API in the listener while entered."""
     from rcp_dashboard.api import PREFIX, Api
     from rcp_dashboard.pages import STATIC, Pages
+    from rcp_dashboard.panels import PREFIX as PANELS
+    from rcp_dashboard.panels import Panels
 
     pages = Pages(STATIC)
-    api = Api(client_api, config, Layouts(client_api.shelf("layouts"), config))
+    panels = Panels(config.panels)
+    api = Api(client_api, config, panels.encoded())
     mounts = (
         Mount(name="dashboard", prefix="/", app=pages.app),
+        Mount(name="dashboard panels", prefix=PANELS, app=panels.app),
         Mount(name="dashboard api", prefix=PREFIX, app=api.app, openapi=api.openapi),
     )
     for mount in mounts:

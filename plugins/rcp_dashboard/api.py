@@ -1,25 +1,24 @@
-"""/dashboard/api: telemetry, cameras and layouts, with the parameters and responses of all calls."""
+"""/dashboard/api: telemetry, cameras and panels, with the parameters and responses of all calls."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from litestar import Controller, Router, delete, get, put
+from litestar import Controller, Router, get
 from litestar.di import NamedDependency, Provide
 from litestar.types import ASGIApp
 
 from rcp_dashboard.camera import Cameras
 from rcp_dashboard.config import DashboardConfig
-from rcp_dashboard.layouts import Layouts
 from rcp_dashboard.past import Past
 from rcp_dashboard.request import DashboardRequest
-from rcp_dashboard.schemas import CAMERA, LATEST, LAYOUT, NONE, PAST, SERIES, STREAM, answer
+from rcp_dashboard.schemas import CAMERA, LATEST, PANELS, PAST, SERIES, STREAM, answer
 from rcp_dashboard.telemetry import Telemetry
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_web.application import Application, Asked, response, scope_of
-from rcp_web.asgi import Headers, Scope, read_body
+from rcp_web.asgi import Headers, Scope
 from rcp_web.calls import call, parameters_of, query
 from rcp_web.refusals import Refusal, envelope
 
@@ -37,13 +36,12 @@ _QUALITY = query("quality", _INTEGER, "Quality of JPEGs converted from raw pixel
 class Services:
     """The handlers' collaborators."""
 
-    def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
+    def __init__(self, client_api: ClientApi, config: DashboardConfig, panels: bytes) -> None:
         self.client_api = client_api
-        self.layout_size = config.layout_size
+        self.panels = panels
         self.telemetry = Telemetry(client_api, config)
         self.past = Past(client_api)
         self.cameras = Cameras(client_api, config)
-        self.layouts = layouts
 
 
 class Values(Controller):
@@ -144,49 +142,27 @@ class Values(Controller):
         return send_them
 
 
-class Layout(Controller):
-    """The layout of a user's pages."""
+class Extensions(Controller):
+    """What plugins add to the page."""
 
-    path = "/layout"
     tags = ("dashboard",)
 
-    @get(**call("The caller's layout.", responses=answer("The caller's layout.", LAYOUT)))
-    async def read(
+    @get("/panels", **call("Panels of plugins.", responses=answer("Panels of plugins.", PANELS)))
+    async def panels(
         self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
     ) -> ASGIApp:
-        """Answer with the layout."""
-        return response(200, services.layouts.get(asked.principal), headers=_NO_STORE)
-
-    @put(**call("Save the caller's layout.", responses=NONE, body={"content": LAYOUT}))
-    async def save(
-        self,
-        request: Asked,
-        asked: NamedDependency[DashboardRequest],
-        services: NamedDependency[Services],
-    ) -> ASGIApp:
-        """Save the layout."""
-        # The listener limits the time for receiving the body.
-        data = await read_body(request.receive, services.layout_size, None)
-        services.layouts.put(asked.principal, data)
-        return response(204, headers=_NO_STORE)
-
-    @delete(**call("Delete the caller's layout.", responses=NONE), status_code=200)
-    async def forget(
-        self, asked: NamedDependency[DashboardRequest], services: NamedDependency[Services]
-    ) -> ASGIApp:
-        """Delete the layout."""
-        services.layouts.delete(asked.principal)
-        return response(204, headers=_NO_STORE)
+        """Answer with the panels of plugins, and what they read and write."""
+        return response(200, services.panels, headers=_NO_STORE)
 
 
 class Api:
     """Serves and describes the calls."""
 
-    def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
+    def __init__(self, client_api: ClientApi, config: DashboardConfig, panels: bytes) -> None:
         self._client_api = client_api
-        self._services = Services(client_api, config, layouts)
+        self._services = Services(client_api, config, panels)
         self.app = Application(
-            [Router(PREFIX, route_handlers=[Values, Layout])],
+            [Router(PREFIX, route_handlers=[Values, Extensions])],
             dependencies={
                 "services": Provide(self._get_services, sync_to_thread=False),
                 "asked": Provide(_identify),
@@ -213,7 +189,7 @@ class Api:
         self._services.cameras.close()
 
 
-_PLACES = ("/series", "/latest", "/past", "/camera", "/camera/stream", "/layout")
+_PLACES = ("/series", "/latest", "/past", "/camera", "/camera/stream", "/panels")
 
 
 async def _identify(request: Asked, services: NamedDependency[Services]) -> DashboardRequest:

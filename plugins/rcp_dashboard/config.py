@@ -25,7 +25,5 @@ class DashboardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Quality of JPEGs converted from raw images."""
     streams: Annotated[int, Meta(ge=1)] = 16
     """Maximum number of camera streams."""
-    layout_size: Annotated[int, Meta(ge=1024)] = 262_144
-    """Maximum size of a user's layout, in bytes."""
-    layouts: Annotated[int, Meta(ge=1)] = 1000
-    """Maximum number of stored layouts."""
+    panels: dict[Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}$")], str] = {}
+    """Panels of plugins, by name: an installed package, or a folder, with a `/` in its path."""

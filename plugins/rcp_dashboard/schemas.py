@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rcp_web.calls import Node
 
-__all__ = ["CAMERA", "LATEST", "LAYOUT", "NONE", "PAST", "SERIES", "STREAM", "answer"]
+__all__ = ["CAMERA", "LATEST", "PANELS", "PAST", "SERIES", "STREAM", "answer"]
 
 _REFUSED: Node = {"description": "Refused, with an envelope."}
 _NUMBERS: Node = {"type": "array", "items": {"type": "number"}}
@@ -89,6 +89,31 @@ _PAST_BODY: Node = {
 }
 
 
+_TEXT: Node = {"type": "string"}
+_PORTS: Node = {
+    "type": "array",
+    "items": {"type": "object", "properties": {"name": _TEXT, "description": _TEXT}},
+}
+_PANELS_BODY: Node = {
+    "type": "object",
+    "properties": {
+        "panels": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "name": _TEXT,
+                    "title": _TEXT,
+                    "description": _TEXT,
+                    "reads": _PORTS,
+                    "writes": _PORTS,
+                },
+            },
+        }
+    },
+}
+
+
 def _json(schema: Node) -> Node:
     return {"application/json": {"schema": schema}}
 
@@ -96,13 +121,12 @@ def _json(schema: Node) -> Node:
 SERIES = _json(_SERIES_BODY)
 LATEST = _json(_LATEST_BODY)
 PAST = _json(_PAST_BODY)
-LAYOUT = _json({})
+PANELS = _json(_PANELS_BODY)
 CAMERA: Node = {
     media: {"schema": {"type": "string", "format": "binary"}}
     for media in ("image/jpeg", "image/png")
 }
 STREAM: Node = {"multipart/x-mixed-replace": {"schema": {"type": "string"}}}
-NONE: Node = {"204": {"description": "Done."}, "default": _REFUSED}
 
 
 def answer(text: str, content: Node) -> Node:

@@ -14,6 +14,7 @@ BUILTIN: tuple[str, ...] = (
     "hubs",
     "inventory",
     "jwt",
+    "layouts",
     "leases",
     "logins",
     "motion_limits",

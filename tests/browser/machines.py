@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,8 +27,7 @@ __all__ = ["Machines", "key_of", "machines", "person"]
 
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner", "gil": "guest"}
 _CONFIG = (
-    table("plugins.dashboard")
-    + backend("one", use="machine")
+    backend("one", use="machine")
     + backend("two", "beta", use="machine")
     + role(
         "learner",
@@ -149,11 +148,15 @@ def key_of(name: str) -> str:
 
 @asynccontextmanager
 async def machines(
-    ttl: float = 300, port: int = 0, *, absent: bool = False
+    ttl: float = 300,
+    port: int = 0,
+    *,
+    absent: bool = False,
+    panels: Mapping[str, str] | None = None,
 ) -> AsyncGenerator[Machines]:
     """Run the gateway while entered; `ttl` in seconds is how long an approval stands.
 
-    Machines that are `absent` come when they are told to.
+    Machines that are `absent` come when they are told to. `panels` are those of plugins.
     """
     made = Machines()
 
@@ -167,7 +170,8 @@ async def machines(
 
     people = "".join(key(name, key_of(name), role=role) for name, role in PEOPLE.items())
     configure("error", "json")
-    text = listener(port) + table("safety", approval_ttl=ttl) + _CONFIG + people
+    dashboard = table("plugins.dashboard", panels=dict(panels or {}))
+    text = listener(port) + dashboard + table("safety", approval_ttl=ttl) + _CONFIG + people
     config = parse(text, "test")
     async with serve(config, BackendKind("machine", Nothing, opened)) as served:
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)

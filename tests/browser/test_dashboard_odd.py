@@ -183,27 +183,49 @@ async def test_a_robot_whose_clock_is_ahead_is_old_when_it_falls_silent_and_plot
 @pytest.mark.parametrize(
     "layout",
     [
-        b"[]",
-        b"null",
-        b'"plots"',
-        b'{"plots": {"0": "a"}, "seconds": "1e999"}',
-        b'{"plots": [null, 5, ["/tenant/alpha/sensor/level#", 7, null], "x", [[]]], "seconds": -1}',
-        b'{"plots": [["/tenant/gone/sensor/level#x", "/tenant/gone/sensor/level#x"]], "seconds": 30}',
+        {},
+        {"columns": "plots"},
+        {
+            "columns": [
+                None,
+                {"panels": [{"kind": "plot", "plots": {"0": "a"}, "seconds": "1e999"}]},
+            ]
+        },
+        {
+            "columns": [
+                {
+                    "panels": [
+                        {
+                            "kind": "plot",
+                            "plots": [None, 5, ["/tenant/alpha/sensor/level#", 7], "x", [[]]],
+                            "seconds": -1,
+                        }
+                    ]
+                }
+            ]
+        },
+        {
+            "columns": [
+                {"panels": [{"kind": "plot", "plots": [["/tenant/gone/sensor/level#x"] * 2]}]}
+            ]
+        },
     ],
 )
 async def test_a_layout_that_is_none_or_names_what_is_gone_leaves_the_plots_usable(
-    browser: Browser, layout: bytes
+    browser: Browser, layout: dict[str, Any]
 ) -> None:
     has = [live("sensor/level")]
-    headers = {"authorization": f"Bearer {KEY}", "content-type": "application/json"}
+    headers = {"authorization": f"Bearer {KEY}"}
     async with world({"tank": ("alpha", has)}) as gateway, watched(browser, gateway.url) as tab:
         tab.expected.append("404")  # the series of what is gone
         await tab.open("plot")
         await log_in(tab.page, KEY)
+        body = {"do": "save", "name": "Plots", "content": layout}
+        message = {"type": "execute", "path": "/system/layouts", "body": body}
         async with httpx.AsyncClient(base_url=gateway.url, headers=headers) as client:
-            (await client.put("/dashboard/api/layout", content=layout)).raise_for_status()
-        async with tab.page.expect_response("**/dashboard/api/layout"):
-            await tab.page.get_by_role("button", name="Load").click()
+            saved = await client.post("/rcp/v1/messages", json=message)
+        assert saved.json()["status"] == "completed", saved.text
+        await tab.page.get_by_role("button", name="Load").click()
         await tab.page.get_by_role("searchbox", name="Path").fill("/tenant/alpha/sensor/level")
         gateway.publish("tank", "sensor/level", 2.5)
         await expect(tab.page.get_by_role("heading", name="Plot", exact=True)).to_be_visible()

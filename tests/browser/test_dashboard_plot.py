@@ -144,3 +144,28 @@ async def test_a_number_on_explore_is_plotted_by_a_press_and_by_dragging(tab: Wa
     plot = page.get_by_role("navigation", name="Pages").get_by_role("link", name="Plot")
     await page.get_by_role("link", name="Plot current").drag_to(plot)
     await expect(chart).to_have_count(2)  # those from before are kept
+
+
+async def test_a_line_shows_its_rate_and_two_lines_are_drawn_over_each_other(tab: Watched) -> None:
+    page = tab.page
+    await tab.open(f"plot?p={ACCELERATION}.x,{ACCELERATION}.z&span=10")
+    shown = page.get_by_test_id("shown")
+    await expect(shown.first).to_contain_text("m/s2")
+    await page.get_by_label("What is drawn of linear_acceleration.x").select_option("rate")
+    await expect(shown.first).to_have_text(re.compile(r"-?\d+\.\d+ m/s2/s"))
+    await expect(page).to_have_url(re.compile("acceleration.x~rate"))
+    await page.get_by_label("What is drawn of linear_acceleration.z").select_option("mean 5")
+    await expect(shown.last).to_have_text(re.compile(r"\d+\.\d+ m/s2$"))
+    await page.get_by_role("button", name="XY").click()
+    await expect(page.get_by_test_id("xy")).to_have_attribute(
+        "data-points", re.compile(r"[1-9]\d+")
+    )
+    await page.get_by_role("button", name="Save", exact=True).click()
+    await expect(page.get_by_text("kept", exact=True)).to_be_visible()
+    await tab.open("plot")
+    await page.reload()
+    await page.get_by_role("button", name="Load").click()
+    await expect(page.get_by_test_id("xy")).to_have_attribute(
+        "data-points", re.compile(r"[1-9]\d+")
+    )
+    await expect(page.get_by_label("What is drawn of linear_acceleration.x")).to_have_value("rate")

@@ -1,20 +1,16 @@
-"""Series, snapshots and layouts over HTTP: what they hold, for whom, and for how long."""
+"""Series and snapshots over HTTP: what they hold, for whom, and for how long."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
-from configuration import key, listener, table
 from rcp_kernel.clock import now
-from rcp_kernel.config.file import parse
 from rcp_kernel.model import Pattern, Resource
-from rcp_kernel.testing import serve
 from transports.robot import KEY, Site, site, until
 
 pytestmark = pytest.mark.anyio
@@ -147,7 +143,7 @@ async def test_who_proves_nothing_gets_nothing_where_that_is_so(static: Any) -> 
         site(top="anonymous = false", more="[plugins.dashboard]\n") as gateway,
         httpx.AsyncClient(base_url=gateway.url) as stranger,
     ):
-        for call in ("series", "latest", "camera", "camera/stream", "layout"):
+        for call in ("series", "latest", "camera", "camera/stream"):
             answer = await stranger.get(f"{API}/{call}", params={"path": POSE})
             assert answer.status_code == 401, call
             assert answer.headers["www-authenticate"] == "Bearer"
@@ -214,51 +210,6 @@ async def test_the_present_values_come_in_one_answer(
     assert one[0]["body"] == found["pose"]["body"]
 
 
-async def test_a_layout_is_each_users_own(http: httpx.AsyncClient) -> None:
-    layout = f"{API}/layout"
-    missing = await http.get(layout)
-    assert missing.status_code == 404
-    assert (await http.put(layout, content=b'{"plots":[1]}')).status_code == 204
-    assert (await http.get(layout)).json() == {"plots": [1]}
-    assert (await http.get(layout, headers=BETA)).status_code == 404
-    assert (await http.put(layout, content=b"[]", headers=BETA)).status_code == 204
-    assert (await http.get(layout)).json() == {"plots": [1]}
-    assert (await http.delete(layout)).status_code == 204
-    assert (await http.get(layout)).status_code == 404
-    assert (await http.get(layout, headers=BETA)).json() == []
-
-
-async def test_a_layout_survives_the_gateway(static: Any, tmp_path: Path) -> None:
-    text = (
-        listener()
-        + table("plugins.dashboard")
-        + table("store", path=f"{tmp_path}/kept.db")
-        + key("op", KEY, role="operator")
-    )
-    for asked in ("put", "get"):
-        async with serve(parse(text, "test")) as served:
-            url = next(f["url"] for f in served.server.status.transports if "url" in f)
-            headers = {"authorization": f"Bearer {KEY}"}
-            async with httpx.AsyncClient(base_url=url, headers=headers) as http:
-                if asked == "put":
-                    await http.put(f"{API}/layout", content=b'{"plots":[1]}')
-                else:
-                    assert (await http.get(f"{API}/layout")).json() == {"plots": [1]}
-
-
-async def test_a_layout_that_cannot_be_kept_is_refused(
-    http: httpx.AsyncClient, gateway: Site
-) -> None:
-    layout = f"{API}/layout"
-    assert (await http.put(layout, content=b"{")).json()["error"]["code"] == "bad_request"
-    large = await http.put(layout, content=b'"' + b"x" * 300_000 + b'"')
-    assert large.status_code == 413
-    async with httpx.AsyncClient(base_url=gateway.url) as stranger:
-        refused = await stranger.put(layout, content=b"{}")
-        assert refused.json()["error"]["code"] == "forbidden"
-        assert "Log in" in refused.json()["error"]["remedy"]
-
-
 async def test_a_gateway_without_a_recorder_says_that_there_is_no_past(
     http: httpx.AsyncClient,
 ) -> None:
@@ -270,7 +221,7 @@ async def test_a_gateway_without_a_recorder_says_that_there_is_no_past(
 async def test_the_api_stands_in_the_openapi_document(http: httpx.AsyncClient) -> None:
     paths = (await http.get("/openapi.json")).json()["paths"]
     ours = {path for path in paths if path.startswith(API)}
-    calls = ("series", "latest", "past", "camera", "camera/stream", "layout")
+    calls = ("series", "latest", "past", "camera", "camera/stream", "panels")
     assert ours == {f"{API}/{x}" for x in calls}
     nothing = await http.get(f"{API}/nothing")
     assert nothing.status_code == 404

@@ -15,8 +15,7 @@ export class Control {
   error = $state.raw<RcpError>();
   /** Whether it is being asked for. */
   asking = $state(false);
-  /** Told when control is gone, by whatever way. */
-  onlost: () => void = () => undefined;
+  readonly #lost = new Set<() => void>();
   #turn = 0; // of asking for it and giving it back: what is answered in an earlier one is wanted no more
 
   constructor(scope: string) {
@@ -25,6 +24,16 @@ export class Control {
 
   get held(): boolean {
     return this.lease !== undefined;
+  }
+
+  /** Call back when control is gone, by whatever way, until the returned function is called. */
+  onLost(told: () => void): () => void {
+    this.#lost.add(told);
+    return () => this.#lost.delete(told);
+  }
+
+  #tellLost(): void {
+    for (const told of this.#lost) told();
   }
 
   /** Ask for it; with a reason, take it over from somebody of a lower priority. */
@@ -66,7 +75,7 @@ export class Control {
 
   #lose(notice: Notice | undefined): void {
     this.lease = undefined;
-    this.onlost();
+    this.#tellLost();
     const message = notice ? `control lost: ${notice["reason"] ?? notice.message ?? ""} ${notice["by"] ? `(${notice["by"]})` : ""}` : "control lost: the session ended";
     this.error = new RcpError({ code: "lease_lost", message, remedy: "Press Take control to get it back." });
   }
@@ -74,11 +83,35 @@ export class Control {
   async give(): Promise<void> {
     this.#turn += 1;
     this.asking = false;
-    this.onlost();
+    this.#tellLost();
     const lease = this.lease;
     this.lease = undefined;
     await lease?.release().catch(() => undefined);
   }
+}
+
+const inUse = new Map<string, { control: Control; users: number }>();
+const keyOf = (scope: string): string => `${app.epoch} ${scope}`;
+
+/** The control of a scope, which all parts of a page share that name the same one. */
+export function controlOf(scope: string): Control {
+  const key = keyOf(scope);
+  let found = inUse.get(key);
+  if (!found) inUse.set(key, (found = { control: new Control(scope), users: 0 }));
+  return found.control;
+}
+
+/** Use it until the returned function is called; the last user gives it back. */
+export function use(control: Control): () => void {
+  const [key, shared] = [...inUse].find(([, one]) => one.control === control) ?? [keyOf(control.scope), { control, users: 0 }];
+  inUse.set(key, shared);
+  shared.users += 1;
+  return () => {
+    shared.users -= 1;
+    if (shared.users > 0) return;
+    if (inUse.get(key) === shared) inUse.delete(key);
+    void control.give();
+  };
 }
 
 /** The least part of the tree that holds all of these paths. */

@@ -1,7 +1,7 @@
-import type { Series } from "./series.ts";
+import type { Samples } from "./transforms.ts";
 
 /** Columns of time and of each series, as they are drawn: a cell is empty where a series has no sample. */
-export function csv(all: { name: string; series: Series }[], from: number, to: number): string {
+export function csv(all: { name: string; series: Samples }[], from: number, to: number): string {
   const quoted = (text: string): string => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const rows = new Map<number, (number | undefined)[]>();
   all.forEach(({ series }, column) => {

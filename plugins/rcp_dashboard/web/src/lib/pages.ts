@@ -28,6 +28,7 @@ export const PAGES: Page[] = [
   { id: "scene", name: "Scene", icon: "M12 3l8 4.5v9L12 21l-8-4.5v-9zM12 12l8-4.5M12 12v9M12 12L4 7.5", load: () => import("../pages/Scene.svelte"), heavy: true, past: true },
   { id: "map", name: "Map", icon: "M3 6l6-2l6 2l6-2v14l-6 2l-6-2l-6 2zM9 4v14M15 6v14", load: () => import("../pages/Map.svelte"), past: true },
   { id: "plot", name: "Plot", icon: "M4 4v16h16M7 15l4-5l3 3l5-7", load: () => import("../pages/Plot.svelte"), past: true },
+  { id: "layout", name: "Layouts", icon: "M4 4h9v16H4zM13 4h7v7h-7zM13 11h7v9h-7z", load: () => import("../pages/Layouts.svelte"), needs: "/system/layouts", drives: true },
   { id: "commands", name: "Commands", icon: "M5 6l4 6l-4 6M12 18h7", load: () => import("../pages/Commands.svelte") },
   { id: "alarms", name: "Alarms", icon: "M6 17V11a6 6 0 0 1 12 0v6l2 2H4zM10 21h4M12 3v2", load: () => import("../pages/Alarms.svelte"), needs: "/system/alarms" },
   { id: "log", name: "Log", icon: "M5 5h14M5 10h14M5 15h9M5 20h6", load: () => import("../pages/Log.svelte"), past: true },

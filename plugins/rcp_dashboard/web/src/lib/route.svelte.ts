@@ -3,14 +3,18 @@ import { untrack } from "svelte";
 /** The page that is shown, kept behind the `#` of the address: so it works below any path prefix. */
 class Route {
   page = $state("");
+  /** What the address says behind the page, between slashes. */
+  rest = $state.raw<string[]>([]);
   query = $state.raw(new URLSearchParams());
   #read = ""; // the address that these two are from
 
   constructor() {
     const read = (): void => {
       this.#read = location.hash;
-      const [page = "", query = ""] = this.#read.replace(/^#\/?/, "").split("?");
+      const [place = "", query = ""] = this.#read.replace(/^#\/?/, "").split("?");
+      const [page = "", ...rest] = place.split("/");
       this.page = page;
+      this.rest = rest.map(decoded);
       this.query = new URLSearchParams(query);
     };
     addEventListener("hashchange", read);
@@ -31,9 +35,18 @@ class Route {
   write(query: URLSearchParams): boolean {
     if (location.hash !== this.#read) return false;
     const text = query.toString();
-    history.replaceState(null, "", `#/${untrack(() => this.page)}${text && `?${text}`}`);
+    const place = untrack(() => [this.page, ...this.rest.map(encodeURIComponent)].join("/"));
+    history.replaceState(null, "", `#/${place}${text && `?${text}`}`);
     this.#read = location.hash;
     return true;
+  }
+}
+
+function decoded(text: string): string {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text; // written by hand
   }
 }
 

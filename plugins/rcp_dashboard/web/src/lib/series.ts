@@ -1,3 +1,5 @@
+import type { Samples } from "./transforms.ts";
+
 /** Numbers over time: a ring that grows to a bound, handed out as arrays in the order of time. */
 export class Series {
   static readonly MOST = 100_000;
@@ -40,14 +42,7 @@ export class Series {
 
   /** The last value at or before a time. */
   at(time: number): number | undefined {
-    const { times, values } = this;
-    let [low, high] = [0, times.length];
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if ((times[middle] as number) <= time) low = middle + 1;
-      else high = middle;
-    }
-    return values[low - 1];
+    return valueAt(this, time);
   }
 
   #room(): void {
@@ -73,8 +68,19 @@ export class Series {
   }
 }
 
+/** The last value at or before a time. */
+export function valueAt({ times, values }: Samples, time: number): number | undefined {
+  let [low, high] = [0, times.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((times[middle] as number) <= time) low = middle + 1;
+    else high = middle;
+  }
+  return values[low - 1];
+}
+
 /** Put several series on one axis of time, as uPlot wants them; thinned to at most `most` points of time each. */
-export function joined(all: Series[], from: number, to: number, most: number): [number[], ...(number | null)[][]] {
+export function joined(all: Samples[], from: number, to: number, most: number): [number[], ...(number | null)[][]] {
   const picked = all.map((series) => thin(series, from, to, most));
   if (picked.length === 1) return [picked[0]!.times, picked[0]!.values];
   const axis = [...new Set(picked.flatMap((one) => one.times))].sort((a, b) => a - b);
@@ -87,7 +93,7 @@ export function joined(all: Series[], from: number, to: number, most: number): [
 }
 
 /** The least and the greatest of each bucket: peaks stay, however many samples there are. */
-function thin(series: Series, from: number, to: number, most: number): { times: number[]; values: number[] } {
+function thin(series: Samples, from: number, to: number, most: number): { times: number[]; values: number[] } {
   const { times, values } = series;
   const place = (time: number): number => {
     let [low, high] = [0, times.length];

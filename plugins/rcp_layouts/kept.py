@@ -1,0 +1,127 @@
+"""The layouts that are kept, with their versions and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import msgspec
+import structlog
+from msgspec import Struct, ValidationError, convert, structs, to_builtins
+
+from rcp_kernel.errors import PreconditionFailed, QueueFull, UnknownPath
+from rcp_layouts.messages import Entry, Layout
+from rcp_store.plugin_store import PluginStore
+
+__all__ = ["KeptLayouts", "Owner"]
+
+log = structlog.get_logger("rcp.layouts")
+
+
+class Owner(NamedTuple):
+    """Whose a layout is: a tenant's, or that of a user by name and proof."""
+
+    tenant: str | None = None
+    user: str = ""
+    proof: str = ""
+
+
+class _Row(Struct, frozen=True):
+    owner: Owner
+    layout: Layout
+
+
+class KeptLayouts:
+    """All layouts by owner and name."""
+
+    def __init__(self, store: PluginStore) -> None:
+        self._store = store
+        self._found: dict[tuple[Owner, str], Layout] = {}
+
+    def restore(self) -> None:
+        """Load what earlier runs have saved."""
+        for key, row in self._store.load().items():
+            try:
+                kept = convert(row, _Row)
+            except ValidationError as error:
+                log.warning("layout_unreadable", layout=key, error=str(error))
+                continue
+            self._found[kept.owner, kept.layout.name] = kept.layout
+
+    def listed(self, owner: Owner) -> Iterator[Entry]:
+        """List an owner's layouts by name."""
+        for _, name in sorted(key for key in self._found if key[0] == owner):
+            yield _entry(self._found[owner, name])
+
+    def tenants(self) -> set[str]:
+        """Return the tenants that share layouts."""
+        return {owner.tenant for owner, _ in self._found if owner.tenant is not None}
+
+    def get(self, owner: Owner, name: str) -> Layout:
+        """Return a layout.
+
+        :raises UnknownPath: there is none of this name.
+        """
+        found = self._found.get((owner, name))
+        if found is None:
+            raise UnknownPath(
+                f"there is no layout '{name}'",
+                remedy="Choose one from the list of layouts, or save one with this name.",
+            )
+        return found
+
+    def check(self, owner: Owner, name: str, version: int) -> None:
+        """Refuse a change that was not made from the kept version.
+
+        :raises PreconditionFailed: somebody else saved or removed it since.
+        """
+        found = self._found.get((owner, name))
+        there = 0 if found is None else found.version
+        if version == there:
+            return
+        if found is None:
+            raise PreconditionFailed(
+                f"the layout '{name}' was removed since",
+                details={"version": 0},
+                remedy="Save it as a new layout (`version` 0).",
+            )
+        raise PreconditionFailed(
+            f"{found.by} saved the layout '{name}' since, as version {there}",
+            details={"version": there, "by": found.by},
+            remedy="Open it again and repeat the change, or save yours under another name.",
+        )
+
+    def check_room(self, owner: Owner, name: str, of_one: int, most: int) -> None:
+        """Refuse one layout too many.
+
+        :raises QueueFull: the owner, or all owners together, have as many as they may.
+        """
+        if (owner, name) in self._found:
+            return
+        if sum(one == owner for one, _ in self._found) >= of_one:
+            raise QueueFull(f"there are already {of_one} layouts here", remedy="Remove one first.")
+        if len(self._found) >= most:
+            raise QueueFull(
+                f"there are already {most} layouts",
+                remedy="Ask the administrator to raise `most` in [features.layouts].",
+            )
+
+    def put(self, owner: Owner, layout: Layout) -> Entry:
+        """Keep a layout; return it as it is listed."""
+        self._found[owner, layout.name] = layout
+        self._store.put(_key(owner, layout.name), to_builtins(_Row(owner, layout)))
+        return _entry(layout)
+
+    def remove(self, owner: Owner, name: str) -> None:
+        """Remove a layout."""
+        del self._found[owner, name]
+        self._store.put(_key(owner, name), None)
+
+
+def _entry(layout: Layout) -> Entry:
+    fields: dict[str, Any] = {one.name: getattr(layout, one.name) for one in structs.fields(Entry)}
+    return Entry(**fields)
+
+
+def _key(owner: Owner, name: str) -> str:
+    return msgspec.json.encode([*owner, name]).decode()
