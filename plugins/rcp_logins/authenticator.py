@@ -48,6 +48,11 @@ class LoginAuthenticator(Authenticator):
         self._noted: dict[str, int] = {}
         """When the use of a login was last put into the store, by id."""
 
+    @property
+    def durable(self) -> bool:
+        """Whether logins outlive a restart of the gateway."""
+        return self._kept.keeps
+
     def configure(self, config: LoginsConfig) -> None:
         """Apply another configuration."""
         self._config = config

@@ -27,10 +27,14 @@ _LONGEST = 32_768  # bytes of a body: a token has at most 16,384 characters
 _NO_STORE: Headers = [(b"cache-control", b"no-store")]
 _STATE: dict[str, Any] = {
     "type": "object",
-    "required": ["principal", "expires"],
+    "required": ["principal", "expires", "durable"],
     "properties": {
         "principal": {"type": ["string", "null"], "description": "Whose login the cookie is."},
         "expires": {"type": ["string", "null"], "description": "When it ends at the latest."},
+        "durable": {
+            "type": "boolean",
+            "description": "Whether logins outlive a restart of the gateway.",
+        },
     },
 }
 _WANTED: dict[str, Any] = {
@@ -70,7 +74,7 @@ class Login(Controller):
     def state(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
         """Answer with the principal of the cookie, if there is one."""
         logins, secret = _service(client_api), shown_login(scope_of(request))
-        return _state(None if secret is None else logins.find(secret))
+        return _state(logins, None if secret is None else logins.find(secret))
 
     @post(
         **declared(
@@ -93,7 +97,7 @@ class Login(Controller):
         if former is not None:
             logins.end(former)
         cookie = login_cookie(origin, made.secret, made.lifetime if wanted.remember else None)
-        return _state(logins.find(made.secret), cookie)
+        return _state(logins, logins.find(made.secret), cookie)
 
     @delete(
         **declared("End the login in the cookie.", responses=_answers(400, 403, 404)),
@@ -107,7 +111,7 @@ class Login(Controller):
         secret = shown_login(scope)
         if secret is not None:
             logins.end(secret)
-        return _state(None, no_cookie(origin))
+        return _state(logins, None, no_cookie(origin))
 
 
 def _service(client_api: ClientApi) -> LoginService:
@@ -143,10 +147,13 @@ def _read(data: bytes) -> _Wanted:
         ) from None
 
 
-def _state(principal: Principal | None, *cookies: tuple[bytes, bytes]) -> ASGIApp:
+def _state(
+    logins: LoginService, principal: Principal | None, *cookies: tuple[bytes, bytes]
+) -> ASGIApp:
     expires = None if principal is None else principal.expires
     body = {
         "principal": None if principal is None else principal.name,
         "expires": None if expires is None else iso(expires),
+        "durable": logins.durable,
     }
     return response(200, msgspec.json.encode(body), headers=[*_NO_STORE, *cookies])

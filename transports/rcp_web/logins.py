@@ -34,6 +34,11 @@ class NewLogin(NamedTuple):
 class LoginService(Protocol):
     """The logins of a gateway."""
 
+    @property
+    def durable(self) -> bool:
+        """Whether they outlive a restart of the gateway."""
+        ...
+
     def begin(self, principal: Principal, address: str | None, *, remember: bool) -> NewLogin:
         """Begin a login for a principal that has just proved itself by a token.
 

@@ -8,8 +8,9 @@ export async function isLoggedIn(base: string): Promise<boolean> {
   return typeof told?.principal === "string"; // what else is wrong, the connection tells
 }
 
-/** Begin one; return whether the gateway keeps it: it may not, and does not over plain HTTP from afar. */
+/** Begin one; return whether the gateway keeps it: not where a restart would log everybody out, nor over plain HTTP from afar. */
 export async function beginLogin(base: string, token: string, remember: boolean): Promise<boolean> {
+  if ((await ask(base, "GET"))?.durable !== true) return false;
   return (await ask(base, "POST", JSON.stringify({ token, remember }))) !== undefined;
 }
 
@@ -19,7 +20,7 @@ export async function endLogin(base: string): Promise<boolean> {
 }
 
 /** Return what the gateway answers; undefined if it refuses, or does not answer in time. */
-async function ask(base: string, method: string, body?: string): Promise<{ principal: string | null } | undefined> {
+async function ask(base: string, method: string, body?: string): Promise<{ principal: string | null; durable: boolean } | undefined> {
   const headers = { "content-type": "application/json" };
   try {
     const answer = await fetch(`${base}/rcp/v1/login`, { method, ...(body !== undefined && { body }), headers, signal: AbortSignal.timeout(PATIENCE) });
