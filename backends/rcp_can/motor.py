@@ -117,7 +117,7 @@ class MotorPart(Part):
             case "set_zero":
                 await self._zero()
             case "home":
-                await self._home()
+                await self._home(progress)
             case "move_to":
                 return await self._move(value, name, progress)
             case _:
@@ -174,13 +174,13 @@ class MotorPart(Part):
         await rested(self.axis)
         await self.axis.drive.set_zero()
 
-    async def _home(self) -> None:
+    async def _home(self, progress: Progress) -> None:
         axis = self.axis
         check(axis)
         axis.forget(None)
         axis.owner = f"action/{axis.name}/home"
         try:
-            await unless_lost(axis, axis.drive.home())
+            await unless_lost(axis, axis.drive.home(progress))
         except (asyncio.CancelledError, RcpError) as error:
             await abandon(axis, error)
             raise

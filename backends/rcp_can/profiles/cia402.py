@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import structlog
@@ -403,13 +403,15 @@ class Cia402Drive(Drive):
             kind = "cyclic"  # a stream of set-points; `move` uses profile position
         return MODES[f"{kind}_{mode}"]
 
-    async def home(self) -> None:
+    async def home(self, begun: Callable[[], object]) -> None:
         """Home by the configured method."""
         await self.write("homing_method", self.options.homing_method)
-        await self.find_reference(self.options.home_timeout)
+        await self.find_reference(self.options.home_timeout, begun)
 
-    async def find_reference(self, seconds: float) -> None:
+    async def find_reference(self, seconds: float, begun: Callable[[], object]) -> None:
         """Home by the method and the speeds in the drive (CiA 402-2, 10.5).
+
+        `begun` is called once the drive is told to start.
 
         :raises DeviceRejected: it does not start, or ends with an error.
         :raises DeviceTimeout: it takes longer than `seconds`.
@@ -424,6 +426,7 @@ class Cia402Drive(Drive):
         first = self._statuswords + _UNDER_WAY
         self._homing = True
         self._push(COMMANDS["enable"] | _NEW_SET_POINT)
+        begun()
         began = time.monotonic()
 
         def outcome() -> Homing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal, NamedTuple, Protocol
 
 from msgspec import Meta, Struct
@@ -82,8 +82,8 @@ class _Drive(Protocol):
         """Write an object of the profile."""
         ...
 
-    async def find_reference(self, seconds: float) -> None:
-        """Home by the method in the drive."""
+    async def find_reference(self, seconds: float, begun: Callable[[], object]) -> None:
+        """Home by the method in the drive; tell when it has been started."""
         ...
 
 
@@ -96,10 +96,10 @@ def cia402_procedures(drive: _Drive, units: Units, velocity: float) -> Sequence[
             if speed is not None and speed > velocity:
                 raise _too_fast(field, speed, velocity)
 
-    async def home(wanted: HomingRequest, _progress: Progress) -> Homed:
+    async def home(wanted: HomingRequest, progress: Progress) -> Homed:
         began = time.monotonic()
         await _set_up_homing(drive, wanted, units, velocity)
-        await drive.find_reference(wanted.timeout)
+        await drive.find_reference(wanted.timeout, progress)
         return Homed(duration=time.monotonic() - began)
 
     async def store(wanted: Parameters, _progress: Progress) -> None:

@@ -442,11 +442,12 @@ class OdriveDrive(Drive):
             again=lambda: self._transmit("absolute"),
         )
 
-    async def home(self) -> None:
+    async def home(self, begun: Callable[[], object]) -> None:
         """Run the drive's own homing, then return to closed loop."""
         self._moving = False
         self._transmit("state", state=_HOMING)
         await self.until(lambda: self._state == _HOMING, "homing")
+        begun()
         await self.until(
             lambda: self._state != _HOMING, "done with homing", seconds=self.options.home_timeout
         )

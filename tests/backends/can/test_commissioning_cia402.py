@@ -193,3 +193,18 @@ async def test_through_a_gateway_an_e_stop_ends_homing() -> None:
         assert reply["status"] in ("failed", "cancelled"), reply
         assert held.twin.state == "quick_stop"
         assert await held.code("execute", "action/m/homing", SEARCH) == "estop_active"
+
+
+@pytest.mark.parametrize("name", ["action/m/homing", "action/m/home"])
+async def test_homing_that_fails_after_it_moved_has_failed_and_was_not_refused(name: str) -> None:
+    options = {"homing_method": 1}
+    async with bed("cia402", commissioning=True, velocity=8.0, options=options) as held:
+        await held.done("service/m/enable")
+        if name.endswith("homing"):
+            reply = await held.ask("execute", name, {**SEARCH, "method": 5})
+            assert reply["status"] == "rejected", reply  # nothing moved
+        held.twin.stuck = True
+        held.twin.local.set_data(0x6099, 1, struct.pack("<I", round(3.0 * held.twin.scale)))
+        reply = await held.ask("execute", name, SEARCH if name.endswith("homing") else None)
+        assert (reply["status"], reply["error"]["code"]) == ("failed", "device_rejected"), reply
+        assert held.twin.plant.position < held.twin.switch
