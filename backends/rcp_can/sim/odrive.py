@@ -22,6 +22,8 @@ _CALIBRATING = {3: (4, 7), 4: (4,), 6: (6,), 7: (7,), 10: (10,), 12: (12,), 13: 
 _LASTS = 0.4  # s of each
 _TURNS = 3.0  # rad/s
 _BOOT = 0.3  # s without a message
+_HOMES = 3.0  # rad/s towards the end stop
+_OFFSET = -0.4  # rad: where the end stop is, counted from zero
 ENDPOINTS = {"axis0.config.watchdog_timeout": 301, "axis0.config.enable_watchdog": 300}
 """Its settings that can be accessed, by their names in flat_endpoints.json."""
 
@@ -37,7 +39,10 @@ class OdriveTwin(Twin):
         self.watchdog: float | None = options.get("watchdog")
         self._watchdog_time = self.watchdog or 0.0
         self._stored = self._watchdog_time, self.watchdog
-        self._homing = 0.0
+        self.end_stop = _OFFSET
+        """Position at which its end stop closes, rad."""
+        self._leaving = 0.0
+        """Time left to go from the end stop to zero, s; 0: it has not closed."""
         self.result = 0
         self.fails: tuple[int, int] | None = None
         """Error bits and result with which its next calibration fails."""
@@ -92,7 +97,8 @@ class OdriveTwin(Twin):
             self.state = int(state)
             self.feed()
             if state == 11:
-                self._homing = 0.3
+                self._leaving = 0.0
+                self.plant.loop, self.plant.goal, self.plant.ramp = "velocity", -_HOMES, None
             else:
                 self.plant.hold()
         elif state in _CALIBRATING and self.state == 1 and not self.refuses and not self.error:
@@ -106,6 +112,18 @@ class OdriveTwin(Twin):
             self.state = 1
             self._sequence = []
             self.plant.off()
+
+    def _home(self, step: float) -> None:
+        """Search the end stop at whatever velocity there is, and go to zero once it has closed."""
+        plant = self.plant
+        if self._leaving:
+            self._leaving = max(0.0, self._leaving - step)
+            if not self._leaving:
+                self.state = 8
+                plant.hold()
+        elif plant.position <= self.end_stop:
+            plant.position, self.end_stop, self._leaving = _OFFSET, _OFFSET, 0.4
+            plant.loop, plant.goal, plant.speed = "position", 0.0, _HOMES
 
     def _next_state(self) -> None:
         """Enter the next state of the calibration; each but that of the motor turns the shaft."""
@@ -183,6 +201,8 @@ class OdriveTwin(Twin):
     def _on_velocity(self, velocity: float, torque: float) -> None:
         if self._feed("velocity", 2, velocity):
             self.plant.loop, self.plant.ramp = "velocity", None
+        elif self.state == 11 and not self._leaving:
+            self.plant.goal = velocity  # in place of that of homing, which goes on
 
     def _on_torque(self, torque: float) -> None:
         if self._feed("torque", 1, torque):
@@ -215,10 +235,7 @@ class OdriveTwin(Twin):
             self._sequence = []
             self.error, self.state = 1 << _WATCHDOG, 1
         if self.state == 11:
-            self._homing -= step
-            if self._homing <= 0:
-                self.state, self.plant.position = 8, 0.0
-                self.plant.hold()
+            self._home(step)
         if not self.heartless and self.every("heartbeat", self._heartbeat, now):
             self._transmit("heartbeat")
         if not self.blind and self.every("feedback", self._feedback, now):
