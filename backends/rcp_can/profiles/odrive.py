@@ -326,6 +326,8 @@ class OdriveDrive(Drive):
             self._request("version")
             self._request("address")
 
+        # After a boot it may run other firmware, or be another drive.
+        self._version = self._serial = self.identity = None
         try:
             await self.until(
                 lambda: None not in (self.identity, self._serial, self.status.enabled),

@@ -21,6 +21,7 @@ _CALIBRATING = {3: (4, 7), 4: (4,), 6: (6,), 7: (7,), 10: (10,), 12: (12,), 13: 
 """The states that a requested one goes through."""
 _LASTS = 0.4  # s of each
 _TURNS = 3.0  # rad/s
+_FIRMWARE = "firmware_major", "firmware_minor", "firmware_revision"
 _BOOT = 0.3  # s without a message
 _HOMES = 3.0  # rad/s towards the end stop
 _OFFSET = -0.4  # rad: where the end stop is, counted from zero
@@ -48,6 +49,9 @@ class OdriveTwin(Twin):
         """Error bits and result with which its next calibration fails."""
         self.keeps_watchdog = False
         """Ignores writes to the settings of its watchdog."""
+        self.firmware = 0, 6, 10
+        self.accesses: list[tuple[int, int]] = []
+        """Reads and writes of its settings, by operation and number."""
         self.saved: list[float | None] = []
         """The time of the watchdog, each time that its configuration was stored."""
         self._sequence: list[tuple[int, float]] = []
@@ -149,6 +153,7 @@ class OdriveTwin(Twin):
             self._next_state()
 
     def _on_access(self, opcode: float, endpoint: float, reserved: float, value: float) -> None:
+        self.accesses.append((int(opcode), int(endpoint)))
         raw = struct.pack("<I", int(value))
         match int(endpoint), int(opcode):
             case (number, 0) if number in ENDPOINTS.values():
@@ -263,8 +268,7 @@ class OdriveTwin(Twin):
                     "hardware_major": 4,
                     "hardware_minor": 4,
                     "hardware_variant": 58,
-                    "firmware_minor": 6,
-                    "firmware_revision": 10,
+                    **dict(zip(_FIRMWARE, self.firmware, strict=True)),
                 }
             case "error":
                 return {"active": self.error}

@@ -268,6 +268,25 @@ async def test_endpoints_of_other_firmware_are_not_written(older: str) -> None:
         assert rig.twin.watchdog is None
 
 
+async def test_a_drive_is_asked_anew_what_it_is_after_each_boot(endpoints: str) -> None:
+    options = {"endpoints": endpoints}
+    async with motor("odrive", commissioning=True, options=options) as rig:
+        await rig.host.until(lambda: rig.axis.configured)
+        twin, accesses = rig.twin, rig.twin.accesses
+
+        def flashed() -> None:
+            twin.firmware, twin.options["serial"] = (0, 6, 9), 0x77
+            accesses.clear()
+            twin.boot()
+
+        await rig.ordered(flashed)  # or a spare drive was put in its place
+        await rig.host.until(lambda: "configuration" in rig.faults())
+        assert any("the drive has 0.6.9" in str(report) for report in rig.host.reports)
+        assert not accesses
+        assert await rig.backend.read("param/m/serial") == f"{0x77:012X}"
+        assert "duplicate_node" not in rig.faults()
+
+
 async def test_a_configuration_is_stored_when_the_drive_has_rebooted(endpoints: str) -> None:
     options = {"endpoints": endpoints}
     async with motor("odrive", commissioning=True, options=options, watchdog=0.7) as rig:
