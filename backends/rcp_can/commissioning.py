@@ -6,17 +6,15 @@ import asyncio
 from collections.abc import Sequence
 from typing import Any
 
-import anyio
-
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
-from rcp_can.motor import abandon, released, unless_lost
+from rcp_can.motor import abandon, end_own_motion, released, unless_lost
 from rcp_can.preconditions import check, check_bus, check_feedback, check_link, ready
 from rcp_can.procedure import Procedure
 from rcp_can.standstill import rested
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.spi import Progress, check_fence, fenced_off
+from rcp_kernel.spi import Progress, check_fence
 
 __all__ = ["CommissioningPart", "procedures_of"]
 
@@ -107,7 +105,7 @@ class CommissioningPart(Part):
             if procedure.motion == "set_points":
                 await abandon(axis, error)
             elif procedure.motion == "own":
-                await self._stop(error)
+                await end_own_motion(axis, error)
             raise
         finally:
             axis.owner = axis.ended = None
@@ -160,22 +158,3 @@ class CommissioningPart(Part):
                 f"motor '{axis.name}' is {axis.state}",
                 remedy=f"Execute service/{axis.name}/disable first.",
             )
-
-    async def _stop(self, why: BaseException) -> None:
-        """Stop a drive that moves by itself; return when it is at rest.
-
-        :raises RcpError: the procedure was cancelled, and rest is not confirmed.
-        """
-        axis = self._axis
-        # A stop that ended it already controls the drive; and it may not have begun to move.
-        if not fenced_off() and not axis.resting:
-            axis.stop()
-        axis.leaving = True
-        try:
-            with anyio.CancelScope(shield=True):
-                await rested(axis)
-        except RcpError:
-            if isinstance(why, asyncio.CancelledError):
-                raise
-        finally:
-            axis.leaving = False

@@ -187,8 +187,11 @@ class Drive(ABC):
         Called only while `status.faults` is not empty.
         """
 
-    async def home(self) -> None:
-        """Home the drive, if it `homes`; return when the drive reports that it is done."""
+    async def home(self, begun: Callable[[], object]) -> None:
+        """Home the drive, if it `homes`; return when the drive reports that it is done.
+
+        `begun` is to be called once the drive may move: a failure from then on is no refusal.
+        """
         raise NotImplementedError
 
     async def set_zero(self) -> None:

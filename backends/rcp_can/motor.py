@@ -26,7 +26,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, fenced_off
 
-__all__ = ["MotorPart", "abandon", "drive_to", "released", "unless_lost"]
+__all__ = ["MotorPart", "abandon", "drive_to", "end_own_motion", "released", "unless_lost"]
 
 _T = TypeVar("_T")
 _FEEDBACK = 0.1  # s between two progress reports of a move
@@ -117,7 +117,7 @@ class MotorPart(Part):
             case "set_zero":
                 await self._zero()
             case "home":
-                await self._home()
+                await self._home(progress)
             case "move_to":
                 return await self._move(value, name, progress)
             case _:
@@ -174,15 +174,18 @@ class MotorPart(Part):
         await rested(self.axis)
         await self.axis.drive.set_zero()
 
-    async def _home(self) -> None:
+    async def _home(self, progress: Progress) -> None:
         axis = self.axis
         check(axis)
         axis.forget(None)
         axis.owner = f"action/{axis.name}/home"
         try:
-            await unless_lost(axis, axis.drive.home())
+            await unless_lost(axis, axis.drive.home(progress))
         except (asyncio.CancelledError, RcpError) as error:
-            await abandon(axis, error)
+            if axis.drive.busy:  # a set-point of rest would not end that
+                await end_own_motion(axis, error)
+            else:
+                await abandon(axis, error)
             raise
         finally:
             axis.owner = axis.ended = None
@@ -310,6 +313,25 @@ async def abandon(axis: Axis, why: BaseException) -> None:
     except RcpError:
         axis.stop()
         if cancelled:
+            raise
+    finally:
+        axis.leaving = False
+
+
+async def end_own_motion(axis: Axis, why: BaseException) -> None:
+    """Stop a drive that moves by itself; return when it is at rest.
+
+    :raises RcpError: the command was cancelled, and rest is not confirmed.
+    """
+    # A stop that ended it already controls the drive; and it may not have begun to move.
+    if not fenced_off() and not axis.resting:
+        axis.stop()
+    axis.leaving = True
+    try:
+        with anyio.CancelScope(shield=True):
+            await rested(axis)
+    except RcpError:
+        if isinstance(why, asyncio.CancelledError):
             raise
     finally:
         axis.leaving = False

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import struct
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import structlog
@@ -27,7 +26,7 @@ from rcp_can.profiles.cia402_objects import (
 )
 from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.profiles.cia402_pdos import eds_map, own_map, own_pdos
-from rcp_can.profiles.cia402_procedures import cia402_procedures
+from rcp_can.profiles.cia402_procedures import Units, cia402_procedures
 from rcp_can.profiles.cia402_setup import has_object, map_pdos, set_up
 from rcp_can.sdo import Sdo
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
@@ -77,7 +76,7 @@ class Cia402Drive(Drive):
         self.moves = options.control == "profile"
         self.sdo = Sdo(bus, node)
         self.state = "unknown"
-        self._scale = options.counts / (2 * math.pi)
+        self._scale, self._rates = options.positions, options.velocities
         self._statusword = 0
         self._shown = self._mode = 0
         self._control = COMMANDS["disable_voltage"]
@@ -121,7 +120,8 @@ class Cia402Drive(Drive):
 
     def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
         """Offer homing by a method, and storing of its parameters."""
-        return cia402_procedures(self, gear * self._scale, velocity)
+        units = Units(gear * self._rates, gear * self.options.accelerations)
+        return cia402_procedures(self, units, velocity)
 
     def routes(self) -> tuple[Route, ...]:
         """Return its PDOs, emergencies, heartbeats and SDO responses."""
@@ -132,7 +132,7 @@ class Cia402Drive(Drive):
         """Return the limits given by the widths of the objects."""
         return Reach(
             position=_I32 / self._scale,
-            velocity=_I32 / self._scale / self.options.velocity_scale,
+            velocity=_I32 / self._rates,
             torque=_I16 / 1000 * self.options.rated_torque,
         )
 
@@ -206,7 +206,7 @@ class Cia402Drive(Drive):
                 case "position":
                     status.position = value / scale
                 case "velocity":
-                    status.velocity = value / scale / self.options.velocity_scale
+                    status.velocity = value / self._rates
                 case "torque":
                     status.torque = value / 1000 * self.options.rated_torque
                 case "mode_shown":
@@ -403,13 +403,15 @@ class Cia402Drive(Drive):
             kind = "cyclic"  # a stream of set-points; `move` uses profile position
         return MODES[f"{kind}_{mode}"]
 
-    async def home(self) -> None:
+    async def home(self, begun: Callable[[], object]) -> None:
         """Home by the configured method."""
         await self.write("homing_method", self.options.homing_method)
-        await self.find_reference(self.options.home_timeout)
+        await self.find_reference(self.options.home_timeout, begun)
 
-    async def find_reference(self, seconds: float) -> None:
+    async def find_reference(self, seconds: float, begun: Callable[[], object]) -> None:
         """Home by the method and the speeds in the drive (CiA 402-2, 10.5).
+
+        `begun` is called once the drive is told to start.
 
         :raises DeviceRejected: it does not start, or ends with an error.
         :raises DeviceTimeout: it takes longer than `seconds`.
@@ -424,6 +426,7 @@ class Cia402Drive(Drive):
         first = self._statuswords + _UNDER_WAY
         self._homing = True
         self._push(COMMANDS["enable"] | _NEW_SET_POINT)
+        begun()
         began = time.monotonic()
 
         def outcome() -> Homing:
@@ -456,7 +459,7 @@ class Cia402Drive(Drive):
         else:
             self._rate = self._torque = 0
             if mode == "velocity":
-                self._rate = round(value * self._scale * self.options.velocity_scale)
+                self._rate = round(value * self._rates)
             else:
                 self._torque = round(value / self.options.rated_torque * 1000)
             self._transmit(*_RATES)
@@ -467,10 +470,11 @@ class Cia402Drive(Drive):
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
         """Move to a position by the drive's profile generator (CiA 402-2, 10.3)."""
-        await self.write("profile_velocity", round(velocity * self._scale))
+        await self.write("profile_velocity", max(1, round(velocity * self._rates)))
         if acceleration is not None:
+            ramp = max(1, round(acceleration * self.options.accelerations))
             for name in ("profile_acceleration", "profile_deceleration"):
-                await self.write(name, round(acceleration * self._scale))
+                await self.write(name, ramp)
         self._mode = MODES["profile_position"]
         self._goal = round((self.status.position or 0.0) * self._scale)
         shown, enable = MODES["profile_position"], COMMANDS["enable"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -13,9 +14,11 @@ class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """The drive's own units, and its communication."""
 
     counts: Annotated[float, Meta(gt=0)] = 4096.0
-    """Position units per turn of the shaft; velocities use the same unit per second."""
+    """Position units per turn of the shaft."""
     velocity_scale: Annotated[float, Meta(gt=0)] = 1.0
     """Velocity units per position unit per second."""
+    acceleration_scale: Annotated[float, Meta(gt=0)] | None = None
+    """Acceleration units per position unit per second squared; None: velocity units per second."""
     rated_torque: Annotated[float, Meta(gt=0)] = 1.0
     """N·m; torques are given in thousandths of it."""
     control: Literal["profile", "cyclic"] = "profile"
@@ -46,3 +49,19 @@ class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     def __post_init__(self) -> None:
         if self.eds and self.map_pdos:
             raise ValueError("`eds` requires `map_pdos = false`")
+
+    @property
+    def positions(self) -> float:
+        """Position units per rad of the shaft."""
+        return self.counts / (2 * math.pi)
+
+    @property
+    def velocities(self) -> float:
+        """Velocity units per rad/s of the shaft."""
+        return self.positions * self.velocity_scale
+
+    @property
+    def accelerations(self) -> float:
+        """Acceleration units per rad/s² of the shaft."""
+        scale = self.acceleration_scale
+        return self.positions * (self.velocity_scale if scale is None else scale)

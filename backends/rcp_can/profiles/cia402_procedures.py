@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from typing import Annotated, Literal, Protocol
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal, NamedTuple, Protocol
 
 from msgspec import Meta, Struct
 
@@ -14,7 +14,7 @@ from rcp_can.sdo import Sdo, SdoAborted
 from rcp_kernel.errors import DeviceRejected, OutOfRange
 from rcp_kernel.spi import Progress
 
-__all__ = ["Homed", "HomingRequest", "Parameters", "cia402_procedures"]
+__all__ = ["Homed", "HomingRequest", "Parameters", "Units", "cia402_procedures"]
 
 _LONGEST = 600.0  # s of homing
 _STORING = 10.0  # s that a drive may take to store its parameters
@@ -57,6 +57,15 @@ class Parameters(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     group: Literal["all", "communication", "application"] = "all"
 
 
+class Units(NamedTuple):
+    """What the drive counts in, at the joint."""
+
+    velocity: float
+    """Its units per rad/s."""
+    acceleration: float
+    """Its units per rad/s²."""
+
+
 class _Drive(Protocol):
     """A drive with the objects of CiA 402."""
 
@@ -73,13 +82,13 @@ class _Drive(Protocol):
         """Write an object of the profile."""
         ...
 
-    async def find_reference(self, seconds: float) -> None:
-        """Home by the method in the drive."""
+    async def find_reference(self, seconds: float, begun: Callable[[], object]) -> None:
+        """Home by the method in the drive; tell when it has been started."""
         ...
 
 
-def cia402_procedures(drive: _Drive, scale: float, velocity: float) -> Sequence[Procedure]:
-    """List the procedures; `scale` is drive units per rad of the joint, `velocity` its limit."""
+def cia402_procedures(drive: _Drive, units: Units, velocity: float) -> Sequence[Procedure]:
+    """List the procedures; `velocity` is the limit of the joint."""
 
     def check(wanted: HomingRequest) -> None:
         for field in _SPEEDS:
@@ -87,10 +96,10 @@ def cia402_procedures(drive: _Drive, scale: float, velocity: float) -> Sequence[
             if speed is not None and speed > velocity:
                 raise _too_fast(field, speed, velocity)
 
-    async def home(wanted: HomingRequest, _progress: Progress) -> Homed:
+    async def home(wanted: HomingRequest, progress: Progress) -> Homed:
         began = time.monotonic()
-        await _set_up_homing(drive, wanted, scale, velocity)
-        await drive.find_reference(wanted.timeout)
+        await _set_up_homing(drive, wanted, units, velocity)
+        await drive.find_reference(wanted.timeout, progress)
         return Homed(duration=time.monotonic() - began)
 
     async def store(wanted: Parameters, _progress: Progress) -> None:
@@ -134,7 +143,7 @@ def cia402_procedures(drive: _Drive, scale: float, velocity: float) -> Sequence[
 
 
 async def _set_up_homing(
-    drive: _Drive, wanted: HomingRequest, scale: float, velocity: float
+    drive: _Drive, wanted: HomingRequest, units: Units, velocity: float
 ) -> None:
     """Write the method and speeds, and read back that the drive has taken them.
 
@@ -152,10 +161,10 @@ async def _set_up_homing(
     for field, name in _SPEEDS.items():
         speed: float | None = getattr(wanted, field)
         if speed is not None:
-            await _write(drive, name, max(1, round(speed * scale)))
+            await _write(drive, name, max(1, round(speed * units.velocity)))
             continue
         try:
-            kept = await drive.read(name) / scale
+            kept = await drive.read(name) / units.velocity
         except SdoAborted as aborted:
             if aborted.abort not in _ABSENT:
                 raise
@@ -163,7 +172,8 @@ async def _set_up_homing(
         if kept > velocity:
             raise _too_fast(field, kept, velocity)
     if wanted.acceleration is not None:
-        await _write(drive, "homing_acceleration", max(1, round(wanted.acceleration * scale)))
+        ramp = max(1, round(wanted.acceleration * units.acceleration))
+        await _write(drive, "homing_acceleration", ramp)
 
 
 async def _methods(drive: _Drive) -> list[int]:

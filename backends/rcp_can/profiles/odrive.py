@@ -16,7 +16,7 @@ from rcp_can.motor_messages import Mode
 from rcp_can.procedure import Procedure
 from rcp_can.profiles.odrive_endpoints import Endpoints, set_watchdog
 from rcp_can.profiles.odrive_procedures import odrive_procedures
-from rcp_can.profiles.odrive_states import SELF_MOVING, reason
+from rcp_can.profiles.odrive_states import HOMING, PREPARING, SELF_MOVING, reason
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["MESSAGES", "PROFILE", "OdriveDrive", "OdriveOptions"]
 
 TURN = 2 * math.pi  # rad: ODrive counts turns
-_IDLE, _HOMING, _CLOSED_LOOP = 1, 11, 8
+_IDLE, _CLOSED_LOOP = 1, 8
 _CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
 _PASSTHROUGH, _TRAPEZOID = 1, 5
 _SLOW = 0.4  # s between two requests for a state, which take time to take effect
@@ -169,7 +169,7 @@ class OdriveDrive(Drive):
         self._version: dict[str, int] | None = None
         self._result = 0
         self._unsettled = 0
-        """Heartbeats to come that may predate the request for a calibration."""
+        """Heartbeats to come that may predate the request for a calibration, or for homing."""
         self.values: dict[int, int] = {}
         """The endpoints read since they were last asked for, as raw 32-bit values."""
         self._endpoints = Endpoints.load(options.endpoints) if options.endpoints else None
@@ -196,7 +196,7 @@ class OdriveDrive(Drive):
 
     @property
     def busy(self) -> bool:
-        """Whether it calibrates, or may be about to."""
+        """Whether it calibrates or homes, or may be about to."""
         return self._unsettled > 0 or self._state in SELF_MOVING
 
     def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
@@ -326,6 +326,8 @@ class OdriveDrive(Drive):
             self._request("version")
             self._request("address")
 
+        # After a boot it may run other firmware, or be another drive.
+        self._version = self._serial = self.identity = None
         try:
             await self.until(
                 lambda: None not in (self.identity, self._serial, self.status.enabled),
@@ -368,7 +370,7 @@ class OdriveDrive(Drive):
         seen: list[int] = []
 
         def ended() -> bool:
-            if self._state in SELF_MOVING and self._state not in seen[-1:]:
+            if self._state in PREPARING and self._state not in seen[-1:]:
                 seen.append(self._state)
                 tell(self._state)
             return not self.busy
@@ -442,13 +444,15 @@ class OdriveDrive(Drive):
             again=lambda: self._transmit("absolute"),
         )
 
-    async def home(self) -> None:
+    async def home(self, begun: Callable[[], object]) -> None:
         """Run the drive's own homing, then return to closed loop."""
-        self._moving = False
-        self._transmit("state", state=_HOMING)
-        await self.until(lambda: self._state == _HOMING, "homing")
+        self._moving, self._unsettled = False, _HEARTBEATS
+        self._input = "torque", {}  # feeds its watchdog; a velocity would be that of homing
+        self._transmit("state", state=HOMING)
+        await self.until(lambda: self._state == HOMING, "homing")
+        begun()
         await self.until(
-            lambda: self._state != _HOMING, "done with homing", seconds=self.options.home_timeout
+            lambda: self._state != HOMING, "done with homing", seconds=self.options.home_timeout
         )
         if self._state != _CLOSED_LOOP:
             failure = reason(self._result)
@@ -491,9 +495,9 @@ class OdriveDrive(Drive):
         self.status.reached = None
 
     def stop(self) -> None:
-        """Brake with all available torque: velocity zero, without a ramp; end a calibration."""
+        """Brake with all available torque: velocity zero, without a ramp; end what turns it by itself."""
         self._moving = False
-        if self.busy:  # it ignores its inputs
+        if self.busy:  # no input would end that
             self._transmit("state", urgent=True, state=_IDLE)
         self._mode = _CONTROL["velocity"], _PASSTHROUGH
         self._fed, self._input = time.monotonic(), ("velocity", {})

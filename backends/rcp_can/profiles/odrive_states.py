@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["CALIBRATIONS", "SELF_MOVING", "STATES", "reason"]
+__all__ = ["CALIBRATIONS", "HOMING", "PREPARING", "SELF_MOVING", "STATES", "reason"]
+
+HOMING = 11
 
 CALIBRATIONS = {
     "full": 3,
@@ -15,15 +17,18 @@ CALIBRATIONS = {
     "anticogging": 14,
 }
 """The states that calibrate something."""
-SELF_MOVING = frozenset((2, *CALIBRATIONS.values(), 9))
-"""States in which the axis turns by itself, whatever its set-point is: also start-up, lock-in."""
+PREPARING = frozenset((2, *CALIBRATIONS.values(), 9))
+"""States of a calibration, and those that belong to one: start-up, lock-in."""
+SELF_MOVING = PREPARING | {HOMING}
+"""States in which the axis turns by itself. Homing takes a velocity, but goes on by itself as soon as
+the end stop closes; only another state ends any of them."""
 STATES = {
     0: "undefined",
     1: "idle",
     2: "startup",
     8: "closed_loop",
     9: "lockin_spin",
-    11: "homing",
+    HOMING: "homing",
     **{state: name for name, state in CALIBRATIONS.items()},
 }
 _RESULTS = {

@@ -66,11 +66,16 @@ class _Never:
 
 
 class Cia402Twin(Twin):
-    """An axis; options `counts`, `rated_torque` and `velocity_scale` as in the profile."""
+    """An axis; options `counts`, `rated_torque` and the scales as in the profile."""
 
     def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
         super().__init__(node, plant, **options)
         self.scale = options.get("counts", 4096.0) / (2 * math.pi)
+        per_second = options.get("velocity_scale", 1.0)
+        self.rate_scale = self.scale * per_second
+        """Velocity units per rad/s."""
+        self.ramp_scale = self.scale * options.get("acceleration_scale", per_second)
+        """Acceleration units per rad/s²."""
         self.rated = options.get("rated_torque", 1.0)
         self.state = "switch_on_disabled"
         self.emergency = 0
@@ -228,7 +233,7 @@ class Cia402Twin(Twin):
         if entry == OBJECTS["position"][:2]:
             return round(self.plant.position * self.scale)
         if entry == OBJECTS["velocity"][:2]:
-            return round(self.plant.velocity * self.scale * self.options.get("velocity_scale", 1.0))
+            return round(self.plant.velocity * self.rate_scale)
         if entry == OBJECTS["torque"][:2]:
             return round(self.plant.torque / self.rated * 1000)
         if entry == OBJECTS["error_code"][:2]:
@@ -307,7 +312,7 @@ class Cia402Twin(Twin):
             self.plant.off()
         else:
             self.plant.hold()
-            self.plant.ramp = self._limit("quick_stop_deceleration", self.scale, _BRAKING)
+            self.plant.ramp = self._limit("quick_stop_deceleration", self.ramp_scale, _BRAKING)
 
     @property
     def _torque_offset(self) -> float:
@@ -375,9 +380,9 @@ class Cia402Twin(Twin):
                 self._acknowledged = True
                 self.plant.loop = "position"
                 self.plant.goal = self.get("target_position") / self.scale
-                self.plant.speed = max(self.get("profile_velocity"), 1) / self.scale
+                self.plant.speed = max(self.get("profile_velocity"), 1) / self.rate_scale
                 ramp = self.get("profile_acceleration")
-                self.plant.ramp = ramp / self.scale if ramp else None
+                self.plant.ramp = ramp / self.ramp_scale if ramp else None
                 self.took("position", self.plant.goal)
             elif not new:
                 self._acknowledged = False
@@ -401,9 +406,9 @@ class Cia402Twin(Twin):
             self._homing, self._homing_error = ("search", False) if speed else (None, True)
             self._turn(-speed)
 
-    def _turn(self, counts: float) -> None:
+    def _turn(self, speed: float) -> None:
         plant = self.plant
-        plant.loop, plant.goal, plant.ramp = "velocity", counts / self.scale, None
+        plant.loop, plant.goal, plant.ramp = "velocity", speed / self.rate_scale, None
 
     def _home(self, step: float) -> None:
         """Go on homing: search the switch, leave it slowly, and count from there."""
@@ -437,10 +442,7 @@ class Cia402Twin(Twin):
             return
         plant, mode = self.plant, self.get("mode")
         if mode in (MODES["profile_velocity"], MODES["cyclic_velocity"]):
-            target = (
-                self.get("target_velocity") / self.scale / self.options.get("velocity_scale", 1.0)
-            )
-            plant.loop, plant.goal, plant.ramp = "velocity", target, None
+            self._turn(self.get("target_velocity"))
             self.took("velocity", plant.goal)
         elif mode in (MODES["profile_torque"], MODES["cyclic_torque"]):
             plant.loop, plant.goal = "torque", self.get("target_torque") / 1000 * self.rated

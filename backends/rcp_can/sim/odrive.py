@@ -21,7 +21,10 @@ _CALIBRATING = {3: (4, 7), 4: (4,), 6: (6,), 7: (7,), 10: (10,), 12: (12,), 13: 
 """The states that a requested one goes through."""
 _LASTS = 0.4  # s of each
 _TURNS = 3.0  # rad/s
+_FIRMWARE = "firmware_major", "firmware_minor", "firmware_revision"
 _BOOT = 0.3  # s without a message
+_HOMES = 3.0  # rad/s towards the end stop
+_OFFSET = -0.4  # rad: where the end stop is, counted from zero
 ENDPOINTS = {"axis0.config.watchdog_timeout": 301, "axis0.config.enable_watchdog": 300}
 """Its settings that can be accessed, by their names in flat_endpoints.json."""
 
@@ -37,12 +40,18 @@ class OdriveTwin(Twin):
         self.watchdog: float | None = options.get("watchdog")
         self._watchdog_time = self.watchdog or 0.0
         self._stored = self._watchdog_time, self.watchdog
-        self._homing = 0.0
+        self.end_stop = _OFFSET
+        """Position at which its end stop closes, rad."""
+        self._leaving = 0.0
+        """Time left to go from the end stop to zero, s; 0: it has not closed."""
         self.result = 0
         self.fails: tuple[int, int] | None = None
         """Error bits and result with which its next calibration fails."""
         self.keeps_watchdog = False
         """Ignores writes to the settings of its watchdog."""
+        self.firmware = 0, 6, 10
+        self.accesses: list[tuple[int, int]] = []
+        """Reads and writes of its settings, by operation and number."""
         self.saved: list[float | None] = []
         """The time of the watchdog, each time that its configuration was stored."""
         self._sequence: list[tuple[int, float]] = []
@@ -92,7 +101,8 @@ class OdriveTwin(Twin):
             self.state = int(state)
             self.feed()
             if state == 11:
-                self._homing = 0.3
+                self._leaving = 0.0
+                self.plant.loop, self.plant.goal, self.plant.ramp = "velocity", -_HOMES, None
             else:
                 self.plant.hold()
         elif state in _CALIBRATING and self.state == 1 and not self.refuses and not self.error:
@@ -106,6 +116,18 @@ class OdriveTwin(Twin):
             self.state = 1
             self._sequence = []
             self.plant.off()
+
+    def _home(self, step: float) -> None:
+        """Search the end stop at whatever velocity there is, and go to zero once it has closed."""
+        plant = self.plant
+        if self._leaving:
+            self._leaving = max(0.0, self._leaving - step)
+            if not self._leaving:
+                self.state = 8
+                plant.hold()
+        elif plant.position <= self.end_stop:
+            plant.position, self.end_stop, self._leaving = _OFFSET, _OFFSET, 0.4
+            plant.loop, plant.goal, plant.speed = "position", 0.0, _HOMES
 
     def _next_state(self) -> None:
         """Enter the next state of the calibration; each but that of the motor turns the shaft."""
@@ -131,6 +153,7 @@ class OdriveTwin(Twin):
             self._next_state()
 
     def _on_access(self, opcode: float, endpoint: float, reserved: float, value: float) -> None:
+        self.accesses.append((int(opcode), int(endpoint)))
         raw = struct.pack("<I", int(value))
         match int(endpoint), int(opcode):
             case (number, 0) if number in ENDPOINTS.values():
@@ -183,6 +206,8 @@ class OdriveTwin(Twin):
     def _on_velocity(self, velocity: float, torque: float) -> None:
         if self._feed("velocity", 2, velocity):
             self.plant.loop, self.plant.ramp = "velocity", None
+        elif self.state == 11 and not self._leaving:
+            self.plant.goal = velocity  # in place of that of homing, which goes on
 
     def _on_torque(self, torque: float) -> None:
         if self._feed("torque", 1, torque):
@@ -215,10 +240,7 @@ class OdriveTwin(Twin):
             self._sequence = []
             self.error, self.state = 1 << _WATCHDOG, 1
         if self.state == 11:
-            self._homing -= step
-            if self._homing <= 0:
-                self.state, self.plant.position = 8, 0.0
-                self.plant.hold()
+            self._home(step)
         if not self.heartless and self.every("heartbeat", self._heartbeat, now):
             self._transmit("heartbeat")
         if not self.blind and self.every("feedback", self._feedback, now):
@@ -246,8 +268,7 @@ class OdriveTwin(Twin):
                     "hardware_major": 4,
                     "hardware_minor": 4,
                     "hardware_variant": 58,
-                    "firmware_minor": 6,
-                    "firmware_revision": 10,
+                    **dict(zip(_FIRMWARE, self.firmware, strict=True)),
                 }
             case "error":
                 return {"active": self.error}

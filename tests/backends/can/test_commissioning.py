@@ -169,6 +169,55 @@ async def test_an_ended_calibration_is_at_rest_and_stays_there(end: str) -> None
         assert abs(twin.plant.velocity) < 0.1
 
 
+@pytest.mark.parametrize("end", ["cancel", "halt", "hold", "zero", "at once", "timeout"])
+async def test_ended_homing_does_not_go_on_when_the_end_stop_closes(end: str) -> None:
+    options = {"home_timeout": 2.0 if end == "timeout" else 60.0}
+    async with motor("odrive", options=options) as rig:
+        twin = rig.twin
+        twin.end_stop = -500.0
+        await rig.enable()
+        running = asyncio.ensure_future(rig.execute("action/m/home"))
+        if end == "at once":  # before the drive has said that it homes
+            await rig.until(lambda: rig.axis.drive.busy)
+        else:
+            await rig.until(lambda: twin.plant.velocity < -2.0)
+            await rig.until(lambda: rig.backend.motion(None).at_rest is False)
+        match end:
+            case "cancel":
+                running.cancel()
+            case "hold":
+                with anyio.fail_after(30):
+                    await rig.backend.hold(None)
+            case "zero":
+                await rig.write("actuator/m/velocity", 0.0)
+            case "timeout":
+                pass
+            case _:
+                with anyio.fail_after(30):
+                    await rig.backend.halt()
+                assert twin.state == 1
+        with anyio.fail_after(30):
+            await asyncio.wait((running,))
+        assert running.cancelled() or isinstance(running.exception(), RcpError)
+        await rig.until(lambda: twin.state == 1 and abs(twin.plant.velocity) < 0.1)
+        at, seen = twin.plant.position, rig.axis.status.counts["velocity"]
+        twin.end_stop = at + 1.0
+        await rig.until(lambda: rig.axis.status.counts["velocity"] > seen + 20)
+        assert (twin.state, twin.enabled) == (1, False)
+        assert twin.plant.position == pytest.approx(at, abs=0.1)
+        state = await rig.host.published_as("sensor/m/state", state="disabled")
+        assert not state.homed
+
+
+async def test_a_watchdog_is_fed_while_the_drive_homes_without_a_change_of_its_speed() -> None:
+    async with motor("odrive") as rig:
+        rig.twin.watchdog, rig.twin.end_stop = 0.5, -3.0
+        await rig.enable()
+        await rig.ran("action/m/home")
+        assert (rig.twin.error, rig.twin.state) == (0, 8)
+        assert rig.twin.plant.position == pytest.approx(0.0, abs=0.02)
+
+
 async def test_a_watchdog_is_fed_while_the_drive_calibrates() -> None:
     async with motor("odrive", commissioning=True, options={}) as rig:
         rig.twin.watchdog = 0.3
@@ -217,6 +266,25 @@ async def test_endpoints_of_other_firmware_are_not_written(older: str) -> None:
         await rig.host.until(lambda: "configuration" in rig.faults())
         assert any("firmware 0.6.9" in str(report) for report in rig.host.reports)
         assert rig.twin.watchdog is None
+
+
+async def test_a_drive_is_asked_anew_what_it_is_after_each_boot(endpoints: str) -> None:
+    options = {"endpoints": endpoints}
+    async with motor("odrive", commissioning=True, options=options) as rig:
+        await rig.host.until(lambda: rig.axis.configured)
+        twin, accesses = rig.twin, rig.twin.accesses
+
+        def flashed() -> None:
+            twin.firmware, twin.options["serial"] = (0, 6, 9), 0x77
+            accesses.clear()
+            twin.boot()
+
+        await rig.ordered(flashed)  # or a spare drive was put in its place
+        await rig.host.until(lambda: "configuration" in rig.faults())
+        assert any("the drive has 0.6.9" in str(report) for report in rig.host.reports)
+        assert not accesses
+        assert await rig.backend.read("param/m/serial") == f"{0x77:012X}"
+        assert "duplicate_node" not in rig.faults()
 
 
 async def test_a_configuration_is_stored_when_the_drive_has_rebooted(endpoints: str) -> None:

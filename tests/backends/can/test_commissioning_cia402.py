@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import struct
 from typing import Any
 
@@ -13,7 +14,7 @@ from backends.can.peers import local_node
 from backends.can.rig import channel, motor, opened
 from backends.can.test_gateway import bed
 from rcp_can.profiles.cia402_homing import Homing, homing_of
-from rcp_can.profiles.cia402_procedures import cia402_procedures
+from rcp_can.profiles.cia402_procedures import Units, cia402_procedures
 from rcp_can.sim.cia402_objects import make_dictionary
 from rcp_kernel.errors import DeviceRejected, ModeForbids, OutOfRange, RcpError
 
@@ -53,6 +54,34 @@ async def test_homing_searches_the_switch_leaves_it_and_ends_at_rest() -> None:
         await rig.ran("action/m/homing", SEARCH)  # the end of the first is not that of the second
         assert abs(twin.plant.position) < 0.2
         assert abs(twin.plant.velocity) < 0.1
+
+
+@pytest.mark.parametrize("scales", [{}, {"acceleration_scale": 10.0}], ids=["rpm/s", "own"])
+async def test_homing_and_moves_are_as_fast_as_asked_where_a_drive_counts_in_rpm(
+    scales: dict[str, float],
+) -> None:
+    rpm = 60 / (2 * math.pi)
+    options = {"velocity_scale": 60 / 4096, **scales}
+    ramps = 4096 / (2 * math.pi) * 10 if scales else rpm
+    keys: dict[str, Any] = {"gear": 2.0, "velocity": 4.0, "acceleration": 50.0}
+    async with motor("cia402", commissioning=True, options=options, **keys) as rig:
+        twin = rig.twin
+        await rig.enable()
+        running = asyncio.ensure_future(rig.ran("action/m/homing", SEARCH))
+        await rig.until(lambda: twin.plant.velocity < -5.5)
+        assert twin.plant.velocity > -6.5
+        await running
+        assert twin.get_raw(0x6099, 1) == round(3.0 * 2.0 * rpm)
+        assert twin.get_raw(0x6099, 2) == round(0.5 * 2.0 * rpm)
+        assert twin.get("homing_acceleration") == round(20.0 * 2.0 * ramps)
+        await rig.ran("action/m/move_to", {"position": 1.0, "velocity": 2.0})
+        assert twin.get("profile_velocity") == round(2.0 * 2.0 * rpm)
+        assert twin.get("profile_acceleration") == round(50.0 * 2.0 * ramps)
+        assert twin.get("profile_deceleration") == round(50.0 * 2.0 * ramps)
+        assert twin.plant.position == pytest.approx(2.0, abs=0.05)
+        twin.local.set_data(0x6099, 1, struct.pack("<I", round(5.0 * 2.0 * rpm)))
+        with pytest.raises(OutOfRange, match=r"search speed [45][.\d]* rad/s exceeds"):
+            await rig.ran("action/m/homing", {"method": 1})
 
 
 async def test_homing_that_fails_or_does_not_start_tells_why() -> None:
@@ -143,7 +172,7 @@ async def test_a_node_of_canopen_gets_the_signature() -> None:
             drive = rig.backend.axes["m"].drive
             store = next(
                 each
-                for each in cia402_procedures(drive, 1.0, 1.0)
+                for each in cia402_procedures(drive, Units(1.0, 1.0), 1.0)
                 if each.verb == "store_parameters"
             )
             with anyio.fail_after(20):
@@ -164,3 +193,18 @@ async def test_through_a_gateway_an_e_stop_ends_homing() -> None:
         assert reply["status"] in ("failed", "cancelled"), reply
         assert held.twin.state == "quick_stop"
         assert await held.code("execute", "action/m/homing", SEARCH) == "estop_active"
+
+
+@pytest.mark.parametrize("name", ["action/m/homing", "action/m/home"])
+async def test_homing_that_fails_after_it_moved_has_failed_and_was_not_refused(name: str) -> None:
+    options = {"homing_method": 1}
+    async with bed("cia402", commissioning=True, velocity=8.0, options=options) as held:
+        await held.done("service/m/enable")
+        if name.endswith("homing"):
+            reply = await held.ask("execute", name, {**SEARCH, "method": 5})
+            assert reply["status"] == "rejected", reply  # nothing moved
+        held.twin.stuck = True
+        held.twin.local.set_data(0x6099, 1, struct.pack("<I", round(3.0 * held.twin.scale)))
+        reply = await held.ask("execute", name, SEARCH if name.endswith("homing") else None)
+        assert (reply["status"], reply["error"]["code"]) == ("failed", "device_rejected"), reply
+        assert held.twin.plant.position < held.twin.switch
