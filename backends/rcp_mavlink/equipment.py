@@ -85,7 +85,7 @@ class Equipment:
             *MotorTests.resources(),
             *PositionTargets.resources(family.led),
         ]
-        return found + (Sticks.resources() if sticks else [])
+        return found + (Sticks.resources(family) if sticks else [])
 
     def end_writes(self) -> None:
         """Release the sticks."""
