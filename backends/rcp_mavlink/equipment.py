@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Progress
+from rcp_kernel.spi import MotionState, Progress
 from rcp_mavlink.commands import Commands
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
@@ -51,6 +51,7 @@ class Equipment:
         self._payloads = Payloads(vehicle, commands, intervals)
         self._winches = Winches(vehicle, commands, intervals, motion)
         self._motors = MotorTests(vehicle, commands, intervals, motion)
+        self._ongoing = (self._winches.ongoing, self._motors.ongoing)
         self._sticks = Sticks(hub, vehicle, motion)
         self.writes: dict[str, Callable[[Any], Awaitable[None]]] = {
             "actuator/position": PositionTargets(hub, vehicle, setpoints, parameters).write,
@@ -85,7 +86,7 @@ class Equipment:
             *MotorTests.resources(),
             *PositionTargets.resources(family.led),
         ]
-        return found + (Sticks.resources() if sticks else [])
+        return found + (Sticks.resources(family) if sticks else [])
 
     def end_writes(self) -> None:
         """Release the sticks."""
@@ -93,5 +94,15 @@ class Equipment:
 
     def end(self) -> None:
         """Stop at once what moves beside the flight."""
-        self._motors.end()
-        self._winches.end()
+        for each in self._ongoing:
+            each.end()
+
+    def keep_ending(self) -> None:
+        """Repeat the stop of what was stopped and has not been seen to stop."""
+        for each in self._ongoing:
+            each.keep_ending()
+
+    def state(self) -> MotionState | None:
+        """Return what moves beside the flight; None if nothing does."""
+        found = [state for each in self._ongoing if (state := each.state()) is not None]
+        return min(found, key=lambda state: state.at_rest is not None, default=None)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from rcp_kernel.errors import DeviceTimeout, PreconditionFailed, RcpError
+from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.intervals import Intervals
 from rcp_mavlink.motion import Motion
+from rcp_mavlink.ongoing import Ongoing
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["MotorTests"]
@@ -29,6 +28,7 @@ _REPORTS = 10.0  # Hz
 _CHANGED = 20  # µs by which an output shows that a motor turns
 _PATIENCE = 3.0  # s for the outputs to show it
 _FIRST = 1.0  # s for the first report of the outputs
+_SETTLED = 0.3  # s after a stop for which the outputs prove nothing
 
 
 class MotorTest(Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,10 +56,11 @@ class MotorTests:
     def __init__(
         self, vehicle: Vehicle, commands: Commands, intervals: Intervals, motion: Motion
     ) -> None:
-        self._vehicle, self._commands = vehicle, commands
-        self._intervals, self._motion = intervals, motion
-        self._motor = 0
-        """The motor that turns; 0 if none."""
+        self._vehicle, self._intervals = vehicle, intervals
+        self.ongoing = Ongoing(vehicle, commands, motion, _OUTPUTS)
+        """The test that is commanded and not known to be over."""
+        self._until = math.inf
+        """When the autopilot has surely ended the test by itself, on the monotonic clock."""
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path."""
@@ -75,10 +76,11 @@ class MotorTests:
     async def run(self, given: MotorTest, progress: Progress) -> MotorTested:
         """Turn a motor.
 
-        :raises PreconditionFailed: the vehicle is armed or in the air.
+        :raises PreconditionFailed: the vehicle is armed or in the air, or a motor may still turn.
         :raises DeviceTimeout: no output changed, or it did not go back.
         """
         vehicle = self._vehicle
+        self.ongoing.check()
         if vehicle.armed or vehicle.landed is False:
             raise PreconditionFailed(
                 f"motor_test: the vehicle is {'armed' if vehicle.armed else 'in the air'}",
@@ -87,19 +89,26 @@ class MotorTests:
         release = self._intervals.want(_OUTPUTS, _REPORTS)
         try:
             before = await self._first_outputs()
-            self._motor = given.motor
-            await self._commands.send(self._command(given), "motor_test")
+        except BaseException:
+            release()
+            raise
+        self._until = math.inf
+        try:
+            await self.ongoing.begin(
+                self._command(given), "motor_test",
+                stop=self._stopping(given.motor),
+                is_over=lambda since: self._rests(before, since),
+                release=release,
+            )  # fmt: skip
+            self._until = time.monotonic() + given.seconds + _PATIENCE
             progress()  # it may turn from here on
             output, pulse = await self._turned(before, given.seconds + _PATIENCE)
             await self._turned_off(before, output, given.seconds + _PATIENCE)
         except BaseException as error:
-            if isinstance(error, asyncio.CancelledError | DeviceTimeout):
-                with suppress(RcpError):
-                    await self._motion.shielded(self._stop)
+            self._until = min(self._until, time.monotonic() + given.seconds + _PATIENCE)
+            await self.ongoing.fail(error)
             raise
-        finally:
-            release()
-            self._motor = 0
+        self.ongoing.forget()
         return MotorTested(given.motor, output + 1, pulse)
 
     def _command(self, given: MotorTest) -> Command:
@@ -109,24 +118,24 @@ class MotorTests:
         params = (float(given.motor), _PERCENT, given.throttle * 100, given.seconds)
         return Command(_MOTOR_TEST, params)
 
-    def _stopping(self) -> Command:
+    def _stopping(self, motor: int) -> Command:
         if self._vehicle.family.px4:
-            return Command(_ACTUATOR_TEST, (math.nan, 0.0, 0.0, 0.0), x=float(self._motor))
-        return Command(_MOTOR_TEST, (float(self._motor), _PERCENT, 0.0, 0.0))
-
-    async def _stop(self) -> None:
-        await self._commands.send(self._stopping(), "motor_test: stop")
-
-    def end(self) -> None:
-        """Stop the motor at once, for an e-stop; the stop itself disarms the vehicle."""
-        if self._motor:
-            self._commands.send_once(self._stopping())
+            return Command(_ACTUATOR_TEST, (math.nan, 0.0, 0.0, 0.0), x=float(motor))
+        return Command(_MOTOR_TEST, (float(motor), _PERCENT, 0.0, 0.0))
 
     # What the outputs show
 
     def _outputs(self) -> list[int]:
         f = self._vehicle.latest[_OUTPUTS].fields()
         return [f[f"servo{n}_raw"] for n in range(1, 17)]
+
+    def _rests(self, before: list[int], since: float) -> bool:
+        """Tell whether the outputs are back, or the time of the test is over."""
+        if time.monotonic() > self._until:
+            return True
+        if self._vehicle.received_at.get(_OUTPUTS, 0.0) < since + _SETTLED:
+            return False
+        return all(n - b < _CHANGED for n, b in zip(self._outputs(), before, strict=True))
 
     async def _first_outputs(self) -> list[int]:
         since = time.monotonic()

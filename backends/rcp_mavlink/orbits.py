@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from rcp_kernel.errors import DeviceRejected, InvalidValue, PreconditionFailed
+from rcp_kernel.errors import (
+    DeviceRejected,
+    DeviceTimeout,
+    InvalidValue,
+    PreconditionFailed,
+    RcpError,
+)
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink import enu
@@ -109,18 +117,33 @@ class Orbits:
         self._check_fence(given.radius, centre, altitude)
         speed = self._limit.kept(given.speed, strictly=False)
         async with holding(self._motion):
+            mode = "ORBIT" if vehicle.family.px4 else "CIRCLE"
             if vehicle.family.px4:
-                mode = "ORBIT"
-                await self._begin_orbit(given, centre, altitude + fix.above_sea - fix.height, speed)
+                sea = altitude + fix.above_sea - fix.height
+                begin = partial(self._begin_orbit, given, centre, sea, speed)
             else:
-                mode = "CIRCLE"
                 await self._set_circle(given, speed)
                 if given.position is not None or given.latitude is not None:
                     await self._approach(given, centre, altitude, fix, progress)
-                await self._motion.to_mode(mode)
-            result = await self._follow(given, centre, mode, progress)
-            await self._motion.hold()
+                begin = partial(self._motion.to_mode, mode)
+            async with self._ending(mode):
+                await begin()
+                result = await self._follow(given, centre, mode, progress)
+                await self._motion.hold()
         return result
+
+    @asynccontextmanager
+    async def _ending(self, mode: str) -> AsyncGenerator[None]:
+        """Hold if the circle fails but may go on, because an answer was lost for example."""
+        before = self._vehicle.mode
+        try:
+            yield
+        except RcpError as error:
+            circles = (mode, before) if isinstance(error, DeviceTimeout) else (mode,)
+            if self._vehicle.mode in circles and not self._vehicle.lost:
+                with suppress(RcpError):
+                    await self._motion.shielded(self._motion.hold)
+            raise
 
     def _centre(self, given: Orbit, fix: Fix) -> tuple[Place, float]:
         """Return the centre (deg) and the height above home (m)."""

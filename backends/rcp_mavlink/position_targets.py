@@ -10,7 +10,7 @@ from rcp_kernel.errors import DeviceRejected, InvalidValue
 from rcp_kernel.model import Resource
 from rcp_mavlink import enu
 from rcp_mavlink import messages as m
-from rcp_mavlink.fences import beyond
+from rcp_mavlink.fences import beyond, is_enabled
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.places import fix_of, native_goal, place_of
@@ -76,7 +76,8 @@ class PositionTargets:
         """Send a position as long as it is valid; an empty one is rest.
 
         :raises InvalidValue: it names no place, or two.
-        :raises DeviceRejected: it is outside the fence, where the vehicle would ignore it silently.
+        :raises DeviceRejected: it is outside the fence, where the vehicle would ignore it silently,
+            or `local` while there is a fence, which is measured from home.
         """
         if value == PositionTarget():
             await self._setpoints.rest()
@@ -94,6 +95,11 @@ class PositionTargets:
                 "in the frame `local`, a height is needed",
                 remedy="Give `z`, in metres above the estimator's origin.",
                 details={"pointer": "/position/z"},
+            )
+        if is_enabled(self._vehicle):
+            raise DeviceRejected(
+                "position: the fence is enabled, and `local` cannot be compared with it",
+                remedy="Give the position in the frame `map`, or by latitude and longitude.",
             )
         yaw = None if value.yaw is None else enu.heading(value.yaw)
         return self._hub.dialect.module.MAVLink_set_position_target_local_ned_message(

@@ -108,7 +108,8 @@ class Robot:
         )  # fmt: skip
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,
-            end_setpoints=self._end_all, latched=lambda: host.is_latched(self.scope),
+            end_setpoints=self._end_all, beside=self._equipment.state,
+            latched=lambda: host.is_latched(self.scope),
         )  # fmt: skip
         self.recovery = Recovery(vehicle, self.motion, self.stop)
         self.watchdogs = Watchdogs(vehicle, config, self.parameters, self.scope)
@@ -363,6 +364,7 @@ class Robot:
             self.intervals.begin()
         if self.vehicle.lost:  # the uplink may work although the downlink does not
             self.stop_if_latched()
+        self._equipment.keep_ending()
         self.telemetry_events.links()
         self.guard.renew()
         if self._polls < _TIMED_AT_FIRST or self._polls % _TIMED == 0:

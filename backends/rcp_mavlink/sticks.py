@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 from rcp_kernel.errors import PreconditionFailed, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import check_fence, fenced_off
+from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.vehicle import Vehicle
@@ -28,14 +29,17 @@ Pulse = Annotated[int, Meta(ge=800, le=2200, extra_json_schema={"unit": "us"})]
 
 
 class StickPositions(Struct, frozen=True, forbid_unknown_fields=True):
-    """Deflections as on a transmitter; all centred is rest."""
+    """Deflections as on a transmitter; all centred is rest.
+
+    A rover or boat with ArduPilot is steered by `yaw`, or by `roll` if that is centred.
+    """
 
     roll: Deflection = 0.0
     """Positive to the right."""
     pitch: Deflection = 0.0
     """Positive forward, which lowers the nose."""
     throttle: Deflection = 0.0
-    """Positive up; centred keeps the height in the modes that hold one."""
+    """Positive up, or forward on the ground; centred keeps the height in the modes that hold one."""
     yaw: Deflection = 0.0
     """Positive to the right, clockwise."""
     buttons: Annotated[int, Meta(ge=0, le=65535, extra_json_schema={"unit": "1"})] = 0
@@ -55,25 +59,29 @@ class Sticks:
     def __init__(self, hub: Hub, vehicle: Vehicle, motion: Motion) -> None:
         self._hub, self._vehicle, self._motion = hub, vehicle, motion
         self._task: asyncio.Task[None] | None = None
-        self._make: Callable[[], Any] = self._released
+        self._make: Callable[[], Any] = lambda: None
 
     @staticmethod
-    def resources() -> list[Resource]:
-        """List what it serves."""
-        return [
+    def resources(family: Family) -> list[Resource]:
+        """List what it serves; PX4 takes every channel of an override, so none can be left out."""
+        found = [
             Resource(
                 name="actuator/sticks",
                 description="Sticks of a transmitter, by MANUAL_CONTROL; what they do depends on the mode. At the end they are released, and the vehicle holds.",
                 value=StickPositions, examples=({"pitch": 0.3}, {"throttle": 0.2, "yaw": -0.5}),
                 live=True, max_age=1.0, valid_for=0.5, safe={},
-            ),
-            Resource(
-                name="actuator/rc",
-                description="Pulse widths that replace channels of the transmitter, by RC_CHANNELS_OVERRIDE. At the end they are released, and the vehicle holds.",
-                value=ChannelPulses, examples=({"channels": [1500, 1400, 1500, 1500]}, {"channels": [None, None, None, 1600]}),
-                live=True, max_age=1.0, valid_for=0.5, safe={},
-            ),
+            )
         ]  # fmt: skip
+        if not family.px4:
+            found.append(
+                Resource(
+                    name="actuator/rc",
+                    description="Pulse widths that replace channels of the transmitter, by RC_CHANNELS_OVERRIDE. At the end they are released, and the vehicle holds.",
+                    value=ChannelPulses, examples=({"channels": [1500, 1400, 1500, 1500]}, {"channels": [None, None, None, 1600]}),
+                    live=True, max_age=1.0, valid_for=0.5, safe={},
+                )
+            )  # fmt: skip
+        return found
 
     async def positions(self, value: StickPositions) -> None:
         """Send deflections as long as they are valid."""
@@ -98,7 +106,7 @@ class Sticks:
         self._motion.measurement.check(strict=False)
         check_fence()
         if self._task is not None and type(make()) is not type(self._make()):
-            self._hub.send(vehicle, self._released())
+            self._release()
         self._make = make
         self._hub.send(vehicle, make())
         if self._task is None:
@@ -113,7 +121,7 @@ class Sticks:
                 break
             self._hub.send(vehicle, self._make())
         self._task = None
-        self._hub.send(vehicle, self._released())
+        self._release()
         if stale and not fenced_off():
             with suppress(RcpError):
                 await self._motion.shielded(self._motion.hold)
@@ -130,14 +138,18 @@ class Sticks:
             return
         self._task.cancel()
         self._task = None
-        self._hub.send(self._vehicle, self._released())
+        self._release()
 
     # Messages
 
     def _manual(self, value: StickPositions) -> Any:
+        roll, throttle = value.roll, round(_MIDDLE + value.throttle * _MIDDLE)
+        family = self._vehicle.family
+        if family.drives and not family.px4:  # its throttle goes both ways, and `y` alone steers
+            roll, throttle = value.yaw or value.roll, round(value.throttle * _SPAN)
         return self._hub.dialect.module.MAVLink_manual_control_message(
-            self._vehicle.system, round(value.pitch * _SPAN), round(value.roll * _SPAN),
-            round(_MIDDLE + value.throttle * _MIDDLE), round(value.yaw * _SPAN), value.buttons,
+            self._vehicle.system, round(value.pitch * _SPAN), round(roll * _SPAN),
+            throttle, round(value.yaw * _SPAN), value.buttons,
         )  # fmt: skip
 
     def _override(self, value: ChannelPulses) -> Any:
@@ -150,6 +162,10 @@ class Sticks:
             self._vehicle.system, self._vehicle.component, *pulses
         )
 
-    def _released(self) -> Any:
-        """Give every channel back to the transmitter, those that MANUAL_CONTROL sets too."""
-        return self._override(ChannelPulses())
+    def _release(self) -> None:
+        """Give every channel back to the transmitter, those that MANUAL_CONTROL sets too.
+
+        PX4 would take the values that release a channel as deflections; it waits 0.5 s instead.
+        """
+        if not self._vehicle.family.px4:
+            self._hub.send(self._vehicle, self._override(ChannelPulses()))

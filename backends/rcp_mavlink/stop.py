@@ -76,11 +76,12 @@ class Stop:
         measurement: Measurement,
         *,
         end_setpoints: Callable[[], None],
+        beside: Callable[[], MotionState | None],
         latched: Callable[[], bool],
     ) -> None:
         self._hub, self._vehicle, self._commands = hub, vehicle, commands
         self._measurement = measurement
-        self._end_setpoints, self._latched = end_setpoints, latched
+        self._end_setpoints, self._beside, self._latched = end_setpoints, beside, latched
         self._task: asyncio.Task[None] | None = None
         self._at = 0
         """Index of the present step: the previous ones were refused or ineffective."""
@@ -113,7 +114,16 @@ class Stop:
         return self.running or time.monotonic() - self._called <= _FORGOTTEN
 
     def state(self) -> MotionState:
-        """Report whether it is at rest as the stop requires; without one, whether it is still."""
+        """Report whether it is at rest as the stop requires; without one, whether it is still.
+
+        What moves beside the flight counts too.
+        """
+        found, beside = self._flight(), self._beside()
+        if beside is None or found.at_rest is False:
+            return found
+        return MotionState(beside.at_rest, beside.detail, found.energised)
+
+    def _flight(self) -> MotionState:
         if not self.in_force:
             return self._measurement.rest(LOITER)
         found = self._measurement.rest(self.rung)
@@ -162,6 +172,9 @@ class Stop:
         """Send what maintains the stop, if due; called ten times per second."""
         now = time.monotonic()
         self._note_call(now)
+        if self._beside() is not None:
+            with unfenced():
+                self._end_setpoints()
         if self.running and not self._doubtful():
             return
         with unfenced():
@@ -169,7 +182,7 @@ class Stop:
                 # The uplink may work although the downlink does not.
                 if now - self._sent >= _BLINDLY and self._vehicle.armed:
                     self._send(self.rung)
-            elif self._doubtful() or self.state().at_rest is not True:
+            elif self._doubtful() or self._flight().at_rest is not True:
                 if now - self._failed >= _RESTART or self._doubtful():
                     self.begin()
             elif self._vehicle.armed and self._measurement.standing:
@@ -214,6 +227,7 @@ class Stop:
         if at is None:
             self._at = 0  # start over: what was refused earlier may be accepted now
             raise DeviceTimeout(f"vehicle {self._vehicle.system}: {'; '.join(tried)}")
+        await self._all_over()
         if tried:
             log.warning(
                 "vehicle_stopped_by_fallback",
@@ -221,6 +235,15 @@ class Stop:
             )  # fmt: skip
         else:
             log.info("vehicle_stopped", vehicle=self._vehicle.system, step=rungs[at].word)
+
+    async def _all_over(self) -> None:
+        """Wait for what moves beside the flight.
+
+        :raises DeviceTimeout: it is not seen to stop.
+        """
+        await self._vehicle.until(lambda: self._beside() is None, self._hub.config.estop_timeout)
+        if (beside := self._beside()) is not None:
+            raise DeviceTimeout(f"vehicle {self._vehicle.system}: {beside.detail}")
 
     def _reached(self, at: int, tried: Sequence[str]) -> None:
         self._at = at

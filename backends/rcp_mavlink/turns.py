@@ -98,8 +98,13 @@ class Turns:
         :raises OutOfRange: it is above the speed limit.
         :raises PreconditionFailed: PX4 changes only the speeds of travel.
         """
+        if self._vehicle.family.px4 and given.of in ("climb", "descent"):
+            raise PreconditionFailed(  # it would take the value as the speed of travel
+                f"change_speed: PX4 does not change its {given.of}",
+                remedy="Give the speed over `ground`, or set the parameter of the vehicle.",
+            )
         most = self._limit.kept(self._fastest, strictly=False)
-        if given.of in ("ground", "air") and given.speed > most:
+        if given.speed > most:
             raise OutOfRange(
                 f"change_speed: {given.speed:g} m/s is above the limit of {most:g} m/s",
                 remedy="Give a lower speed, or have param/speed_limit or `max_speed` of the backend raised.",
@@ -119,12 +124,17 @@ class Turns:
         heading = self._heading()
         if (given.heading is None) == (given.by is None):
             raise InvalidValue("turn: give `heading` or `by`", remedy="Give one of the two.")
+        now = heading
         wanted = heading - (given.by or 0.0) if given.heading is None else given.heading
         whole = abs(math.remainder(wanted - heading, math.tau))
         mode, family = self._vehicle.mode, self._vehicle.family
 
         def there() -> bool:
-            now = self._heading()
+            nonlocal now
+            seen = self._known_heading()
+            if seen is None:  # for a moment, without a GPS for example
+                return self._vehicle.mode != mode
+            now = seen
             left = abs(math.remainder(wanted - now, math.tau))
             progress(Turned(now), fraction=max(0.0, 1 - left / whole) if whole > _ALIGNED else 1.0)
             return left < _ALIGNED or self._vehicle.mode != mode
@@ -138,10 +148,10 @@ class Turns:
             raise ModeForbids(f"turn: the vehicle changed to mode {self._vehicle.mode}")
         if not done:
             raise DeviceTimeout(
-                f"turn: accepted, but the heading is {self._heading():.2f} rad",
+                f"turn: accepted, but the heading is {now:.2f} rad",
                 remedy=f"Check that nothing else steers it in {family.guided}.",
             )
-        return Turned(self._heading())
+        return Turned(now)
 
     def _check(self) -> None:
         vehicle, guided = self._vehicle, self._vehicle.family.guided
@@ -163,8 +173,12 @@ class Turns:
         return Command(_CONDITION_YAW, (math.degrees(heading), degrees, 0.0, 0.0))
 
     def _heading(self) -> float:
+        heading = self._known_heading()
+        if heading is None:
+            raise PreconditionFailed("turn: the vehicle reports no heading")
+        return heading
+
+    def _known_heading(self) -> float | None:
         frame = self._vehicle.latest.get("GLOBAL_POSITION_INT")
         hundredths = _NO_HEADING if frame is None else frame.fields()["hdg"]
-        if hundredths == _NO_HEADING:
-            raise PreconditionFailed("turn: the vehicle reports no heading")
-        return math.radians(hundredths / 100)
+        return None if hundredths == _NO_HEADING else math.radians(hundredths / 100)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import asyncio
+import math
 import time
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import ExitStack
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed, RcpError
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.frames import Frame
 from rcp_mavlink.intervals import Intervals
 from rcp_mavlink.motion import Motion
+from rcp_mavlink.ongoing import Ongoing
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Winches"]
@@ -27,6 +29,8 @@ _RETRACTED, _WINDS = 2, 4  # bits of MAV_WINCH_STATUS_FLAG
 _REPORTS = 5.0  # Hz
 _FIRST, _STARTING = 1.0, 3.0  # s for a first report, and for the line to move
 _NEAR = 0.1  # m
+_STILL = 1.0  # s for which its reports show no motion until it counts as stopped
+_CREEP, _JITTER = 0.01, 0.02  # m/s and m below which a line does not move
 
 Line = Annotated[float, Meta(ge=-100, le=100, extra_json_schema={"unit": "m"})]
 
@@ -51,10 +55,12 @@ class Winches:
     def __init__(
         self, vehicle: Vehicle, commands: Commands, intervals: Intervals, motion: Motion
     ) -> None:
-        self._vehicle, self._commands = vehicle, commands
-        self._intervals, self._motion = intervals, motion
-        self._winding = 0
-        """The number of the winch that is commanded; 0 if none."""
+        self._vehicle, self._intervals = vehicle, intervals
+        self.ongoing = Ongoing(vehicle, commands, motion, _STATUS)
+        """The winding that is commanded and not known to be over."""
+        self._reported = self._still_since = -math.inf
+        """When it last reported, and since when all of its reports show no motion."""
+        self._still_at = math.nan
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path."""
@@ -70,28 +76,46 @@ class Winches:
     async def wind(self, given: WinchCommand, progress: Progress) -> WinchState:
         """Wind by a length.
 
-        :raises PreconditionFailed: there is no winch that reports its line.
+        :raises PreconditionFailed: no winch reports its line, or it is still being stopped.
         :raises DeviceTimeout: the line does not move.
         :raises DeviceRejected: the winch stops at another length.
         """
-        release = self._intervals.want(_STATUS, _REPORTS)
-        try:
+        self.ongoing.check()
+        with ExitStack() as watching:
+            watching.callback(self._intervals.want(_STATUS, _REPORTS))
+            watching.enter_context(self._vehicle.listening(_STATUS, self._report))
             before = await self._line()
-            wanted = before + given.length
-            self._winding = given.winch
-            params = (float(given.winch), _LENGTH, given.length, given.speed)
-            await self._commands.send(Command(_WINCH, params), "winch")
+            release = watching.pop_all().close  # as long as it may wind
+        number = float(given.winch)
+        self._still_since = time.monotonic()
+        try:
+            await self.ongoing.begin(
+                Command(_WINCH, (number, _LENGTH, given.length, given.speed)),
+                "winch",
+                stop=Command(_WINCH, (number, _RATE, 0.0, 0.0)),
+                is_over=self._stands,
+                release=release,
+            )
             progress(WinchState(before), fraction=0.0)  # it moves from here on
-            await self._follow(before, wanted, progress)
+            await self._follow(before, before + given.length, progress)
         except BaseException as error:
-            if isinstance(error, asyncio.CancelledError | DeviceTimeout):
-                with suppress(RcpError):
-                    await self._motion.shielded(self._stop)
+            await self.ongoing.fail(error)
             raise
-        finally:
-            release()
-            self._winding = 0
+        self.ongoing.forget()
         return WinchState(self._length)
+
+    def _report(self, frame: Frame) -> None:
+        """Notice whether it moves; the winch by PWM of ArduPilot never sets the bit for that."""
+        f, now = frame.fields(), time.monotonic()
+        moves = bool(f["status"] & _WINDS) or abs(f["speed"]) > _CREEP
+        if moves or not abs(f["line_length"] - self._still_at) <= _JITTER:
+            self._still_at, self._still_since = f["line_length"], now
+        elif now - self._reported > _STILL:  # it may have moved in between
+            self._still_since = now
+        self._reported = now
+
+    def _stands(self, since: float = -math.inf) -> bool:
+        return self._reported - max(self._still_since, since) >= _STILL
 
     async def _line(self) -> float:
         since = time.monotonic()
@@ -113,13 +137,14 @@ class Winches:
         def over() -> bool:
             nonlocal moved, done
             f = self._vehicle.latest[_STATUS].fields()
-            length, winds = f["line_length"], bool(f["status"] & _WINDS)
+            length, stands = f["line_length"], self._stands()
+            winds = bool(f["status"] & _WINDS) or abs(f["speed"]) > _CREEP
             moved = moved or winds or abs(length - before) > _NEAR
             in_ = wanted < before and bool(f["status"] & _RETRACTED)
-            done = not winds and (abs(length - wanted) <= _NEAR or in_)
+            done = stands and (abs(length - wanted) <= _NEAR or in_)
             progress(WinchState(length), fraction=_part(before, wanted, length))
             late = not moved and time.monotonic() - began > _STARTING
-            return done or late or (moved and not winds)
+            return done or late or (moved and stands)
 
         await self._vehicle.until(over)
         if done:
@@ -127,17 +152,6 @@ class Winches:
         if not moved:
             raise DeviceTimeout("winch: accepted, but the line does not move")
         raise DeviceRejected(f"winch: it stopped at {self._length:.1f} m, not at {wanted:.1f} m")
-
-    def _stopping(self) -> Command:
-        return Command(_WINCH, (float(self._winding), _RATE, 0.0, 0.0))
-
-    async def _stop(self) -> None:
-        await self._commands.send(self._stopping(), "winch: stop")
-
-    def end(self) -> None:
-        """Stop the winch at once, for an e-stop."""
-        if self._winding:
-            self._commands.send_once(self._stopping())
 
 
 def _part(before: float, wanted: float, now: float) -> float:

@@ -58,7 +58,6 @@ def _arm(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if c.p[0] == 1:
         return outcome(vehicle.arm(c.p[1]))
-    vehicle.motor_test.end()
     return outcome(vehicle.flight.disarm(c.p[1]))
 
 

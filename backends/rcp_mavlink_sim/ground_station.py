@@ -152,7 +152,7 @@ class GroundStation:
         until = vehicle.wall + vehicle.params["RC_OVERRIDE_TIME"]
         if message.get_type() == "MANUAL_CONTROL":
             if message.target == vehicle.options.system:
-                vehicle.sticks.manual(message, until)
+                vehicle.sticks.manual(message, until, drives=vehicle.kind.drives)
         else:
             vehicle.sticks.override(message, until)
 

@@ -10,6 +10,7 @@ from rcp_mavlink_sim.wire import mav
 __all__ = ["Payloads"]
 
 _LINE = 50.0  # m on the drum
+_PWM = 1  # WINCH_TYPE of one without a sensor: ArduPilot counts its line, and knows no ends
 _QUICKEST = 1.0  # m/s, WINCH_RATE_MAX
 _HEALTHY, _FULLY_RETRACTED, _MOVING, _CLUTCH = 1, 2, 4, 8
 
@@ -53,12 +54,22 @@ class Payloads:
         self.relaxed = action == mav.WINCH_RELAXED
         self._line_target, self._line_rate = None, 0.0
         if action == mav.WINCH_RELATIVE_LENGTH_CONTROL:
-            self._line_target = min(_LINE, max(0.0, self.line + length))
+            least, most = self._ends
+            self._line_target = min(most, max(least, self.line + length))
             self._line_rate = min(_QUICKEST, abs(rate) or _QUICKEST)
         elif action == mav.WINCH_RATE_CONTROL:
-            self._line_target = _LINE if rate > 0 else 0.0
+            self._line_target = self._ends[rate > 0] if rate else None
             self._line_rate = min(_QUICKEST, abs(rate))
         return True
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """Between which lengths the line can be, m."""
+        return (-math.inf, math.inf) if self._by_pulses else (0.0, _LINE)
+
+    @property
+    def _by_pulses(self) -> bool:
+        return self._vehicle.params["WINCH_TYPE"] == _PWM
 
     @property
     def line_speed(self) -> float:
@@ -68,7 +79,9 @@ class Payloads:
         return math.copysign(self._line_rate, self._line_target - self.line)
 
     def winch_status(self) -> int:
-        """Return the MAV_WINCH_STATUS_FLAG bits."""
+        """Return the MAV_WINCH_STATUS_FLAG bits; one driven by pulses sets no more than the first."""
+        if self._by_pulses:
+            return _HEALTHY
         flags = _HEALTHY | (_CLUTCH if self.relaxed else 0)
         flags |= _FULLY_RETRACTED if self.line == 0 else 0
         return flags | (_MOVING if self.line_speed else 0)
@@ -100,6 +113,5 @@ class Payloads:
         """Continue to wind."""
         speed = self.line_speed
         if speed and self._line_target is not None:
-            way = speed * seconds
-            left = self._line_target - self.line
+            way, left = speed * seconds, self._line_target - self.line
             self.line = self._line_target if abs(way) >= abs(left) else self.line + way

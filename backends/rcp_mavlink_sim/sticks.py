@@ -59,10 +59,16 @@ class Sticks:
                 self.pulses[channel] = pulse
                 self.held, self._until = True, until
 
-    def manual(self, message: Any, until: float) -> None:
-        """Handle MANUAL_CONTROL: x is pitch, y roll, z throttle from 0, r yaw, each out of 1000."""
-        wanted = (message.y, -message.x, (message.z - 500) * 2, message.r)
+    def manual(self, message: Any, until: float, *, drives: bool) -> None:
+        """Handle MANUAL_CONTROL: x is pitch, y roll, z throttle from 0, r yaw, each out of 1000.
+
+        What drives is steered by y alone, and its throttle goes from -1000.
+        """
+        throttle = message.z if drives else (message.z - 500) * 2
+        wanted = (message.y, -message.x, throttle, message.r)
         given = (message.y, message.x, message.z, message.r)
+        if drives:
+            given = (message.y, _NOTHING, message.z, _NOTHING)
         for channel, (value, raw) in enumerate(zip(wanted, given, strict=True)):
             if raw != _NOTHING:
                 self.pulses[channel] = round(_CENTRE + max(-1000, min(1000, value)) * _HALF / 1000)

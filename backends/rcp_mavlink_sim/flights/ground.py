@@ -51,8 +51,7 @@ class GroundFlight(Flight):
         match self.mode:
             case Mode.MANUAL | Mode.STEERING:
                 sticks = vehicle.sticks
-                turn = sticks.yaw or sticks.roll
-                pilot.by_hand = (sticks.throttle * _FASTEST, turn * _TURN)
+                pilot.by_hand = (sticks.throttle * _FASTEST, sticks.roll * _TURN)
             case Mode.HOLD:
                 pilot.by_hand = (0.0, 0.0)
             case Mode.RTL | Mode.SMART_RTL if pilot.at_place(self.radius) and not self._home:

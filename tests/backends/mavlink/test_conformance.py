@@ -39,7 +39,7 @@ HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), roun
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
 PAYLOADS = {
     "DISARM_DELAY": 0.0, "SERVO9_FUNCTION": 0.0, "RELAY1_FUNCTION": 1.0, "GRIP_ENABLE": 1.0,
-    "WINCH_TYPE": 1.0, "CHUTE_ENABLED": 1.0,
+    "WINCH_TYPE": 2.0, "CHUTE_ENABLED": 1.0,
 }  # fmt: skip
 ON_THE_GROUND = (
     "action/motor_test", "service/calibrate/continue",

@@ -9,14 +9,17 @@ from typing import Any
 import pytest
 
 from backends.mavlink.flying import airborne, armed, on_the_ground, skip, speed
+from backends.mavlink.puppet import station
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
+from backends.mavlink.test_px4 import Px4
+from backends.mavlink.test_px4 import airborne as px4_airborne
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import ADMIN
 from rcp_mavlink_sim.modes import Mode
 
 WITH = {
     "SERVO9_FUNCTION": 0.0, "SERVO10_FUNCTION": 73.0, "RELAY2_FUNCTION": 1.0, "GRIP_ENABLE": 1.0,
-    "WINCH_TYPE": 1.0, "CHUTE_ENABLED": 1.0, "DISARM_DELAY": 0.0,
+    "WINCH_TYPE": 2.0, "CHUTE_ENABLED": 1.0, "DISARM_DELAY": 0.0,
 }  # fmt: skip
 
 
@@ -101,8 +104,10 @@ async def test_a_position_is_held_and_ends_at_rest_when_it_is_not_repeated(pilot
         )
 
     await eventually(lambda: _is(fenced()), "the fence is seen")
-    out = await write(pilot, "actuator/position", far)
-    assert error(out) == "device_rejected", "the vehicle would ignore it silently"
+    local = {"frame": "local", "position": {"x": 0.0, "y": 900.0, "z": 20.0}}
+    for out in (far, local):
+        reply = await write(pilot, "actuator/position", out)
+        assert error(reply) == "device_rejected", "the vehicle would ignore it silently"
     await estop(pilot)
     assert vehicle.flight.mode is Mode.BRAKE
 
@@ -133,6 +138,42 @@ async def test_sticks_steer_and_are_released(pilot: Pilot) -> None:
     await estop(pilot)
     await eventually(lambda: _is(vehicle.sticks.pulses == [1500] * 16), "all are released")
     await eventually(lambda: _is(speed(vehicle) < 0.3), "it holds")
+
+
+async def test_sticks_of_a_rover_drive_both_ways_and_steer() -> None:
+    async with flying({"vehicle": "rover"}, sticks=True) as pilot:
+        vehicle = pilot.vehicle
+        vehicle.flight.set_mode(Mode.MANUAL)
+        assert vehicle.arm()
+        robot = pilot.served.life.backend.robots[""].vehicle
+        await eventually(lambda: _is(robot.armed and robot.mode == "MANUAL"), "it is seen")
+        for deflections, steering, throttle in (
+            ({"yaw": 0.5}, 0.5, 0.0),
+            ({"roll": -0.5, "throttle": 0.25}, -0.5, 0.25),
+            ({"throttle": -0.5}, 0.0, -0.5),
+        ):
+            done = await write(pilot, "actuator/sticks", deflections, valid_for=20.0)
+            assert done["status"] == "completed", done
+            wanted = pytest.approx((steering, throttle), abs=0.01)
+            await eventually(
+                lambda wanted=wanted: _is((vehicle.sticks.roll, vehicle.sticks.throttle) == wanted),
+                f"{deflections} arrive",
+            )
+        await eventually(lambda: _is(vehicle.body.speed < -1.0), "backward is backward")
+
+
+async def test_a_px4_is_sent_no_overrides() -> None:
+    puppet = Px4()
+    async with station(puppet, sticks=True) as found:
+        await px4_airborne(found, puppet)
+        rc = await found.write("actuator/rc", {"channels": [1500]})
+        assert error(rc) == "unknown_path", "it cannot leave out a channel"
+        done = await found.write("actuator/sticks", {"pitch": 0.5}, valid_for=20.0)
+        assert done["status"] == "completed", done
+        await eventually(lambda: _is(bool(puppet.messages("MANUAL_CONTROL"))), "it is steered")
+        assert (await found.write("actuator/sticks", {}))["status"] == "completed"
+        assert puppet.messages("MANUAL_CONTROL")[0].z == 500, "centred"
+        assert not puppet.messages("RC_CHANNELS_OVERRIDE")
 
 
 def _deflected(vehicle: Any) -> tuple[float, ...]:
@@ -177,9 +218,15 @@ async def test_an_estop_stops_a_motor(pilot: Pilot) -> None:
     path = "/tenant/t/action/motor_test"
     id_ = await pilot.client.send(type="execute", path=path, body={"motor": 1, "seconds": 3.0})
     await eventually(lambda: _is(vehicle.motor_test.motor == 1), "it turns")
-    ends_at = vehicle.motor_test.until
+    ends_at, begin, stops = vehicle.motor_test.until, vehicle.motor_test.begin, list[float]()
+
+    def hears_the_fifth(motor: float, kind: float, throttle: float, seconds: float) -> bool:
+        stops.append(seconds)
+        return len(stops) > 4 and begin(motor, kind, throttle, seconds)
+
+    vehicle.motor_test.begin = hears_the_fifth  # type: ignore[method-assign]
     await estop(pilot)
-    await eventually(lambda: _is(not vehicle.motor_test.motor), "it has stopped")
+    assert not vehicle.motor_test.motor, "rest is confirmed when it has stopped"
     assert vehicle.wall < ends_at, "the stop did it, not the time"
     assert (await pilot.client.final(id_, 30.0))["status"] != "completed"
 
@@ -221,6 +268,72 @@ async def test_a_winch_is_followed_cancelled_and_stopped(pilot: Pilot) -> None:
         await ends()
         assert (await pilot.client.final(id_, 30.0))["status"] != "completed"
         await eventually(lambda: _is(vehicle.payloads.line_speed == 0), "it has stopped")
+
+
+async def test_a_winch_that_tells_only_its_length_is_followed() -> None:
+    async with flying({"parameters": {**WITH, "WINCH_TYPE": 1.0}}) as pilot:
+        await pilot.ready()
+        done = await pilot.do("action/winch", {"length": 4.0, "speed": 0.2})
+        assert done["status"] == "completed", done
+        assert pilot.vehicle.payloads.line == pytest.approx(4.0)
+        assert done["body"]["length"] == pytest.approx(4.0, abs=0.02), "not the length on the way"
+
+
+@pytest.fixture
+def lossy(pilot: Pilot) -> list[bool]:
+    """Whether the winch hears each of the next stops; then it hears all."""
+    wind, heard = pilot.vehicle.payloads.wind, list[bool]()
+
+    def sometimes(action: float, length: float, rate: float) -> bool:
+        lost = action == 2 and bool(heard) and not heard.pop(0)
+        return not lost and wind(action, length, rate)
+
+    pilot.vehicle.payloads.wind = sometimes  # type: ignore[method-assign]
+    return heard
+
+
+async def test_the_stop_of_a_winch_is_repeated_until_it_is_seen(
+    pilot: Pilot, lossy: list[bool]
+) -> None:
+    id_ = await _winding(pilot)
+    lossy[:] = [False] * 4
+    await estop(pilot)
+    assert not lossy, "the last was heard"
+    assert pilot.vehicle.payloads.line_speed == 0, "rest is confirmed when it has stopped"
+    assert (await pilot.client.final(id_, 30.0))["status"] != "completed"
+
+
+async def test_a_cancel_whose_stop_is_not_heard_is_none(pilot: Pilot, lossy: list[bool]) -> None:
+    backend = pilot.served.life.backend
+    id_ = await _winding(pilot)
+    lossy[:] = [False] * 2
+    await pilot.client.request("cancel", "/tenant/t/action/winch")
+    assert (await pilot.client.final(id_, 30.0))["status"] == "failed"
+    assert backend.motion(None).at_rest is False, "it winds"
+    again = await pilot.do("action/winch", {"length": 1.0})
+    assert error(again) == "precondition_failed"
+    await eventually(lambda: _is(pilot.vehicle.payloads.line_speed == 0), "it is stopped again")
+    await eventually(lambda: _is("winch" not in backend.motion(None).detail), "that is seen")
+
+
+async def test_a_winch_whose_link_is_lost_is_stopped_when_it_is_back(pilot: Pilot) -> None:
+    vehicle = pilot.vehicle
+    robot = pilot.served.life.backend.robots[""].vehicle
+    id_ = await _winding(pilot)
+    vehicle.faults.uplink_cut = vehicle.faults.downlink_cut = True
+    assert (await pilot.client.final(id_, 30.0))["status"] != "completed"
+    assert robot.lost
+    assert vehicle.payloads.line_speed > 0
+    vehicle.faults.uplink_cut = vehicle.faults.downlink_cut = False
+    await eventually(lambda: _is(vehicle.payloads.line_speed == 0), "it has stopped")
+
+
+async def _winding(pilot: Pilot) -> str:
+    """Let out line, slowly; return the id of the command."""
+    body = {"length": 40.0, "speed": 0.05}
+    id_ = await pilot.client.send(type="execute", path="/tenant/t/action/winch", body=body)
+    await eventually(lambda: _is(pilot.vehicle.payloads.line_speed > 0), "it winds")
+    return id_
 
 
 async def test_a_parachute_is_guarded(pilot: Pilot) -> None:

@@ -12,7 +12,7 @@ import pytest
 from backends.mavlink.flying import airborne, speed
 from backends.mavlink.test_equipment import error, estop
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
-from backends.mavlink.test_px4 import HOLD, Px4, px4
+from backends.mavlink.test_px4 import HOLD, MISSION, Px4, px4
 from backends.mavlink.test_px4 import airborne as px4_airborne
 from rcp_kernel.testing import eventually
 from rcp_mavlink_sim.modes import Mode
@@ -51,6 +51,8 @@ async def test_the_speed_of_a_flight_is_changed_within_the_limit(pilot: Pilot) -
     assert (await pilot.do("service/change_speed", {"speed": 1.0, "of": "climb"}))["body"]
     assert pilot.vehicle.pilot.limits.up == 1.0
     assert error(await pilot.do("service/change_speed", {"speed": 20.0})) == "out_of_range"
+    fast = {"speed": 20.0, "of": "descent"}
+    assert error(await pilot.do("service/change_speed", fast)) == "out_of_range"
     pilot.vehicle.flight.set_mode(Mode.LOITER)
     assert error(await pilot.do("service/change_speed", {"speed": 4.0})) == "device_rejected"
 
@@ -136,6 +138,49 @@ async def test_a_px4_goes_round_by_its_own_command_and_turns_where_it_is() -> No
         await eventually(lambda: _is(_heads(puppet)), "it is told")
         puppet.heading = 1.0
         assert (await turn)["status"] == "completed"
+
+
+async def test_a_px4_does_not_take_a_rate_of_climb_for_its_speed() -> None:
+    async with px4() as (found, puppet):
+        puppet.results[178] = lambda _: 0
+        for of in ("climb", "descent"):
+            reply = await found.do("service/change_speed", {"speed": 3.0, "of": of})
+            assert error(reply) == "precondition_failed"
+        assert not puppet.commands(178)
+        assert (await found.do("service/change_speed", {"speed": 3.0}))["status"] == "completed"
+
+
+async def test_a_circle_whose_answer_is_lost_is_held() -> None:
+    async with px4() as (found, puppet):
+        await px4_airborne(found, puppet)
+        take = puppet.take
+
+        def take_in_silence(message: Any) -> None:
+            if message.get_type() == "COMMAND_INT" and message.command == 34:
+                puppet.mode = ORBIT
+            else:
+                take(message)
+
+        puppet.take = take_in_silence  # type: ignore[method-assign]
+        reply = await found.do("action/orbit", {"radius": 10.0})
+        assert error(reply) == "device_timeout"
+        assert puppet.mode == HOLD
+
+
+async def test_a_turn_goes_on_without_a_heading_for_a_moment() -> None:
+    async with px4() as (found, puppet):
+        await px4_airborne(found, puppet)
+        turn = asyncio.create_task(found.do("action/turn", {"heading": 1.0}))
+        await eventually(lambda: _is(_heads(puppet)), "it is told")
+        puppet.heading = math.radians(655.35)
+        vehicle = found.robot.vehicle
+
+        def unknown() -> bool:
+            return vehicle.latest["GLOBAL_POSITION_INT"].fields()["hdg"] == 65535
+
+        await eventually(lambda: _is(unknown()), "it has no heading")
+        puppet.mode = MISSION
+        assert error(await turn) == "mode_forbids"
 
 
 def _heads(puppet: Px4) -> bool:
