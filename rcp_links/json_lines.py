@@ -21,7 +21,12 @@ class JsonLines:
         self._reader, self._writer = reader, writer
 
     def send(self, message: dict[str, Any]) -> None:
-        """Write a line."""
+        """Write a line.
+
+        :raises ConnectionResetError: the connection is lost, which a loop may tell otherwise.
+        """
+        if self._writer.transport.is_closing():
+            raise ConnectionResetError("the connection is closed")
         self._writer.write(msgspec.json.encode(message) + b"\n")
 
     async def receive(self) -> dict[str, Any]:

@@ -144,7 +144,10 @@ class RequestLink(Generic[M]):
     async def _ended(self, first: asyncio.Future[None]) -> str:
         try:
             return await self._connection(first)
-        except Exception as error:
+        except (Exception, asyncio.CancelledError) as error:
+            task = asyncio.current_task()
+            if isinstance(error, asyncio.CancelledError) and task is not None and task.cancelling():
+                raise  # not one that a function of the author has raised
             log.exception("link failed", robot=self._robot)
             return f"fault of the backend: {error!r}"
 
@@ -172,14 +175,17 @@ class RequestLink(Generic[M]):
             try:
                 async with asyncio.timeout(silence):
                     message = await channel.receive()
-                if self._channel is None:
-                    self._restore(channel, first)
-                self._take(message)
             except TimeoutError:
                 return f"no message for {silence:g} s"
             except (OSError, EOFError) as error:
                 return f"connection lost: {error}"
             except ValueError as error:
+                return f"received something that is no message: {error}"
+            if self._channel is None:
+                self._restore(channel, first)
+            try:
+                self._take(message)
+            except ValueError as error:  # an OSError of the author is a fault, no lost connection
                 return f"received something that is no message: {error}"
 
     async def _probe(self, channel: Channel[M]) -> None:

@@ -6,11 +6,14 @@ import asyncio
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+import structlog
+
 from rcp_protocol.errors import AdapterUnavailable, DeviceTimeout, RcpError
 
 __all__ = ["Request", "Requests"]
 
 M = TypeVar("M")
+log = structlog.get_logger("rcp.links")
 _MOST_LATE = 1000  # requests of which a late answer is still taken
 
 
@@ -22,11 +25,15 @@ class Request(Generic[M]):
         self.answer: asyncio.Future[M] = asyncio.get_running_loop().create_future()
 
     def take(self, message: M) -> None:
-        """Note the answer, whoever still waits for it."""
-        if self.effect is not None:
-            self.effect(message)
+        """Note the answer, whoever still waits for it, and whether or not the effect fails."""
         if not self.answer.done():
             self.answer.set_result(message)
+        if self.effect is None:
+            return
+        try:
+            self.effect(message)  # who waits goes on after it, in a later turn of the loop
+        except (Exception, asyncio.CancelledError):
+            log.exception("effect failed")
 
     def lose(self, reason: str) -> None:
         """Note that no answer will come."""

@@ -294,7 +294,7 @@ class BackendSupervisor:
     def _call(self, function: Callable[..., object], *args: Any) -> None:
         try:
             call_contained(function, *args)
-        except Exception as error:
+        except (Exception, asyncio.CancelledError, GeneratorExit) as error:  # others wait behind it
             self.fault(f"{type(error).__name__}: {error}")
             log.exception("backend_call_failed", backend=self.name)
 

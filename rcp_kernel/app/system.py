@@ -260,10 +260,14 @@ class System(BaseBackend):
 
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
         places = session.rights.places("/system/sessions", Operation.EXECUTE)
+        known = self._sessions.known.values()
+        # All anonymous clients are one principal, but not one person.
+        hidden: dict[str, Any] = {"address": None} if session.principal.anonymous else {}
         return [
-            s.plain()
-            for s in self._sessions.known.values()
-            if "*" in places or s.tenant in places or same(s.principal, session.principal)
+            s.plain() | ({} if may_end else hidden)
+            for s in known
+            if (may_end := "*" in places or s.tenant in places)
+            or same(s.principal, session.principal)
         ]
 
     def _list_commands(self, session: Session) -> Iterator[Body | None]:

@@ -57,8 +57,9 @@ class CuttingProxy:
             while data := gateway.recv(_BLOCK):
                 if loses:
                     self.cuts += 1
-                    return
+                    break
                 client.sendall(data)
+            client.shutdown(socket.SHUT_RDWR)  # `_copy` reads from it: closing would not end it
 
     def _copy(self, source: socket.socket, target: socket.socket) -> None:
         with suppress(OSError):

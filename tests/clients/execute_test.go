@@ -7,6 +7,7 @@ import (
 	"errors"
 	"net/http"
 	"net/http/httptest"
+	"strings"
 	"sync/atomic"
 	"testing"
 	"time"
@@ -113,5 +114,112 @@ func TestARefusalToTellIsTheEnd(t *testing.T) {
 	var refused *Error
 	if _, err := drive.Execute(ctx, New(server.URL, ""), nil); !errors.As(err, &refused) || refused.Code != "forbidden" {
 		t.Errorf("ended: %v", err)
+	}
+}
+
+var busy = map[string]any{"error": map[string]any{"code": "rate_limited", "retryable": true}}
+
+func TestARefusalThatPassesIsNoneOnceAnAnswerWasLost(t *testing.T) {
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	var sent atomic.Int32
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		if r.Method != "POST" {
+			state(w, map[string]any{"status": "completed", "body": "there"})
+			return
+		}
+		switch sent.Add(1) {
+		case 1:
+			cut(w)
+		case 2:
+			tell(w, busy)
+		default:
+			tell(w, map[string]any{"status": "accepted", "command": "cmd-1"})
+		}
+	}))
+	defer server.Close()
+	if out, err := drive.Execute(ctx, New(server.URL, ""), nil); err != nil || out != "there" || sent.Load() != 3 {
+		t.Errorf("ended: %q, %v, sent %d times", out, err, sent.Load())
+	}
+}
+
+func TestARefusalOfWhatWasSentOnceAndTheEndOfACommandAreAnswers(t *testing.T) {
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	var sent atomic.Int32
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		switch sent.Add(1) {
+		case 1:
+			tell(w, busy)
+		case 2:
+			cut(w)
+		default:
+			late := map[string]any{"code": "deadline_exceeded", "retryable": true}
+			tell(w, map[string]any{"status": "failed", "command": "cmd-1", "error": late})
+		}
+	}))
+	defer server.Close()
+	for _, code := range []string{"rate_limited", "deadline_exceeded"} {
+		var refused *Error
+		if _, err := drive.Execute(ctx, New(server.URL, ""), nil); !errors.As(err, &refused) || refused.Code != code {
+			t.Errorf("ended: %v instead of %s", err, code)
+		}
+	}
+	if sent.Load() != 3 {
+		t.Errorf("sent %d times", sent.Load())
+	}
+}
+
+func TestAWriteHasNoKeyButTheOneThatWasNamed(t *testing.T) {
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	var keys []string
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		keys = append(keys, r.Header.Get("Idempotency-Key"))
+		tell(w, map[string]any{"status": "completed"})
+	}))
+	defer server.Close()
+	speed := Writable[float64]{"/tenant/alpha/param/speed"}
+	for _, under := range []context.Context{ctx, WithKey(ctx, "order-1")} {
+		if err := speed.Write(under, New(server.URL, ""), 1, 0); err != nil {
+			t.Error(err)
+		}
+	}
+	if strings.Join(keys, "|") != "|order-1" {
+		t.Errorf("keys: %q", keys)
+	}
+}
+
+func TestARenewalThatHangsLeavesTimeForAnother(t *testing.T) {
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	var asked atomic.Int32
+	again := make(chan struct{})
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		var body map[string]any
+		_ = json.NewDecoder(r.Body).Decode(&body)
+		if body["do"] == "renew" {
+			switch asked.Add(1) {
+			case 1:
+				<-r.Context().Done() // when the client hangs up
+				return
+			case 2:
+				close(again)
+			}
+		}
+		tell(w, map[string]any{"status": "completed", "body": map[string]any{"lease": "lease-1"}})
+	}))
+	defer server.Close()
+	lease, err := Acquire(ctx, New(server.URL, ""), "/tenant/alpha", 6*time.Second)
+	if err != nil {
+		t.Fatal(err)
+	}
+	select {
+	case <-again:
+	case <-lease.Context.Done():
+		t.Errorf("lost: %v", lease.Err())
+	}
+	if err := lease.Release(ctx); err != nil {
+		t.Error(err)
 	}
 }

@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import socket
 import subprocess
 from collections.abc import Generator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Annotated
 
 import httpx
+import msgspec
 import pytest
 
 from clients.cutting import CuttingProxy
@@ -17,7 +21,9 @@ from docs.demo import BIN, Demo, demo
 from docs.pages import ROOT
 from plugins.client.test_codegen import HOSTILE
 from programs import program
+from rcp_client import ResourceInfo
 from rcp_client.codegen import generate
+from rcp_protocol.published_schema import published
 
 EXAMPLE = ROOT / "examples" / "rust" / "main.rs"
 _PATIENCE = 240  # s for the compiler, and for the example, on a busy machine
@@ -82,6 +88,43 @@ def drives(example: Path, url: str, key: str) -> None:
 def test_odd_names_and_texts_are_good_rust(tmp_path: Path) -> None:
     (tmp_path / "odd.rs").write_text(generate("rust", HOSTILE, "http://h\n*/"), encoding="utf-8")
     rustc(tmp_path / "odd.rs", "--crate-type", "lib", "--emit", "metadata")
+
+
+CATALOGUE = [
+    ResourceInfo(
+        path="/tenant/alpha/action/drive",
+        kind="action",
+        operations=["execute"],
+        schemas={"input": {"type": "number"}, "output": {"type": "string"}},
+    ),
+    ResourceInfo(
+        path="/tenant/alpha/param/ticks",
+        kind="param",
+        operations=["read", "write", "subscribe"],
+        schemas={"value": published(msgspec.json.schema(Annotated[int, msgspec.Meta(ge=0)]))},
+    ),
+]
+
+
+def test_what_is_lost_or_refused_while_a_robot_drives(tmp_path: Path) -> None:
+    shutil.copy(Path(__file__).with_name("execute_test.rs"), tmp_path)
+    (tmp_path / "rcp.rs").write_text(generate("rust", CATALOGUE, "http://h"), encoding="utf-8")
+    rustc(tmp_path / "execute_test.rs", "--test")
+    with ExitStack() as stack:
+        silent = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
+        for _ in range(8):  # the queue is full then: the kernel leaves the next one unanswered
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(silent.getsockname())
+        done = subprocess.run(
+            [tmp_path / "execute_test"],
+            env=os.environ | {"RCP_SILENT": f"http://127.0.0.1:{silent.getsockname()[1]}"},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_PATIENCE,
+        )
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_example_drives(example: Path, running: Demo) -> None:

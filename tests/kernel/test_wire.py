@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+from typing import cast
 
 import cbor2
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -99,6 +101,13 @@ def test_every_code_has_an_http_status_a_remedy_and_a_final_status() -> None:
 def test_a_time_written_is_the_time_read(ns: int) -> None:
     assert [parse_time(iso(ns)) for _ in range(2)] == [ns, ns]
     assert [iso_bytes(ns) for _ in range(2)] == [iso(ns).encode()] * 2
+
+
+def test_a_time_of_numpy_spoils_no_other() -> None:
+    ns = 1_800_000_000_123_456_789
+    assert iso(cast("int", np.int64(ns))) == iso(ns)
+    assert iso_bytes(ns + 1) == iso(ns + 1).encode()
+    assert iso_bytes(cast("int", np.int64(ns))) == iso(ns).encode()
 
 
 @pytest.mark.parametrize("digits", ["+50000000", "25_000_000", " 25000000", "25000000 "])

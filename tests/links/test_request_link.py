@@ -287,15 +287,44 @@ async def test_nonsense_ends_the_connection_with_the_reason(
         await gateway.next("r1: received something that is no message", "restored", "up")
 
 
+@pytest.mark.parametrize("error", [KeyError, OSError, TimeoutError, asyncio.CancelledError])
 async def test_a_fault_of_the_author_is_told_and_the_link_returns(
-    device: Device, gateway: Gateway
+    device: Device, gateway: Gateway, error: type[BaseException]
 ) -> None:
     def handle(message: Message) -> None:
-        raise KeyError(message["x"])
+        raise error(message["x"])
 
-    async with linked(device, gateway, handle):
+    async with linked(device, gateway, handle) as link:
+        asking = asyncio.create_task(link.request(numbered("read"), within=LONG))
+        await device.request()
         device.send({"x": 1})
         await gateway.next("r1: fault of the backend", "restored", "up")
+        with pytest.raises(AdapterUnavailable, match="fault of the backend"):
+            await asking
+
+
+@pytest.mark.parametrize("error", [KeyError, ValueError, asyncio.CancelledError])
+async def test_a_fault_in_an_effect_costs_neither_the_answer_nor_the_link(
+    device: Device, gateway: Gateway, error: type[BaseException]
+) -> None:
+    def effect(message: Message) -> None:
+        raise error(message["id"])
+
+    async with linked(device, gateway) as link:
+        for value in (1, 2):
+            asking = asyncio.create_task(link.request(numbered("move"), within=LONG, effect=effect))
+            request = await device.request()
+            device.send({"id": request["id"], "value": value})
+            assert (await asking)["value"] == value
+        assert link.is_up
+        assert gateway.told.empty()
+
+
+async def test_what_is_sent_on_a_closed_connection_is_an_error(device: Device) -> None:
+    async with json_lines("127.0.0.1", device.port) as channel:
+        channel.send({"do": "move"})
+    with pytest.raises(ConnectionResetError):
+        channel.send({"do": "move"})
 
 
 async def test_requests_end_with_the_context(device: Device, gateway: Gateway) -> None:

@@ -50,11 +50,12 @@ def iso_bytes(ns: int) -> bytes:
     if not _SECOND <= digits < _TWO:
         text = _text_of(ns // _SECOND).encode()
         digits = ns % _SECOND + _SECOND
-    return text + _decimal(digits)[1:] + b"Z"
+    return text + _decimal(int(digits))[1:] + b"Z"
 
 
 def _text_of(second: int) -> str:
     global _last  # noqa: PLW0603 - a cache
+    second = int(second)  # one of NumPy would make the next time, of somebody else, one of NumPy
     text = _seconds.get(second)
     if text is None:
         if len(_seconds) >= _MAX_SECONDS:

@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 import structlog
 
-from configuration import backend, configuration, key
+from configuration import backend, configuration, key, table
 from kernel.world import Client, World, world_of
+from rcp_kernel.contract.peer import Peer
 from rcp_kernel.model import Resource
 from rcp_kernel.types import quantity
+from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio
 ALPHA, BETA, ALL = "alpha-alpha-alpha", "beta-beta-beta-beta", "all-all-all-all-all"
@@ -58,6 +60,19 @@ async def test_sessions_are_those_of_the_own_tenants(world: World) -> None:
     alpha, _, boss = (world.client(token) for token in (ALPHA, BETA, ALL))
     assert {s["tenant"] for s in await body(alpha, "/system/sessions")} == {"alpha"}
     assert {s["tenant"] for s in await body(boss, "/system/sessions")} == {"alpha", "beta"}
+
+
+async def test_who_has_proved_nothing_does_not_see_where_others_are() -> None:
+    async with world_of(CONFIG + table("anonymous", role="operator")) as world:
+        api = world.server.client_api
+        for token in (None, ALPHA):
+            principal = api.authenticate(token)
+            api.connect(principal, Encoding.JSON, lambda: None, peer=Peer(address="192.0.2.7"))
+        stranger = await body(world.client(None), "/system/sessions")
+        assert len(stranger) == 2
+        assert {s["address"] for s in stranger} == {None}
+        ann = await body(world.client(ALPHA), "/system/sessions")
+        assert "192.0.2.7" in {s["address"] for s in ann}
 
 
 async def test_log_records_are_of_the_own_tenants(world: World) -> None:

@@ -118,7 +118,10 @@ async def test_a_reload_starts_and_stops_backends(world: World) -> None:
     assert gone["error"]["code"] == "unknown_path"
 
 
-async def test_what_threads_hand_over_runs_in_order_each_in_its_own_context(world: World) -> None:
+@pytest.mark.parametrize("bug", [ZeroDivisionError, asyncio.CancelledError, GeneratorExit])
+async def test_what_threads_hand_over_runs_in_order_each_in_its_own_context(
+    world: World, bug: type[BaseException]
+) -> None:
     host, caller = world.robot.host, ContextVar("caller", default="nobody")
     heard: list[tuple[int, str]] = []
     over = asyncio.Event()
@@ -126,7 +129,7 @@ async def test_what_threads_hand_over_runs_in_order_each_in_its_own_context(worl
     def hear(number: int) -> None:
         heard.append((number, caller.get()))
         if number == 1:
-            raise ZeroDivisionError("a bug")
+            raise bug("a bug")
 
     def hand_over() -> None:
         for number, name in enumerate(("ann", "ben", "cid")):

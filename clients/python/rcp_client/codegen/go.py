@@ -20,6 +20,7 @@ _WORDS = {
     "null": "any",
     "bool": "bool",
     "int": "int64",
+    "uint": "int64",
     "float": "Float",
     "str": "string",
     "bytes": "[]byte",

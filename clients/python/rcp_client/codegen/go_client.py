@@ -102,11 +102,13 @@ func WithKey(ctx context.Context, key string) context.Context {
 	return context.WithValue(ctx, keyed{}, key)
 }
 
-// keyOf returns the key of a context, or a new one.
+// keyOf returns the key of a context, or "".
 func keyOf(ctx context.Context) string {
-	if key, ok := ctx.Value(keyed{}).(string); ok {
-		return key
-	}
+	key, _ := ctx.Value(keyed{}).(string)
+	return key
+}
+
+func newKey() string {
 	random := make([]byte, 16)
 	if _, err := rand.Read(random); err != nil {
 		panic(err)
@@ -158,8 +160,11 @@ func (g *Gateway) ask(ctx context.Context, method, path string, body any) (reply
 	return g.askAs(ctx, method, path, body, nil)
 }
 
-// once sends what acts, under a key.
+// once sends what acts, under a key if there is one; net/http itself may send that again.
 func (g *Gateway) once(ctx context.Context, key, method, path string, body any) (reply, error) {
+	if key == "" {
+		return g.ask(ctx, method, path, body)
+	}
 	return g.askAs(ctx, method, path, body, map[string]string{"Idempotency-Key": key})
 }
 
@@ -356,10 +361,15 @@ func (c Command[In, Out]) Execute(ctx context.Context, g *Gateway, input In) (Ou
 	return into[Out](found.Body)
 }
 
-// begin sends a command, again while no answer comes. Not under ctx: what was sent may be under way, and can only be
-// cancelled by the id in the answer.
+// begin sends a command, again while no answer comes. Once an answer was lost, a refusal that passes is none: the
+// robot may be moving. Not under ctx: what was sent may be under way, and can only be cancelled by the id in the
+// answer.
 func (g *Gateway) begin(ctx context.Context, path string, input any) (reply, error) {
 	key := keyOf(ctx)
+	if key == "" {
+		key = newKey()
+	}
+	var lost error
 	for end := time.Now().Add(stopping); ; {
 		at := path
 		if ctx.Err() != nil {
@@ -369,8 +379,13 @@ func (g *Gateway) begin(ctx context.Context, path string, input any) (reply, err
 		found, err := g.once(sent, key, "POST", at, input)
 		stop()
 		var refused *Error
-		if err == nil || errors.As(err, &refused) || time.Now().After(end) {
+		if !errors.As(err, &refused) {
+			lost = err
+		} else if lost == nil || !refused.Retryable || found.Command != "" {
 			return found, err
+		}
+		if err == nil || time.Now().After(end) {
+			return found, lost
 		}
 		time.Sleep(poll)
 	}
@@ -484,7 +499,7 @@ func (l *Lease) keep(until time.Time) {
 		case <-time.After(time.Until(until)/3 + poll):
 		}
 		began := time.Now()
-		once, stop := context.WithDeadline(l.Context, until)
+		once, stop := context.WithTimeout(l.Context, time.Until(until)/2) // one that hangs leaves time for another
 		_, err := l.gateway.lease(once, map[string]any{"do": "renew", "lease": l.state.Lease, "ttl": l.ttl.Seconds()})
 		stop()
 		var refused *Error
@@ -503,7 +518,7 @@ func (l *Lease) keep(until time.Time) {
 }
 
 func (g *Gateway) lease(ctx context.Context, body map[string]any) (leaseState, error) {
-	found, err := g.once(ctx, keyOf(context.Background()), "POST", "/context/system/leases?wait=10", body)
+	found, err := g.once(ctx, newKey(), "POST", "/context/system/leases?wait=10", body)
 	if err != nil {
 		return leaseState{}, err
 	}

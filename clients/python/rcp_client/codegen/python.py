@@ -12,6 +12,7 @@ _WORDS = {
     "null": "None",
     "bool": "bool",
     "int": "int",
+    "uint": "int",
     "float": "float",
     "str": "str",
     "bytes": "bytes",

@@ -19,6 +19,7 @@ _WORDS = {
     "null": "()",
     "bool": "bool",
     "int": "i64",
+    "uint": "u64",
     "float": "f64",
     "str": "String",
     "bytes": "Base64",

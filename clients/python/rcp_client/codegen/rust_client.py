@@ -7,7 +7,7 @@ __all__ = ["CLIENT", "HEAD", "RESERVED"]
 RESERVED = ("Gateway", "Error", "Json", "Value", "Readable", "Writable", "Setting", "Command", "Running",
             "Update", "Reply", "Parser", "Base64", "Vec", "Option", "String", "Box", "Some", "None", "Ok",
             "Err", "Result", "Default", "Self", "BTreeMap", "PhantomData", "Duration", "Instant",
-            "TcpStream", "Read", "Write", "BufRead", "BufReader", "Clone", "Debug", "PartialEq",
+            "TcpStream", "ToSocketAddrs", "Read", "Write", "BufRead", "BufReader", "Clone", "Debug", "PartialEq",
             "From", "Into", "Iterator", "ToString", "Drop", "Fn", "FnMut", "FnOnce", "Copy", "Send",
             "Sync", "Sized")  # fmt: skip
 """Names that no type of a gateway may have."""
@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::marker::PhantomData;
-use std::net::TcpStream;
+use std::net::{TcpStream, ToSocketAddrs};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 """
@@ -293,6 +293,19 @@ impl Value for i64 {
     }
 }
 
+impl Value for u64 {
+    fn to_json(&self) -> Json {
+        i64::try_from(*self).map_or_else(|_| Json::Text(self.to_string()), Json::Int)
+    }
+    fn from_json(json: &Json) -> Result<Self, Error> {
+        match json {
+            Json::Int(value) => u64::try_from(*value).or_else(|_| expected("an integer from 0", json)),
+            Json::Text(digits) => digits.parse().or_else(|_| expected("an integer from 0", json)),
+            other => expected("an integer from 0", other),
+        }
+    }
+}
+
 impl Value for f64 {
     fn to_json(&self) -> Json {
         Json::Float(*self)
@@ -411,11 +424,14 @@ pub struct Error {
     pub message: String,
     pub remedy: String,
     pub retryable: bool,
+    /// The command that has ended with it; empty where none had begun.
+    pub command: String,
 }
 
 impl Error {
     fn local(code: &str, message: String) -> Error {
-        Error { code: code.into(), message, remedy: String::new(), retryable: code == "connection_lost" }
+        let retryable = code == "connection_lost";
+        Error { code: code.into(), message, remedy: String::new(), retryable, command: String::new() }
     }
 }
 
@@ -492,8 +508,19 @@ impl Gateway {
         }
     }
 
+    fn connect(&self) -> io::Result<TcpStream> {
+        let mut outcome = Err(io::Error::from(io::ErrorKind::NotFound));
+        for address in self.host.to_socket_addrs()? {
+            outcome = TcpStream::connect_timeout(&address, ATTEMPT);
+            if outcome.is_ok() {
+                break;
+            }
+        }
+        outcome
+    }
+
     fn open(&self, method: &str, path: &str, body: Option<&Json>, header: &str, silence: Duration) -> Result<Reply, Error> {
-        let mut stream = TcpStream::connect(&*self.host)?;
+        let mut stream = self.connect()?;
         stream.set_read_timeout(Some(silence))?;
         stream.set_write_timeout(Some(ATTEMPT))?;
         let body = body.map_or(String::new(), |body| body.to_string());
@@ -537,13 +564,23 @@ impl Gateway {
         decoded(self.open(method, path, body, header, ATTEMPT)?)
     }
 
-    /// Ask again while no answer comes.
-    fn insist(&self, method: &str, path: &str, body: Option<&Json>, header: &str) -> Result<Json, Error> {
-        let end = Instant::now() + PATIENCE;
+    /// Ask again while no answer comes. What may have begun is not refused by a refusal that passes: `begun` says that
+    /// it may have before, and each request that is lost says so too.
+    fn insist(&self, method: &str, path: &str, body: Option<&Json>, header: &str, begun: bool) -> Result<Json, Error> {
+        let (end, mut lost) = (Instant::now() + PATIENCE, None);
         loop {
             match self.ask(method, path, body, header) {
-                Err(error) if error.code == "connection_lost" && Instant::now() < end => sleep(POLL),
+                Err(error) if error.code == "connection_lost" => lost = Some(error),
+                Err(error) if error.retryable && error.command.is_empty() && (begun || lost.is_some()) => {
+                    if Instant::now() >= end {
+                        return Err(lost.unwrap_or(error));
+                    }
+                }
                 outcome => return outcome,
+            }
+            match lost {
+                Some(error) if Instant::now() >= end => return Err(error),
+                _ => sleep(POLL),
             }
         }
     }
@@ -555,12 +592,13 @@ fn decoded(mut reply: Reply) -> Result<Json, Error> {
     let found = Json::parse(&text).map_err(|_| Error::local("connection_lost", "the answer was cut off".into()))?;
     match found.get("error") {
         Json::Null => Ok(found),
-        error => Err(failure(error)),
+        error => Err(failure(error, found.get("command"))),
     }
 }
 
-fn failure(error: &Json) -> Error {
+fn failure(error: &Json, command: &Json) -> Error {
     Error {
+        command: command.as_text().into(),
         code: error.get("code").as_text().into(),
         message: error.get("message").as_text().into(),
         remedy: error.get("remedy").as_text().into(),
@@ -583,7 +621,7 @@ pub struct Update<T> {
 impl<T: Value> Readable<T> {
     /// Return the current value.
     pub fn read(&self, gateway: &Gateway) -> Result<T, Error> {
-        T::from_json(gateway.insist("GET", &format!("/context{}", self.path), None, "")?.get("body"))
+        T::from_json(gateway.insist("GET", &format!("/context{}", self.path), None, "", false)?.get("body"))
     }
 
     /// Call `heard` with each new value, at most `rate` a second, 0 for all, until it returns false. A stream that is
@@ -636,7 +674,9 @@ impl<T: Value> Readable<T> {
                         return Ok(());
                     }
                 }
-                *last = id.clone();
+                if !id.is_empty() {
+                    *last = id.clone(); // a comment, or a notice of what was lost, has none
+                }
                 event.clear();
                 data.clear();
             }
@@ -679,7 +719,7 @@ impl<I: Value, O: Value> Command<I, O> {
     /// whether it is sent again after a lost connection or by a program that was started again.
     pub fn start<'a>(&self, gateway: &'a Gateway, key: &str, input: &I) -> Result<Running<'a, O>, Error> {
         let header = format!("Idempotency-Key: {}\r\n", key);
-        let reply = gateway.insist("POST", &format!("/context{}", self.path), Some(&input.to_json()), &header)?;
+        let reply = gateway.insist("POST", &format!("/context{}", self.path), Some(&input.to_json()), &header, false)?;
         let at = format!("/commands/{}", reply.get("command").as_text());
         Ok(Running { gateway, at, of: PhantomData })
     }
@@ -696,11 +736,11 @@ impl<'a, O: Value> Running<'a, O> {
     /// Return the result, or what it ended with.
     pub fn wait(&self) -> Result<O, Error> {
         loop {
-            let reply = self.gateway.insist("GET", &self.at, None, "")?;
+            let reply = self.gateway.insist("GET", &self.at, None, "", true)?;
             let state = reply.get("body");
             match (state.get("status").as_text(), state.get("error")) {
                 ("completed", _) => return O::from_json(state.get("body")),
-                ("failed" | "rejected" | "cancelled", error) => return Err(failure(error)),
+                ("failed" | "rejected" | "cancelled", error) => return Err(failure(error, state.get("command"))),
                 _ => sleep(POLL),
             }
         }
@@ -708,7 +748,7 @@ impl<'a, O: Value> Running<'a, O> {
 
     /// Have the robot told to stop; `wait` returns once it has ended the command.
     pub fn cancel(&self) -> Result<(), Error> {
-        self.gateway.insist("DELETE", &self.at, None, "").map(|_| ())
+        self.gateway.insist("DELETE", &self.at, None, "", true).map(|_| ())
     }
 }
 """

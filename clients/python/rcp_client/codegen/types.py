@@ -27,7 +27,7 @@ class Shape:
     """A type, independent of the language."""
 
     kind: str
-    """any, null, bool, int, float, str, bytes, literal, list, map, name, or union."""
+    """any, null, bool, int, uint, float, str, bytes, literal, list, map, name, or union."""
     parts: tuple[Shape, ...] = ()
     """Item type of a list or map, options of a union."""
     values: tuple[Any, ...] = ()
@@ -36,6 +36,7 @@ class Shape:
 
 
 ANY, NULL = Shape("any"), Shape("null")
+_INT, _UINT = Shape("int"), Shape("uint")
 _SIMPLE = {"null": "null", "boolean": "bool", "integer": "int", "number": "float"}
 
 
@@ -111,12 +112,15 @@ class Types:
 
     def _union(self, options: list[Any], defs: dict[str, Any], *, inward: bool) -> Shape:
         found: list[Shape] = []
+        unsigned = any(option.get("pattern", "").startswith("^[0-9]{1,") for option in options)
         for option in options:
             spelled = set(option.get("enum", ())) == _ODD_FLOATS
             digits = option.get("pattern", "").startswith(("^-?[0-9]{1,", "^[0-9]{1,"))
             if spelled or digits:  # alternative JSON spellings of numbers
                 continue
             shape = self._shape(option, defs, inward=inward)
+            if unsigned and shape == _INT:  # a wide one, which may be beyond the signed ones
+                shape = _UINT
             if shape not in found:
                 found.append(shape)
         if ANY in found or not found:

@@ -21,6 +21,7 @@ _WORDS = {
     "null": "null",
     "bool": "boolean",
     "int": "number",
+    "uint": "number",
     "float": "Float",
     "str": "string",
     "bytes": "Base64",
