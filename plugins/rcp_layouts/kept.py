@@ -31,17 +31,29 @@ class _Row(Struct, frozen=True):
     layout: Layout
 
 
+class _Removed(Struct, frozen=True):
+    owner: Owner
+    removed: int
+
+
 class KeptLayouts:
     """All layouts by owner and name."""
 
     def __init__(self, store: PluginStore) -> None:
         self._store = store
         self._found: dict[tuple[Owner, str], Layout] = {}
+        self._removed: dict[Owner, int] = {}
+        """The highest version of a layout that an owner removed: a new one begins above it, so that
+        none has the version of an earlier one of its name that somebody may still have open."""
 
     def restore(self) -> None:
         """Load what earlier runs have saved."""
         for key, row in self._store.load().items():
             try:
+                if "removed" in row:
+                    gone = convert(row, _Removed)
+                    self._removed[gone.owner] = gone.removed
+                    continue
                 kept = convert(row, _Row)
             except ValidationError as error:
                 log.warning("layout_unreadable", layout=key, error=str(error))
@@ -91,6 +103,10 @@ class KeptLayouts:
             remedy="Open it again and repeat the change, or save yours under another name.",
         )
 
+    def following(self, owner: Owner, version: int) -> int:
+        """Return the version of a layout that was made from another version; 0: from none."""
+        return (version or self._removed.get(owner, 0)) + 1
+
     def check_room(self, owner: Owner, name: str, of_one: int, most: int) -> None:
         """Refuse one layout too many.
 
@@ -114,7 +130,9 @@ class KeptLayouts:
 
     def remove(self, owner: Owner, name: str) -> None:
         """Remove a layout."""
-        del self._found[owner, name]
+        version = self._found.pop((owner, name)).version
+        removed = self._removed[owner] = max(self._removed.get(owner, 0), version)
+        self._store.put(_key(owner), to_builtins(_Removed(owner, removed)))
         self._store.put(_key(owner, name), None)
 
 
@@ -123,5 +141,5 @@ def _entry(layout: Layout) -> Entry:
     return Entry(**fields)
 
 
-def _key(owner: Owner, name: str) -> str:
-    return msgspec.json.encode([*owner, name]).decode()
+def _key(owner: Owner, *name: str) -> str:
+    return msgspec.json.encode([*owner, *name]).decode()

@@ -153,7 +153,7 @@ class Layouts:
         return Layout(
             name=request.name,
             tenant=owner.tenant,
-            version=request.version + 1,
+            version=self._kept.following(owner, request.version),
             by=session.principal.name,
             saved=iso(self._host.clock.now()),
             content=request.content,

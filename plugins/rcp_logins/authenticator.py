@@ -183,6 +183,10 @@ class LoginAuthenticator(Authenticator):
         last = login.begun + int(self._config.lifetime * _S)
         return last if login.expires is None else min(last, login.expires)
 
+    def owner(self, login: Login) -> Principal:
+        """Return whose a login is, with the rights of now as far as there still are any."""
+        return self._host.delegation.renewed(login.principal) or login.principal
+
     def get(self, id_: str) -> Login | None:
         """Return a login by its id."""
         return self._ids.get(id_)

@@ -34,7 +34,7 @@ class LoginDirectory:
     def view(self, session: Session) -> Generator[Any]:
         """List the logins that a reader may end."""
         for login in self._logins.every:
-            if _may_end(session, login.principal):
+            if _may_end(session, self._logins.owner(login)):
                 yield to_builtins(self._listed(login))
 
     def _listed(self, login: Login) -> ListedLogin:
@@ -68,7 +68,7 @@ class LoginDirectory:
 
     def _end_login(self, session: Session, id_: str, *, dry_run: bool) -> Ended:
         login = self._logins.get(id_)
-        if login is None or not _may_end(session, login.principal):
+        if login is None or not _may_end(session, self._logins.owner(login)):
             raise UnknownPath(
                 f"there is no login '{id_}' that you may end", path=PATH, remedy=f"Read {PATH}."
             )
@@ -112,4 +112,4 @@ def _may_end(session: Session, other: Principal) -> bool:
     if same(session.principal, other) and not other.anonymous:
         return True
     places = session.rights.places(_SESSIONS, Operation.EXECUTE)
-    return "*" in places or set(other.tenants) <= set(places)
+    return "*" in places or (bool(other.tenants) and set(other.tenants) <= set(places))

@@ -60,7 +60,8 @@ class KeyDirectory:
     def _visible(self, session: Session) -> Generator[Token]:
         places = session.rights.places(PATH, Operation.EXECUTE)
         for key in self._keys.every:
-            if "*" in places or {tenant for tenant, _ in key.grants} <= set(places):
+            tenants = {tenant for tenant, _ in key.grants}
+            if "*" in places or (tenants and tenants <= set(places)):
                 yield key
 
     def _listed(self, key: Token) -> ListedKey:

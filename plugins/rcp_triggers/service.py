@@ -273,9 +273,12 @@ def _end_of(maker: Principal) -> str | None:
         when.append(f"at {iso(maker.expires)}")
     if maker.via is not None or maker.proof not in _LASTING:
         when.append("when the gateway restarts")
+    if maker.login is not None:
+        when.append("when its maker logs out or the login is not used for a while")
     if not when:
         return None
+    remedy = "use an API key" if maker.login is None else "send an API key instead of the cookie"
     return (
         f"It stops {' or '.join(when)}, as the credentials of {maker.name} end then: "
-        "use an API key for one that lasts."
+        f"{remedy} for one that lasts."
     )

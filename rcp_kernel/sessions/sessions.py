@@ -191,17 +191,22 @@ class Sessions:
         shared = list(self._stateless.items())
         self._stateless.clear()
         self._accounting.recount()
+        # First those that stay: what a person holds as a whole ends with the last of its sessions.
+        ended: list[Session] = []
         for (_, tenant, transport), session in shared:
-            if self._reviewed(session):
-                tenants = self._identities.tenants_of(session.principal)
-                if tenant is None:  # as for a first request
-                    session.tenant = tenants[0] if tenants else None
-                elif tenant not in tenants:
-                    self._lapsing.forget(session)
-                    continue
-                self._stateless[session.principal, tenant, transport] = session
-        for session in list(self.known.values()):
-            self._reviewed(session)
+            if not self._renewed(session):
+                ended.append(session)
+                continue
+            tenants = self._identities.tenants_of(session.principal)
+            if tenant is None:  # as for a first request
+                session.tenant = tenants[0] if tenants else None
+            elif tenant not in tenants:
+                self._lapsing.forget(session)
+                continue
+            self._stateless[session.principal, tenant, transport] = session
+        ended += [session for session in list(self.known.values()) if not self._renewed(session)]
+        for session in ended:
+            self._expel(session)
         self.reviewed()
 
     def reviewed(self) -> None:
@@ -209,10 +214,9 @@ class Sessions:
         for review in self.on_review:
             review()
 
-    def _reviewed(self, session: Session) -> bool:
+    def _renewed(self, session: Session) -> bool:
         principal = self._identities.renewed(session.principal)
         if principal is None:
-            self._expel(session)
             return False
         self.renew(session, principal)
         return True

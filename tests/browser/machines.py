@@ -17,6 +17,7 @@ from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
 from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
+from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
 from rcp_kernel.testing import ScriptedRobot, serve
@@ -95,6 +96,8 @@ class Machine(ScriptedRobot):
         self.held = asyncio.Event()
         """Files are given while it is set."""
         self.held.set()
+        self.fails = False
+        """Whether it takes nothing for now."""
         self._got = got
         self.behaviours["service/assets/fetch"] = self._fetch
         for name in ("action/move_to", "action/dock", "action/go_to"):
@@ -111,6 +114,8 @@ class Machine(ScriptedRobot):
         self.remove(*(one.name for one in RESOURCES))
 
     async def write(self, name: str, value: Any) -> Any:
+        if self.fails:
+            raise DeviceRejected("the motor is jammed")
         await super().write(name, value)
         self._got.append((name, value))
 

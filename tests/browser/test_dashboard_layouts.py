@@ -272,3 +272,26 @@ async def test_what_is_no_layout_of_ones_own_says_what_to_do(
         await expect(tab.page.get_by_text("▲ gone is not available")).to_be_visible()
         await expect(tab.page.get_by_text("▲ /x is not available")).to_be_visible()
         await expect(tab.page.get_by_test_id("broken")).to_have_count(0)
+
+
+async def test_nobody_is_sent_off_by_a_panel_of_a_layout_that_is_edited(
+    browser: Browser, site: Machines
+) -> None:
+    panels = [{"kind": "teleop", "robot": "one"}], [{"kind": "map", "robot": "one"}]
+    await keep(site, "Going", {"columns": [{"panels": each} for each in panels]})
+    async with person(browser, site, "otto", "layout/otto/Going") as tab:
+        page = tab.page
+        aim, dock = page.get_by_test_id("aim"), page.get_by_role("button", name="Dock")
+        await aim.click()
+        await expect(aim).to_have_attribute("aria-pressed", "true")
+        await expect(dock).to_be_enabled()
+        site.forget()
+        await page.get_by_role("button", name="Edit").click()
+        await expect(aim).to_be_disabled()
+        await expect(aim).to_have_attribute("aria-pressed", "false")
+        await expect(dock).to_be_disabled()
+        await page.get_by_test_id("map").click()
+        await page.get_by_role("button", name="Edit").click()
+        await expect(aim).to_be_enabled()
+        await expect(aim).to_have_attribute("aria-pressed", "false")
+        assert site.one == []

@@ -25,12 +25,14 @@ EXAMPLE = Path(__file__).parents[2] / "examples/rcp-panel-battery/rcp_panel_batt
 MANIFEST = """{"title": "Probe", "reads": [{"name": "pose"}], "writes": [{"name": "drive"}]}"""
 INDEX = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Probe</title>
 <body><p id="tried"></p><p id="got"></p><p id="answer"></p>
-<button id="quiet">Quiet</button><script>"""
+<button id="quiet">Quiet</button><button id="loud">Loud</button><script>"""
 SCRIPT = """
 const show = (id, text) => (document.getElementById(id).textContent = text);
 const send = (message) => parent.postMessage({ rcp: 1, ...message }, "*");
-let timer = setInterval(() => send({ type: "write", id: 1, name: "drive",
+const begin = () => setInterval(() => send({ type: "write", id: 1, name: "drive",
   value: { linear: { x: 0.25, y: 0, z: 0 }, angular: { x: 0, y: 0, z: 0 } } }), 100);
+let timer = begin();
+document.getElementById("loud").onclick = () => (timer = begin());
 document.getElementById("quiet").onclick = () => (clearInterval(timer), show("tried", "quiet"));
 addEventListener("message", ({ data }) => {
   if (data.type === "update") show("got", JSON.stringify(data.value.position));
@@ -158,6 +160,56 @@ async def test_a_panel_drives_only_while_its_operator_allows_it_has_control_and_
         await until(lambda: speeds(site.one)[-1] == 0)
         await expect(hold).to_have_attribute("aria-pressed", "true")
         await page.keyboard.up("Space")
+
+
+async def test_what_was_cut_moves_again_by_a_new_press_alone_whatever_the_frame_says(
+    browser: Browser, site: Machines
+) -> None:
+    async with person(browser, site, "otto", "layout/otto/Probe") as tab:
+        tab.expected += ["Content Security Policy", "sandbox", "policy: ", "WebSocket", "Unsafe"]
+        page, frame = tab.page, frame_of(tab.page, "Probe")
+        answer = frame.locator("#answer")
+        await page.get_by_role("button", name="Allow writing").click()
+        await page.get_by_role("button", name="Take control").click()
+        await expect(answer).to_have_text("Hold the button Hold to drive.")
+        hold = page.get_by_role("button", name="Hold to drive")
+        await hold.focus()
+        site.forget()
+        site.by["alpha"].fails = True
+        await page.keyboard.down("Space")
+        await expect(page.get_by_text("the motor is jammed")).to_be_visible()
+        site.by["alpha"].fails = False
+        await expect(answer).to_have_text("Hold the button Hold to drive.")
+        await frame.locator("#quiet").dispatch_event("click")
+        await expect(frame.locator("#tried")).to_have_text("quiet")
+        site.forget()
+        await frame.locator("#loud").dispatch_event("click")
+        await expect(hold).to_have_attribute("aria-pressed", "true")
+        await expect(answer).to_have_text("Hold the button Hold to drive.")
+        assert 0.25 not in speeds(site.one)
+        await page.keyboard.up("Space")
+        await page.keyboard.down("Space")
+        await until(lambda: 0.25 in speeds(site.one))
+        await page.keyboard.up("Space")
+
+
+async def test_a_panel_that_would_write_something_else_asks_anew(
+    browser: Browser, site: Machines
+) -> None:
+    async with person(browser, site, "otto", "layout/otto/Probe") as tab:
+        tab.expected += ["Content Security Policy", "sandbox", "policy: ", "WebSocket", "Unsafe"]
+        page = tab.page
+        answer = frame_of(page, "Probe").locator("#answer")
+        allow = page.get_by_role("button", name="Allow writing")
+        await allow.click()
+        await expect(answer).to_have_text("Press Take control.")
+        await page.get_by_role("button", name="Edit").click()
+        await page.get_by_role("button", name="Settings of probe").click()
+        chosen = page.get_by_role("searchbox", name="Writes: drive")
+        await chosen.fill("beta cmd_vel")
+        await chosen.press("Enter")
+        await expect(allow).to_be_visible()
+        await expect(answer).to_have_text("Press Allow writing.")
 
 
 async def test_the_example_shows_a_battery_and_sets_a_parameter(browser: Browser) -> None:

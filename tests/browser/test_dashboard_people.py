@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.async_api import Browser, Page, expect
+from playwright.async_api import Browser, Page, Route, expect
 
 from browser.elsewhere import elsewhere
 from browser.watched import Watched, log_in, watched
@@ -191,3 +191,38 @@ async def test_an_operator_sees_only_what_is_its_own(browser: Browser, gateway: 
         await logins.get_by_role("button", name="End the login").click()  # its own
         await page.get_by_role("dialog").get_by_role("button", name="End login").click()
         await is_out(page)
+
+
+async def test_a_page_logs_out_of_a_login_that_it_does_not_know_of(
+    browser: Browser, gateway: Site
+) -> None:
+    """A tab may connect by a cookie that another one has got after it was opened."""
+
+    async def unanswered(route: Route) -> None:
+        await (route.abort() if route.request.method == "GET" else route.continue_())
+
+    async with seat(browser, gateway, KEY, "op") as tab:
+        page = await tab.page.context.new_page()
+        await page.route("**/rcp/v1/login", unanswered)
+        await page.goto(gateway.url)
+        await expect(page.get_by_test_id("principal")).to_have_text("op")
+        await page.get_by_role("button", name="Log out").click()
+        await is_out(page)
+        await is_out(tab.page)
+        await page.unroute("**/rcp/v1/login")
+        await page.reload()
+        await is_out(page)
+
+
+async def test_a_key_that_is_refused_is_kept_nowhere(browser: Browser, gateway: Site) -> None:
+    async with watched(browser, gateway.url) as tab:
+        tab.expected.append(r"status of 40\d")
+        page = tab.page
+        await tab.open()
+        await page.get_by_role("button", name="Log in").first.click()
+        dialog = page.get_by_role("dialog")
+        await dialog.get_by_label("Key or token").fill("no-key-of-anybody")
+        await dialog.get_by_label("Remember").check()
+        await dialog.get_by_role("button", name="Log in").click()
+        await expect(dialog.get_by_role("alert")).to_contain_text("valid key or token")
+        assert "no-key-of-anybody" not in await page.evaluate(_KEPT)

@@ -92,6 +92,7 @@ class Login(Controller):
         wanted = _read(await read_body(request.receive, _LONGEST, None))
         peer = peer_of(scope)
         principal = await client_api.identify(wanted.token, peer)
+        client_api.charge(client_api.session(principal, None, peer))
         made = logins.begin(principal, peer.address, remember=wanted.remember)
         former = shown_login(scope)
         if former is not None:

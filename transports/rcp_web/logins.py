@@ -15,7 +15,15 @@ from rcp_kernel.errors import Forbidden
 from rcp_kernel.features import ServiceKey
 from rcp_web.asgi import Scope, header
 
-__all__ = ["LOGINS", "LoginService", "NewLogin", "login_cookie", "no_cookie", "shown_login"]
+__all__ = [
+    "LOGINS",
+    "LoginService",
+    "NewLogin",
+    "login_cookie",
+    "no_cookie",
+    "shown_login",
+    "shows_tls_cookie",
+]
 
 _NAME = "rcp_login"
 _SECURE = ("https", "wss")
@@ -62,19 +70,30 @@ LOGINS: ServiceKey[LoginService] = ServiceKey("logins")
 def shown_login(scope: Scope) -> str | None:
     """Return the secret in the cookie of a request; None if there is none, or more than one."""
     secure = scope["scheme"] in _SECURE
+    found = _cookies(scope)
+    for one in (True,) if secure else (True, False):
+        if one in found:
+            return found[one][0] if len(found[one]) == 1 else None
+    return None
+
+
+def shows_tls_cookie(scope: Scope) -> bool:
+    """Tell whether a request has the cookie that browsers send over TLS alone."""
+    return True in _cookies(scope)
+
+
+def _cookies(scope: Scope) -> dict[bool, list[str]]:
+    """Return the secrets in the cookies of a request, by whether the cookie is that of TLS."""
     port = _port(header(scope, b"host") or b"")
-    names = [_name(port, secure=True)] + ([] if secure else [_name(port, secure=False)])
-    found: dict[str, list[str]] = {}
+    names = {_name(port, secure=secure): secure for secure in (True, False)}
+    found: dict[bool, list[str]] = {}
     for key, value in scope["headers"]:
         if key == b"cookie":
             for part in value.decode("latin-1").split(";"):
                 name, _, secret = part.strip().partition("=")
                 if name in names:
-                    found.setdefault(name, []).append(secret)
-    for name in names:
-        if name in found:
-            return found[name][0] if len(found[name]) == 1 else None
-    return None
+                    found.setdefault(names[name], []).append(secret)
+    return found
 
 
 def login_cookie(origin: str, secret: str, age: int | None) -> tuple[bytes, bytes]:

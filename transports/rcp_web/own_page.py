@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rcp_web.asgi import Scope, header
+from rcp_web.logins import shows_tls_cookie
 
 __all__ = ["is_same_origin", "own_origin"]
 
@@ -20,11 +21,15 @@ def is_same_origin(origin: str, host: bytes, *, secure: bool) -> bool:
 
 
 def own_origin(scope: Scope) -> str | None:
-    """Return the origin of a request by a page of the gateway; None if the browser does not say so."""
+    """Return the origin of a request by a page of the gateway; None if the browser does not say so.
+
+    Behind a proxy that adds TLS, a request with the cookie of a page on TLS came over TLS.
+    """
     origin, host = header(scope, b"origin"), header(scope, b"host")
     if origin is None or host is None:
         return None
     if header(scope, b"sec-fetch-site") not in (None, b"same-origin"):
         return None
     text = origin.decode("latin-1").lower()
-    return text if is_same_origin(text, host, secure=scope["scheme"] in _SECURE) else None
+    secure = scope["scheme"] in _SECURE or shows_tls_cookie(scope)
+    return text if is_same_origin(text, host, secure=secure) else None

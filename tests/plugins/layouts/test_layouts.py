@@ -217,3 +217,20 @@ class TestLayouts(FeatureSuite):
     @pytest.mark.xfail(reason="the built-in viewer may see layouts", strict=True)
     async def test_nothing_of_it_is_seen_without_a_right(self, gateway: FeatureGateway) -> None:
         await super().test_nothing_of_it_is_seen_without_a_right(gateway)
+
+
+async def test_no_version_comes_twice_so_that_no_save_undoes_a_new_layout_of_an_old_name(
+    tmp_path: Path,
+) -> None:
+    config = CONFIG + table("store", path=f"{tmp_path}/store.db")
+    async with served(config) as site:
+        alfred, anna = site.client(ALPHA), site.client(ALSO)
+        await shared(alfred, "save", content=NOTE)
+        await shared(anna, "remove", version=1)
+        made = (await shared(anna, "save", content=OTHER))["body"]
+        late = (await shared(alfred, "save", content=NOTE, version=1))["error"]
+        assert (late["code"], late["details"]["by"]) == ("precondition_failed", "anna")
+        await shared(anna, "remove", version=made["version"])
+    async with served(config) as site:
+        again = (await shared(site.client(ALSO), "save", content=OTHER))["body"]
+        assert again["version"] > made["version"]

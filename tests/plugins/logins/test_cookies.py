@@ -432,3 +432,41 @@ async def test_removing_a_key_from_the_configuration_ends_its_logins(gateway: Si
             assert (await ended(wire))[-1]["error"]["code"] == "token_expired"
             assert (await http.get(LIMIT)).status_code == 401
     kernel.reconfigure(before)
+
+
+async def test_logging_out_leaves_a_program_of_the_same_person_its_lease(
+    gateway: Site, http: httpx.AsyncClient
+) -> None:
+    await log_in(http)
+    assert (await http.put(LIMIT, json=1.5)).status_code == 200  # it is there before the program
+    headers = {"authorization": f"Bearer {KEY}"}
+    async with httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=BOUND) as program:
+        body: dict[str, Any] = {"do": "acquire", "scope": "/tenant/alpha"}
+        message = {"type": "execute", "path": "/system/leases", "body": body}
+        lease = (await program.post("/rcp/v1/messages", json=message)).json()
+        assert lease["status"] == "completed", lease
+        assert (await http.delete(LOGIN)).status_code == 200
+        (held,) = (await program.get("/rcp/v1/context/system/leases")).json()["body"]
+        assert held["lease"] == lease["body"]["lease"]
+        message["body"] = {"do": "release", "lease": lease["body"]["lease"]}
+        released = (await program.post("/rcp/v1/messages", json=message)).json()
+        assert released["status"] == "completed", released
+
+
+async def test_a_login_counts_against_the_quota_of_its_principal() -> None:
+    more = "\n[quotas]\n[roles.operator.quota]\nrequests = 0.001\nburst = 2\n"
+    async with site(more=more) as gateway, browser(gateway) as http:
+        told = [(await http.post(LOGIN, json={"token": KEY})).status_code for _ in range(3)]
+        assert told == [200, 200, 429]
+
+
+async def test_behind_a_proxy_a_page_in_plain_text_does_not_act_by_the_cookie_of_tls() -> None:
+    async with site(asgi='hosts = ["robot.example"]') as gateway:
+        headers = {"host": "robot.example", "origin": "https://robot.example"}
+        async with httpx.AsyncClient(base_url=gateway.url, headers=headers) as http:
+            told = (await http.post(LOGIN, json={"token": KEY})).headers["set-cookie"]
+            headers["cookie"] = told.partition(";")[0]
+            assert (await http.put(LIMIT, json=1.5, headers=headers)).status_code == 200
+            headers["origin"] = "http://robot.example"
+            assert (await http.put(LIMIT, json=2.0, headers=headers)).status_code == 403
+            assert (await http.delete(LOGIN, headers=headers)).status_code == 403

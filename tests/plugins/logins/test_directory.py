@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator
 from typing import Any
 
+import msgspec
 import pytest
 
 import rcp_logins
@@ -189,3 +190,19 @@ async def test_a_login_ends_with_its_lifetime_however_much_it_is_used(
     await names(served.client(ADMIN))
     assert service(served).find(login.secret) is None
     assert page.connection.expelled
+
+
+async def test_whose_rights_have_changed_is_judged_by_those_of_now(served: Served) -> None:
+    """`berta` acts in alpha now, and no longer in beta."""
+    begun(served, BETA)
+    head = served.client(HEAD)
+    assert await names(head) == []
+    kernel = served.server.kernel
+    before = kernel.settings.config
+    roles: dict[str, str | tuple[str, ...]] = {"alpha": "operator"}
+    keys = tuple(
+        msgspec.structs.replace(one, roles=roles) if one.name == "berta" else one
+        for one in before.keys
+    )
+    kernel.reconfigure(msgspec.structs.replace(before, keys=keys))
+    assert await names(head) == ["berta"]

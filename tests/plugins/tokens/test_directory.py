@@ -110,3 +110,13 @@ async def test_a_gateway_without_a_store_has_no_keys_to_revoke() -> None:
         assert (await admin.request("read", PATH))["body"] == []
         refused = await admin.request("execute", PATH, body={"revoke": "t-1"})
         assert refused["error"]["code"] == "unknown_path"
+
+
+async def test_a_key_for_no_tenant_is_for_those_of_all_tenants_to_revoke(tmp_path: Path) -> None:
+    keys = TokenFile(tmp_path / "store.db")
+    keys.create("none", (), None)
+    keys.close()
+    async with serving(tmp_path) as served:
+        (seen,) = (await served.client(ADMIN).request("read", PATH))["body"]
+        assert seen["principal"] == "none"
+        assert (await served.client(HEAD).request("read", PATH))["body"] == []

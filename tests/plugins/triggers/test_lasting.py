@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from issuer import issuing
-from plugins.triggers.gateway import Rig, gateway, webhook
+from plugins.triggers.gateway import OPERATOR, Rig, gateway, webhook
 from plugins.triggers.receiver import receiver
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.testing import MemoryClient
+from rcp_web.logins import LOGINS
 
 pytestmark = pytest.mark.anyio
 
@@ -74,3 +75,20 @@ async def _started(ran: list[Any]) -> bool:
 
 async def _unknown(rig: Rig) -> bool:
     return (await rig.on_robot()).get("outcome") == "unknown"
+
+
+async def test_one_made_in_a_browser_says_that_it_ends_with_the_login(tmp_path: Path) -> None:
+    async with gateway(store=tmp_path / "s.db") as rig:
+        api = rig.served.server.client_api
+        logins = api.service(LOGINS)
+        assert logins is not None
+        login = logins.begin(api.authenticate(OPERATOR), None, remember=True)
+        made = await rig.add(rig.client(login.secret), name="passing", alarm=True)
+        assert "logs out" in made["body"]["ends"]
+        assert "API key instead of the cookie" in made["body"]["ends"]
+        logins.end(login.secret)
+        await rig.eventually(lambda: _stopped(rig))
+
+
+async def _stopped(rig: Rig) -> bool:
+    return "no longer valid" in (await rig.row("passing")).get("stopped", "")

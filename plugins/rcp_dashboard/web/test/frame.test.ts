@@ -81,6 +81,18 @@ describe("a frame", () => {
     expect(told.filter((message) => message["error"]?.code === "rate_limited")).toHaveLength(5);
   });
 
+  it("cannot use up what its operator may ask of the gateway, by no kind of message", () => {
+    let asked = 0;
+    const { host: one, told } = host({ watch: () => (asked++, () => {}) });
+    for (let n = 0; n < 50; n++) {
+      one.take({ rcp: 1, type: "subscribe", name: "battery" });
+      one.take({ rcp: 1, type: "hello" });
+      one.take({ rcp: 1, type: "unsubscribe", name: "battery" });
+    }
+    expect(asked + told.filter(({ type }) => type === "init").length).toBe(20);
+    expect(told.filter((message) => message["error"]?.code === "rate_limited")).toHaveLength(50 - asked);
+  });
+
   it("is not heard where it speaks another language", () => {
     const { host: one, told } = host();
     for (const odd of [null, "hello", 5, [], { type: "hello" }, { rcp: 2, type: "hello" }, { rcp: 1, type: "token" }]) one.take(odd);

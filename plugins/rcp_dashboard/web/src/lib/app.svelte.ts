@@ -231,19 +231,28 @@ class App {
     return this.mayReset || (tenant !== undefined && this.#resets.has(tenant));
   }
 
-  /** Log in with a token; `remember` keeps the login when the browser is closed. The token is kept only where the gateway keeps no login. */
+  /**
+   * Log in with a token; `remember` keeps the login when the browser is closed. The token is kept only where the gateway keeps no login.
+   *
+   * Rejects with an `RcpError` where the gateway does not take it; who was logged in before still is.
+   */
   async logIn(token: string, remember: boolean): Promise<void> {
     const cookie = await beginLogin(BASE, token, remember);
     this.#change(cookie ? undefined : token, remember, cookie);
   }
 
-  /** Log out, in all tabs. */
+  /** Log out, in all tabs: of the token, and of the cookie, which another tab may have got unknown to this one. */
   async logOut(): Promise<void> {
     const token = this.token ?? undefined;
-    this.stillLoggedIn = token === undefined && this.#cookie && !(await endLogin(BASE));
-    if (this.stillLoggedIn) return;
-    if (token !== undefined || this.#cookie) this.#tabs.logOut(token);
-    this.#change(undefined);
+    if (token !== undefined) {
+      forget(TOKEN); // at once: it takes no answer of the gateway
+      this.#tabs.logOut(token);
+    }
+    const ended = await endLogin(BASE);
+    if (ended) this.#tabs.logOut();
+    const still = !ended && (this.#cookie || token === undefined);
+    if (!still || token !== undefined) this.#change(undefined, false, still);
+    this.stillLoggedIn = still;
   }
 
   #change(token: string | undefined, remember = false, cookie = false): void {

@@ -1,31 +1,47 @@
+import { ConnectionLost, RcpError } from "rcp-client";
+
 /** The login that the gateway keeps for this browser: a cookie that no script can read stands for it. */
 
 const PATIENCE = 15_000; // ms
+const NONE = [403, 404]; // where the gateway keeps no logins, or not for this page
+
+interface Answer {
+  status: number;
+  told: { principal?: string | null; durable?: boolean; error?: ConstructorParameters<typeof RcpError>[0] } | undefined;
+}
 
 /** Whether the browser has one that has not ended. */
 export async function isLoggedIn(base: string): Promise<boolean> {
-  const told = await ask(base, "GET");
-  return typeof told?.principal === "string"; // what else is wrong, the connection tells
+  const answer = await ask(base, "GET");
+  return typeof answer?.told?.principal === "string"; // what else is wrong, the connection tells
 }
 
-/** Begin one; return whether the gateway keeps it: not where a restart would log everybody out, nor over plain HTTP from afar. */
+/**
+ * Begin one; return whether the gateway keeps it: not where a restart would log everybody out, nor over plain HTTP from afar.
+ *
+ * Rejects with an `RcpError` where it refuses the token, or does not answer: then nothing is to be kept anywhere.
+ */
 export async function beginLogin(base: string, token: string, remember: boolean): Promise<boolean> {
-  if ((await ask(base, "GET"))?.durable !== true) return false;
-  return (await ask(base, "POST", JSON.stringify({ token, remember }))) !== undefined;
+  if ((await ask(base, "GET"))?.told?.durable === false) return false;
+  const answer = await ask(base, "POST", JSON.stringify({ token, remember }));
+  if (answer?.status === 200) return true;
+  if (answer && NONE.includes(answer.status)) return false;
+  if (answer?.told?.error) throw new RcpError(answer.told.error);
+  throw new ConnectionLost("no response from the gateway", "Try again.");
 }
 
-/** End it; return whether the gateway has: without that, the browser is still logged in. */
+/** End it, if there is one; return whether there is none now: without that, the browser is still logged in. */
 export async function endLogin(base: string): Promise<boolean> {
-  return (await ask(base, "DELETE")) !== undefined;
+  const answer = await ask(base, "DELETE");
+  return answer !== undefined && [200, ...NONE].includes(answer.status);
 }
 
-/** Return what the gateway answers; undefined if it refuses, or does not answer in time. */
-async function ask(base: string, method: string, body?: string): Promise<{ principal: string | null; durable: boolean } | undefined> {
+/** Return what the gateway answers; undefined if it does not answer in time. */
+async function ask(base: string, method: string, body?: string): Promise<Answer | undefined> {
   const headers = { "content-type": "application/json" };
   try {
     const answer = await fetch(`${base}/rcp/v1/login`, { method, ...(body !== undefined && { body }), headers, signal: AbortSignal.timeout(PATIENCE) });
-    const told = await answer.json();
-    return answer.ok ? told : undefined;
+    return { status: answer.status, told: await answer.json().catch(() => undefined) };
   } catch {
     return undefined;
   }

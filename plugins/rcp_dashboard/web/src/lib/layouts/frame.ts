@@ -28,6 +28,8 @@ export interface Means {
 
 const failure = (code: string, message: string, remedy?: string): Failure => ({ code, message, remedy });
 
+const TOO_MANY = failure("rate_limited", `a panel sends at most ${FASTEST} requests in a second`, "Send fewer.");
+
 /** Answers one frame: it knows names, never paths, and has no token. */
 export class FrameHost {
   readonly #means: Means;
@@ -45,12 +47,11 @@ export class FrameHost {
     const name = String(message["name"] ?? "");
     switch (message["type"]) {
       case "hello":
-        return this.tell();
+        return this.#takeOne() ? this.tell() : undefined;
       case "subscribe":
         return this.#subscribe(name, Number(message["rate"] ?? USUAL));
       case "unsubscribe":
-        this.#stops.get(name)?.();
-        return void this.#stops.delete(name);
+        return this.#unsubscribe(name); // not counted: there is one for a subscription at most
       case "read":
         return void this.#answer(message["id"], () => this.#read(name));
       case "write":
@@ -72,10 +73,25 @@ export class FrameHost {
     this.#means.post({ rcp: VERSION, ...message });
   }
 
-  #subscribe(name: string, rate: number): void {
-    const path = this.#means.reads(name);
-    if (path === undefined) return this.#post({ type: "ended", name, error: this.#unknown(name) });
+  /** Count a message; false if it is one too many: each costs the person at the page a part of what the gateway lets it ask. */
+  #takeOne(): boolean {
+    const now = this.#means.now();
+    this.#times = this.#times.filter((one) => one > now - 1000);
+    if (this.#times.length >= FASTEST) return false;
+    this.#times.push(now);
+    return true;
+  }
+
+  #unsubscribe(name: string): void {
     this.#stops.get(name)?.();
+    this.#stops.delete(name);
+  }
+
+  #subscribe(name: string, rate: number): void {
+    this.#unsubscribe(name);
+    const path = this.#means.reads(name);
+    if (!this.#takeOne()) return this.#post({ type: "ended", name, error: TOO_MANY });
+    if (path === undefined) return this.#post({ type: "ended", name, error: this.#unknown(name) });
     const wanted = rate > 0 ? Math.min(rate, FASTEST) : USUAL;
     this.#stops.set(name, this.#means.watch(path, wanted, ({ body, timestamp, seq }) => this.#post({ type: "update", name, value: body, timestamp, seq })));
   }
@@ -94,10 +110,7 @@ export class FrameHost {
 
   async #answer(id: unknown, work: () => Promise<Record<string, unknown>>): Promise<void> {
     try {
-      const now = this.#means.now();
-      this.#times = this.#times.filter((one) => one > now - 1000);
-      if (this.#times.length >= FASTEST) throw failure("rate_limited", `a panel sends at most ${FASTEST} requests in a second`, "Send fewer.");
-      this.#times.push(now);
+      if (!this.#takeOne()) throw TOO_MANY;
       this.#post({ type: "reply", id, ...(await work()) });
     } catch (problem) {
       const { code, message, remedy } = problem as Failure;
