@@ -11,7 +11,7 @@ import msgspec
 import structlog
 
 from rcp_kernel.access.authenticator import Authenticator
-from rcp_kernel.contract.identity import Principal, fingerprint, same
+from rcp_kernel.contract.identity import Principal, fingerprint, same_rights
 from rcp_kernel.errors import Forbidden, QueueFull, Unauthenticated
 from rcp_kernel.features import FeatureHost
 from rcp_logins.config import LoginsConfig
@@ -125,7 +125,7 @@ class LoginAuthenticator(Authenticator):
         return NewLogin(secret, max(1, (expires - now) // _S), expires)
 
     def _make_room(self, principal: Principal) -> None:
-        own = [one for one in self._logins.values() if same(one.principal, principal)]
+        own = [one for one in self._logins.values() if same_rights(one.principal, principal)]
         if len(own) >= self._config.per_person:
             self.close(min(own, key=lambda one: one.used), "replaced")
         elif len(self._logins) >= self._config.most:

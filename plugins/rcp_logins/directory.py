@@ -8,7 +8,7 @@ from typing import Any
 from msgspec import to_builtins
 
 from rcp_kernel.clock import iso
-from rcp_kernel.contract.identity import Principal, same
+from rcp_kernel.contract.identity import Principal, same_rights
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.features.choice import chosen
@@ -109,7 +109,7 @@ class LoginDirectory:
 
 def _may_end(session: Session, other: Principal) -> bool:
     """Tell whether somebody may end what another has: own, or in every tenant in which that acts."""
-    if same(session.principal, other) and not other.anonymous:
+    if same_rights(session.principal, other) and not other.anonymous:
         return True
     places = session.rights.places(_SESSIONS, Operation.EXECUTE)
     return "*" in places or (bool(other.tenants) and set(other.tenants) <= set(places))

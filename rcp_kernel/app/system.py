@@ -12,7 +12,7 @@ import msgspec
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.status import StatusReport
-from rcp_kernel.contract.identity import Principal, same
+from rcp_kernel.contract.identity import same_rights
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.features import Filter, Pages, Service, SystemResource, View
@@ -267,7 +267,7 @@ class System(BaseBackend):
             s.plain() | ({} if may_end else hidden)
             for s in known
             if (may_end := "*" in places or s.tenant in places)
-            or _own(s.principal, session.principal)
+            or same_rights(s.principal, session.principal)
         ]
 
     def _list_commands(self, session: Session) -> Iterator[Body | None]:
@@ -276,11 +276,6 @@ class System(BaseBackend):
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Never called: these resources are executed before."""
         raise UnknownPath(f"{name} cannot be executed")
-
-
-def _own(one: Principal, other: Principal) -> bool:
-    """Tell whether two are one person with the same rights: a name may be given again in another tenant."""
-    return same(one, other) and one.grants == other.grants
 
 
 def _resources() -> list[Resource]:

@@ -102,6 +102,11 @@ def same(one: Principal, other: Principal) -> bool:
     return one.name == other.name and _voucher(one) == _voucher(other)
 
 
+def same_rights(one: Principal, other: Principal) -> bool:
+    """Tell whether two proofs are of one person with the same roles: a name may be given again in another tenant."""
+    return same(one, other) and one.grants == other.grants
+
+
 def _voucher(principal: Principal) -> str:
     return "house" if principal.proof in HOUSE else principal.proof
 
