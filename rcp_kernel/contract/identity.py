@@ -19,6 +19,7 @@ __all__ = [
     "fingerprint",
     "granted",
     "same",
+    "same_rights",
 ]
 
 HOUSE = ("key", "token", "certificate")
