@@ -39,7 +39,7 @@ expected-statuses = ["2xx", "3xx", 401, 403, 404, 409, 423, 429, 499, "5xx"]
 expected-statuses = [400, 401, 403, 404, 405, 409, 413, 422, 423, 429, "5xx"]
 
 [[operations]]
-include-path-regex = "/rcp/v1/(commands|discovery|messages|context/.pattern.|context/system/(leases|logins|places))$"
+include-path-regex = "/rcp/v1/(commands|discovery|messages|context/.pattern.|context/system/(layouts|leases|logins|places|shared_layouts))$"
 checks.positive_data_acceptance.expected-statuses = ["2xx", "3xx", 400, 401, 403, 404, 405, 409, 422, 423, 429, 499, "5xx"]
 
 [[operations]]
