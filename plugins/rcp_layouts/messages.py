@@ -33,8 +33,8 @@ class Entry(Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Layout(Entry, frozen=True, kw_only=True, omit_defaults=True):
     """A layout with its content."""
 
-    content: Content
-    """Whatever the page keeps; the gateway does not interpret it."""
+    content: Content | None = None
+    """Whatever the page keeps; the gateway does not interpret it. Absent in the response to `save`."""
 
 
 class OwnRequest(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
