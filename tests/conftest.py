@@ -20,7 +20,7 @@ from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import settings
 
 import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
-from failures import LISTED, Failure, failure, note
+from failures import LISTED, Failure, failure, keep, note
 from pairs import left_out
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.testing import SteppedClock, SteppedLoop
@@ -119,9 +119,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Cut lines that nobody could read."""
     report = yield
+    keep(item, report)
     for entry in getattr(getattr(report.longrepr, "reprtraceback", None), "reprentries", ()):
         entry.lines = [line if len(line) <= _LINE else line[:_LINE] + " …" for line in entry.lines]
     return report

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["LISTED", "Failure", "failure", "note", "read"]
+__all__ = ["LISTED", "Failure", "failed", "failure", "keep", "note", "read"]
 
 LISTED = "RCP_FAILURES"
 """The variable of the environment that names the file."""
+
+_FAILED = pytest.StashKey[bool]()
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,16 @@ def failure(report: pytest.TestReport | pytest.CollectReport) -> Failure:
     crash = getattr(report.longrepr, "reprcrash", None)
     text = crash.message if crash else str(report.longrepr).strip().rpartition("\n")[2]
     return Failure(report.nodeid, " ".join(text.split()))
+
+
+def keep(item: pytest.Item, report: pytest.TestReport) -> None:
+    """Keep for the fixtures of a test whether it failed."""
+    item.stash[_FAILED] = report.failed or failed(item)
+
+
+def failed(item: pytest.Item) -> bool:
+    """Tell a fixture, in its own end, whether its test failed."""
+    return item.stash.get(_FAILED, False)
 
 
 def note(found: Failure, file: Path) -> None:

@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -25,6 +26,7 @@ from rcp_ros2.backend import Ros2Backend
 BOUND = 60.0  # s that any wait of a test may take: discovery on a busy machine takes long
 _DOMAINS = (*range(1, 101), *range(215, 232))
 """Those whose ports the system gives to nobody by itself."""
+_UNMAPPED = 10.0  # s within which a process on a busy machine has mapped what it has made
 
 
 def fresh_domain() -> int:
@@ -49,17 +51,27 @@ def fresh_domain() -> int:
 def _clear() -> None:
     """Remove the shared memory of killed processes: Fast DDS may wait for ever in front of it.
 
-    Some of it, such as port 7000, is shared by the processes of all domains.
+    Some of it, such as port 7000, is shared by the processes of all domains. What somebody has made
+    just now may not be mapped yet: without what is shared with it, it would be heard by nobody.
     """
+    recent = time.time() - _UNMAPPED
+    found = [file for file in Path("/dev/shm").glob("*fastdds_*") if _made(file) < recent]
     maps = ""
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             maps += process.joinpath("maps").read_text()
     used = set(re.findall(r"/dev/shm/(\S*fastdds_\S+)", maps))
-    for file in Path("/dev/shm").glob("*fastdds_*"):
+    for file in found:
         segment = file.name.removeprefix("sem.").removesuffix("_mutex").removesuffix("_el")
         if used.isdisjoint((segment, f"sem.{segment}_mutex")):
             file.unlink(missing_ok=True)
+
+
+def _made(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except FileNotFoundError:
+        return time.time()
 
 
 class Robot:

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from backends.ros2.robot import BOUND, Base, Commander, Robot, fresh_domain, ignore, robot_of
+from failures import failed
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, EstopActive
 
@@ -38,13 +39,34 @@ async def until(holds: Callable[[], Any], seconds: float = BOUND) -> None:
             await asyncio.sleep(0.02)
 
 
+def _parties() -> tuple[int, Base, Commander]:
+    domain = fresh_domain()
+    return domain, Base(domain), Commander(domain)
+
+
 class Rig:
     """The base, the commander, and the domain they share."""
 
-    def __init__(self, domain: int, base: Base, commander: Commander) -> None:
-        self.domain = domain
-        self.base = base
-        self.commander = commander
+    def __init__(self) -> None:
+        self.domain, self.base, self.commander = _parties()
+
+    def start(self) -> None:
+        self.base.start()
+        self.commander.start()
+
+    def stop(self) -> None:
+        self.commander.stop()
+        self.base.stop()
+
+    def renew(self) -> None:
+        self.commander.tell("rest")
+        self.base.tell("renew")
+
+    def replace(self) -> None:
+        """Begin again elsewhere: what one test left wrong fails no other."""
+        self.stop()
+        self.domain, self.base, self.commander = _parties()
+        self.start()
 
     @property
     def truth(self) -> dict[str, Any]:
@@ -65,21 +87,20 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def module_rig() -> Iterator[Rig]:
-    domain = fresh_domain()
-    base, commander = Base(domain), Commander(domain)
-    base.start()
-    commander.start()
-    yield Rig(domain, base, commander)
-    commander.stop()
-    base.stop()
+    rig = Rig()
+    rig.start()
+    yield rig
+    rig.stop()
 
 
 @pytest.fixture
-def rig(module_rig: Rig) -> Iterator[Rig]:
+def rig(module_rig: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
     """The base at rest, with nobody commanding it."""
     yield module_rig
-    module_rig.commander.tell("rest")
-    module_rig.base.tell("renew")
+    if failed(request.node):
+        module_rig.replace()
+    else:
+        module_rig.renew()
 
 
 @asynccontextmanager
@@ -179,23 +200,20 @@ async def test_goals_of_others_are_cancelled_also_those_that_come_under_the_latc
 
 
 async def test_a_server_that_is_killed_and_comes_back_gets_the_stop_before_anything_else() -> None:
-    domain = fresh_domain()
-    base, commander = Base(domain), Commander(domain)
-    base.start()
-    commander.start()
-    rig = Rig(domain, base, commander)
+    rig = Rig()
+    rig.start()
     try:
         async with gateway(rig) as robot:
             rig.commander.tell("drive", rate=20, speed=0.5)
             await rig.drives()
             robot.latched.add(None)
             await confirmed(robot)
-            base.kill()
+            rig.base.kill()
             with pytest.raises((AdapterUnavailable, DeviceTimeout)):
                 await asyncio.wait_for(robot.backend.halt(), BOUND)
             assert robot.backend.motion(None).at_rest is None
             robot.restored.clear()
-            base.start()
+            rig.base.start()
             await robot.until(lambda: robot.restored)
             assert rig.commander.tell("go", steps=400)
             # It may be cancelled before it has begun.
@@ -203,8 +221,7 @@ async def test_a_server_that_is_killed_and_comes_back_gets_the_stop_before_anyth
             await confirmed(robot)
             assert await rig.rests() < SLIP
     finally:
-        commander.stop()
-        base.stop()
+        rig.stop()
 
 
 async def test_two_of_three_stop_messages_may_be_lost(rig: Rig) -> None:
@@ -310,23 +327,20 @@ async def test_a_robot_that_is_not_there_is_not_known_to_be_at_rest() -> None:
 
 
 async def test_a_robot_that_comes_under_a_latch_is_stopped_as_soon_as_it_is_there() -> None:
-    domain = fresh_domain()
-    base, commander = Base(domain), Commander(domain)
-    commander.start()
-    rig = Rig(domain, base, commander)
+    rig = Rig()
+    rig.commander.start()
     try:
-        async with robot_of(domain, map=MAP, expose=EXPOSE) as robot:
+        async with robot_of(rig.domain, map=MAP, expose=EXPOSE) as robot:
             robot.latched.add(None)
             with pytest.raises(AdapterUnavailable):
                 await robot.backend.halt()
-            base.start()
+            rig.base.start()
             await rig.until(lambda t: t["heard"] > 0)
             rig.commander.tell("drive", rate=20, speed=0.5)
             await confirmed(robot)
             assert await rig.rests() < SLIP
     finally:
-        base.stop()
-        commander.stop()
+        rig.stop()
 
 
 class Unit:
