@@ -6,7 +6,7 @@ import asyncio
 import math
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
@@ -17,7 +17,6 @@ from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceTimeout,
     PreconditionFailed,
-    RcpError,
     UnsupportedOperation,
 )
 from rcp_kernel.model import Resource
@@ -26,9 +25,7 @@ from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.camera_controls import CameraControls
 from rcp_mavlink.cameras import Cameras
-from rcp_mavlink.clock import Clock
 from rcp_mavlink.commands import Command, Commands
-from rcp_mavlink.derived import Derived, DerivedFrame, deriveds
 from rcp_mavlink.described import Described
 from rcp_mavlink.direct_commands import DirectCommands
 from rcp_mavlink.equipment import Equipment
@@ -54,11 +51,12 @@ from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.recovery import Recovery
 from rcp_mavlink.resources import parameter, resources
 from rcp_mavlink.restart import watched
-from rcp_mavlink.sensors import BASE, ESTIMATOR, sensors
+from rcp_mavlink.sensors import BASE, ESTIMATOR
 from rcp_mavlink.setpoints import Setpoints
 from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.stop import Stop
 from rcp_mavlink.stop_plan import GuardPlan
+from rcp_mavlink.telemetry import TIMED, Telemetry
 from rcp_mavlink.telemetry_events import TelemetryEvents
 from rcp_mavlink.vehicle import Vehicle
 from rcp_mavlink.watchdogs import Watchdogs
@@ -68,12 +66,6 @@ __all__ = ["Robot"]
 _RETRY_AFTER = 3.0  # s without a required message
 _GLOBAL = 33
 _REBOOTED = 10.0  # s by which the vehicle's clock must have gone back
-_TIMES = (2, 111)
-"""Messages with the vehicle's time: SYSTEM_TIME, TIMESYNC."""
-_TIMED_AT_FIRST, _TIMED = (
-    5,
-    10,
-)  # polls: the time is requested at each of the first, then at every so many
 _FIRST_POSITION = 3.0  # s
 _ALLOWED_BLIND = ("action/land", "action/rtl", "action/return_home")
 _RESTING = 5.0  # s to come to rest before the motors are stopped
@@ -114,27 +106,13 @@ class Robot:
         self.recovery = Recovery(vehicle, self.motion, self.stop)
         self.watchdogs = Watchdogs(vehicle, config, self.parameters, self.scope)
         self.guard = GuardPlan(hub, vehicle, host, self.stop, self.scope)
-        self._sensors = {
-            sensor.name: sensor
-            for sensor in sensors(hub.dialect, config.messages, px4=vehicle.family.px4)
-        }
-        self._deriveds = {one.name: one for one in deriveds(hub.dialect)}
-        self._watched: dict[str, int] = {}
-        """Number of subscribers by message name."""
-        self._paths: dict[int, list[tuple[str, bool]]] = {}
-        for sensor in self._sensors.values():
-            number = hub.dialect.by_name[sensor.message].id
-            self._paths.setdefault(number, []).append((self.name(sensor.name), sensor.live))
-        self._derived_paths: dict[int, list[tuple[str, Derived]]] = {}
-        for one in self._deriveds.values():
-            number = hub.dialect.by_name[one.messages[0]].id
-            self._derived_paths.setdefault(number, []).append((self.name(one.name), one))
+        self.telemetry = Telemetry(
+            hub, vehicle, self.intervals, host, name=self.name, start=self._start
+        )
         self._declared: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
         self._booted = 0  # ms, the last reported time since boot
-        self._clock = Clock()
-        self._polls = 0
         self._home: tuple[float, float, float] | None = None
         """The home that the gateway knows as the origin of the map."""
         self.telemetry_events = TelemetryEvents(
@@ -142,7 +120,7 @@ class Robot:
         )
         self._heeded: dict[int, Callable[[Frame], None]] = {
             **dict.fromkeys(TelemetryEvents.heeded, self.telemetry_events.frame),
-            **dict.fromkeys(_TIMES, self._timed),
+            **dict.fromkeys(TIMED, self.telemetry.timed),
             0: self._heartbeat,
             22: self.parameters.take,  # PARAM_VALUE
             32: self._positioned,  # LOCAL_POSITION_NED
@@ -226,7 +204,7 @@ class Robot:
 
     def begin(self) -> None:
         """Declare its resources; request its messages and parameters."""
-        sensors, derived = list(self._sensors.values()), list(self._deriveds.values())
+        sensors, derived = self.telemetry.sensors, self.telemetry.deriveds
         self._declare(resources(self._hub, self.vehicle, sensors, derived, self.scope))
         if self._hub.config.forward:
             self._declare(
@@ -237,7 +215,7 @@ class Robot:
         self.vehicle.on_text.append(self.telemetry_events.text)
         self.telemetry_events.begin()
         self.intervals.begin()
-        self._request_time()
+        self.telemetry.request_time()
         self._request_once()
         self._start(self._list_parameters())
 
@@ -251,7 +229,7 @@ class Robot:
     def _request_once(self) -> None:
         """Request what is not sent periodically, without waiting for it."""
         for message in ("AUTOPILOT_VERSION", "HOME_POSITION"):
-            self._start(self._first(message))
+            self._start(self.telemetry.first(message))
 
     def _describe(self, _: Frame | None = None) -> None:
         """Tell what it is, as far as it has said."""
@@ -293,42 +271,14 @@ class Robot:
             self._host.publish(full, value)
 
     def _frame(self, frame: Frame) -> None:
-        number = frame.definition.id
-        paths = self._paths.get(number)
-        if paths is not None:
-            watched, at = frame.definition.name in self._watched, self._clock.of(frame)
-            for name, live in paths:
-                if live or watched:
-                    self._host.publish(name, frame, at)
-        if number in self._derived_paths:
-            self._derive(frame)
-        heed = self._heeded.get(number)
+        self.telemetry.frame(frame)
+        heed = self._heeded.get(frame.definition.id)
         if heed is not None:
             heed(frame)
-
-    def _derive(self, frame: Frame) -> None:
-        """Publish what is made of a message and the latest of others."""
-        latest, watched = self.vehicle.latest, frame.definition.name in self._watched
-        for name, one in self._derived_paths[frame.definition.id]:
-            if (one.live or watched) and latest.keys() >= set(one.messages):
-                at = self._clock.of(frame)
-                self._host.publish(name, DerivedFrame(one, latest, at), at)
 
     def _heartbeat(self, frame: Frame) -> None:
         self.telemetry_events.frame(frame)
         self.guard.renew()
-
-    def _timed(self, frame: Frame) -> None:
-        f = frame.fields()
-        if "tc1" in f:
-            self._clock.on_reply(f["tc1"], f["ts1"])
-        else:
-            self._clock.on_system_time(f["time_unix_usec"], f["time_boot_ms"])
-
-    def _request_time(self) -> None:
-        module = self._hub.dialect.module
-        if "TIMESYNC" in self._hub.dialect.by_name and not self.vehicle.lost:
-            self._hub.send(self.vehicle, module.MAVLink_timesync_message(0, self._clock.request()))
 
     def _positioned(self, frame: Frame) -> None:
         self.measurement.take_position()
@@ -349,7 +299,7 @@ class Robot:
         clock = int.from_bytes(frame.payload[:4], "little")
         if clock + _REBOOTED * 1000 < self._booted:
             self.telemetry_events.boot()
-            self._clock.forget()
+            self.telemetry.forget_time()
             self.intervals.begin()
             self._request_once()  # it may have other firmware
         self._booted = clock
@@ -367,9 +317,7 @@ class Robot:
         self._equipment.keep_ending()
         self.telemetry_events.links()
         self.guard.renew()
-        if self._polls < _TIMED_AT_FIRST or self._polls % _TIMED == 0:
-            self._request_time()
-        self._polls += 1
+        self.telemetry.poll()
 
     def _run_prearm_checks(self) -> None:
         self._commands.send_once(Command(401))
@@ -493,16 +441,9 @@ class Robot:
 
     async def read(self, name: str) -> Any:
         """Return the present value of one of its own paths."""
-        vehicle = self.vehicle
-        vehicle.check()
-        sensor, derived = self._sensors.get(name), self._deriveds.get(name)
-        if sensor is not None:
-            await self._fresh((sensor.message,))
-            return vehicle.latest[sensor.message].decode()
-        if derived is not None:
-            await self._fresh(derived.messages)
-            at = self._clock.of(vehicle.latest[derived.messages[0]])
-            return DerivedFrame(derived, vehicle.latest, at).decode()
+        self.vehicle.check()
+        if self.telemetry.has(name):
+            return await self.telemetry.read(name)
         if name == "param/speed_limit":
             return await self.speed_limit.read()
         if name.startswith("param/"):
@@ -513,22 +454,6 @@ class Robot:
         if value is None:
             raise AdapterUnavailable(f"no value for '{name}' received yet")
         return value
-
-    async def _fresh(self, messages: tuple[str, ...]) -> None:
-        """Have the vehicle send messages now.
-
-        :raises DeviceTimeout: one does not come.
-        """
-        since = time.monotonic()
-        for message in messages:
-            await self.intervals.request(message)
-        for message in messages:
-            fresh = await self.vehicle.until(
-                lambda message=message: self.vehicle.received_at.get(message, 0.0) >= since,
-                self._hub.config.timeout,
-            )
-            if not fresh:
-                raise DeviceTimeout(f"the vehicle did not send {message}")
 
     async def write(self, name: str, value: Any) -> Any:
         """Apply a value."""
@@ -584,37 +509,12 @@ class Robot:
         """Request a message at a rate while entered."""
         if name == FRAMES:
             return self._tapped()
-        return self._watch(name, FASTEST if rate is None else min(rate, FASTEST))
+        return self.telemetry.watched(name, FASTEST if rate is None else min(rate, FASTEST))
 
     @asynccontextmanager
     async def _tapped(self) -> AsyncGenerator[None]:
         with self._forwarding.watched(self._publish):
             yield
-
-    @asynccontextmanager
-    async def _watch(self, name: str, rate: float) -> AsyncGenerator[None]:
-        sensor, derived = self._sensors.get(name), self._deriveds.get(name)
-        messages = () if derived is None else derived.messages
-        if sensor is not None:
-            messages = (sensor.message,)
-        unwants: list[Callable[[], None]] = []
-        for message in messages:
-            self._watched[message] = self._watched.get(message, 0) + 1
-            unwants.append(self.intervals.want(message, rate))
-            self._start(self._first(message))
-        try:
-            yield
-        finally:
-            for message, unwant in zip(messages, unwants, strict=True):
-                unwant()
-                self._watched[message] -= 1
-                if not self._watched[message]:
-                    del self._watched[message]
-
-    async def _first(self, message: str) -> None:
-        """Request the first value at once, for messages that are rare."""
-        with suppress(RcpError):
-            await self.intervals.request(message)
 
     def stop_if_latched(self) -> None:
         """Send the stop first of all if the vehicle is latched, even while it is lost."""
