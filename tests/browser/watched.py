@@ -40,8 +40,9 @@ class Watched:
         self.url = url.rstrip("/")
         self.complaints: list[str] = []
         self.strays: list[str] = []
-        self.expected: list[str] = ["GL Driver Message"]
-        """Regular expressions of complaints that belong to the test, and of drawing in software."""
+        self.expected: list[str] = ["GL Driver Message", "closed before the connection is est"]
+        """Regular expressions of complaints that belong to the test, of drawing in software, and of a
+        login that overtakes the connection which is being opened without it."""
         page.on("console", self._console)
         page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
         page.on("request", self._request)
