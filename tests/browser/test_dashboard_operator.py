@@ -217,6 +217,7 @@ async def test_words_find_what_to_plot(tab: Watched) -> None:
     page = tab.page
     await tab.open("plot")
     await page.get_by_label("Path").fill("alpha battery")
+    await expect(page.locator(".found button").first).to_be_visible()
     await page.get_by_label("Path").press("Enter")
     await expect(page.get_by_label("Path")).to_have_value(f"{ALPHA}/sensor/battery")
     await page.get_by_role("button", name="voltage", exact=True).click()
