@@ -95,7 +95,7 @@ def test_the_core_is_small_and_so_is_what_it_brings(programs: Path) -> None:
     rows = (line.split() for line in said(programs, "python", "-c", _SIZES).splitlines())
     sizes = {name: int(size) for name, size in rows if name not in ("pip", "setuptools")}
     assert sizes["rcp-gateway"] + sizes["rcp-client"] < 15e6  # bytes; 8 MB today
-    assert sum(sizes.values()) < 130e6  # 115 MB today: cryptography, uvloop, zstandard, Faker
+    assert sum(sizes.values()) < 105e6  # 93 MB today: cryptography, uvloop, Faker, CEL
 
 
 def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Path) -> None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 import zlib
 
-import zstandard
-
 from rcp_http.negotiate import Coding
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 __all__ = ["compress"]
 
@@ -27,8 +31,8 @@ async def compress(data: bytes, how: Coding) -> bytes:
 def _compress(data: bytes, how: Coding) -> bytes:
     if how == "gzip":
         return zlib.compress(data, 1, _GZIP)
-    compressor: zstandard.ZstdCompressor | None = getattr(_local, "zstd", None)
+    compressor: zstd.ZstdCompressor | None = getattr(_local, "zstd", None)
     if compressor is None:
         # The context must not be used by two threads at once.
-        compressor = _local.zstd = zstandard.ZstdCompressor(level=1)
-    return compressor.compress(data)
+        compressor = _local.zstd = zstd.ZstdCompressor(level=1)
+    return compressor.compress(data, zstd.ZstdCompressor.FLUSH_FRAME)
