@@ -203,7 +203,7 @@ async def test_pages_show_a_moment_in_the_past_and_the_present_again(
         await expect(page).to_have_url(re.compile("at=.*robot="))
         await tab.open(f"explore?at={between}&path={SPEED}")
         await expect(page.get_by_test_id("value")).to_contain_text("1")
-        await tab.open(f"plot?at={between}&p={SPEED}%23&span=10")
+        await tab.open(f"plot?at={between}&p={SPEED}%23&span=300")
         await expect(page.get_by_test_id("shown")).to_contain_text("1.0000")
         await back_to_live(page)
         await expect(page.get_by_test_id("shown")).to_contain_text("2.0000")
