@@ -14,6 +14,8 @@ from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.compass_calibration import CompassCalibration
 from rcp_mavlink.intervals import Intervals
 from rcp_mavlink.motion import Motion
+from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.radio_calibration import RadioCalibration
 from rcp_mavlink.text_calibration import TextCalibration
 from rcp_mavlink.vehicle import Vehicle
 
@@ -32,18 +34,24 @@ class Calibration:
     """The sensors of one vehicle."""
 
     def __init__(
-        self, vehicle: Vehicle, commands: Commands, intervals: Intervals, motion: Motion
+        self,
+        vehicle: Vehicle,
+        commands: Commands,
+        intervals: Intervals,
+        motion: Motion,
+        parameters: Parameters,
     ) -> None:
         self._vehicle, self._commands = vehicle, commands
         self._compass = CompassCalibration(vehicle, commands, intervals, motion)
         self._accelerometer = AccelerometerCalibration(vehicle, commands)
+        self._radio = RadioCalibration(vehicle, intervals, parameters)
         self._texts = TextCalibration(vehicle, commands, motion)
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path."""
         return {
             "action/calibrate": self.calibrate,
-            "service/calibrate/continue": self._accelerometer.proceed,
+            "service/calibrate/continue": self._proceed,
         }
 
     async def calibrate(self, given: m.Calibrate | None, progress: Progress) -> m.Calibrated:
@@ -56,6 +64,8 @@ class Calibration:
             raise PreconditionFailed(
                 "calibrate: the vehicle is armed", remedy="Land it and disarm it first."
             )
+        if what == "radio":
+            return await self._radio.run(progress)
         if self._vehicle.family.px4:
             return await self._texts.run(what, progress)
         match what:
@@ -65,6 +75,11 @@ class Calibration:
                 return await self._accelerometer.run(progress)
             case _:
                 return await self._acknowledged(what, progress)
+
+    async def _proceed(self, _: None, progress: Progress) -> m.Calibrating:
+        if self._radio.waits:
+            return self._radio.proceed()
+        return await self._accelerometer.proceed(None, progress)
 
     async def _acknowledged(self, what: str, progress: Progress) -> m.Calibrated:
         since = time.monotonic()

@@ -8,6 +8,8 @@ from typing import Any
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import MotionState, Progress
 from rcp_mavlink.commands import Commands
+from rcp_mavlink.corrections import CORRECTIONS, Corrections
+from rcp_mavlink.flight_statistics import FlightStatistics
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import Intervals
@@ -53,10 +55,12 @@ class Equipment:
         self._motors = MotorTests(vehicle, commands, intervals, motion)
         self._ongoing = (self._winches.ongoing, self._motors.ongoing)
         self._sticks = Sticks(hub, vehicle, motion)
+        self._statistics = FlightStatistics(vehicle, parameters)
         self.writes: dict[str, Callable[[Any], Awaitable[None]]] = {
             "actuator/position": PositionTargets(hub, vehicle, setpoints, parameters).write,
             "actuator/sticks": self._sticks.positions,
             "actuator/rc": self._sticks.pulses,
+            CORRECTIONS: Corrections(hub, vehicle).write,
         }
         """The handler of each path that is written."""
 
@@ -68,6 +72,7 @@ class Equipment:
             **self._payloads.verbs(),
             **self._winches.verbs(),
             **self._motors.verbs(),
+            "service/flight_statistics": self._statistics.read,
         }
 
     def leading(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
@@ -85,6 +90,8 @@ class Equipment:
             *Winches.resources(),
             *MotorTests.resources(),
             *PositionTargets.resources(family.led),
+            *Corrections.resources(),
+            *FlightStatistics.resources(),
         ]
         return found + (Sticks.resources(family) if sticks else [])
 

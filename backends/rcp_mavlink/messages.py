@@ -140,10 +140,10 @@ class Calibrate(Struct, frozen=True, forbid_unknown_fields=True):
     """The sensor to calibrate; the vehicle must be still and level."""
 
     what: Literal[
-        "gyro", "barometer", "level", "accelerometer", "accelerometer_full", "compass"
+        "gyro", "barometer", "level", "accelerometer", "accelerometer_full", "compass", "radio"
     ] = "gyro"
     """`accelerometer` only measures it level; `accelerometer_full` takes six positions, and for
-    `compass` the vehicle has to be turned."""
+    `compass` the vehicle has to be turned; for `radio` the sticks of the remote control are moved."""
 
 
 class Calibrating(Struct, frozen=True):

@@ -33,6 +33,7 @@ from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
 from rcp_mavlink.sensors import Sensor
+from rcp_mavlink.traffic import Traffic
 from rcp_mavlink.vehicle import Vehicle
 from rcp_profiles import Offer
 
@@ -95,6 +96,7 @@ def resources(
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
     found += CameraControls.resources()
+    found += Traffic.resources(hub.dialect)
     found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()
@@ -194,7 +196,7 @@ def _services() -> list[Resource]:
         Resource(name="service/log/read", meta=READS, description="Return a part of an on-board log, at most 1 MiB.", input=LogRange, output=LogPiece, timeout=600),
         Resource(name="service/param/read", meta=READS, description="Read any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
         Resource(name="service/param/save", description="Save the parameters permanently on the vehicle."),
-        Resource(name="service/calibrate/continue", description="Tell a calibration with `accelerometer_full` that the vehicle is in the position that it waits for (ArduPilot; PX4 sees it itself).", output=m.Calibrating),
+        Resource(name="service/calibrate/continue", description="Tell a calibration with `accelerometer_full` or `radio` that what it asked for is done (ArduPilot; PX4 sees positions itself).", output=m.Calibrating),
         Resource(name="service/reboot", description="Reboot the autopilot; refused while armed.", timeout=90),
     ]  # fmt: skip
 

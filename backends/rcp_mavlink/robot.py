@@ -58,6 +58,7 @@ from rcp_mavlink.stop import Stop
 from rcp_mavlink.stop_plan import GuardPlan
 from rcp_mavlink.telemetry import TIMED, Telemetry
 from rcp_mavlink.telemetry_events import TelemetryEvents
+from rcp_mavlink.traffic import TRAFFIC, Traffic
 from rcp_mavlink.vehicle import Vehicle
 from rcp_mavlink.watchdogs import Watchdogs
 
@@ -84,6 +85,7 @@ class Robot:
         config = hub.config
         self._commands = Commands(hub, vehicle)
         base = {name: config.rate if "POSITION" in name else min(2.0, config.rate) for name in BASE}
+        base |= Traffic.base(hub.dialect)
         if ESTIMATOR in hub.dialect.by_name and not vehicle.family.px4:
             base[ESTIMATOR] = min(2.0, config.rate)
         self.intervals = Intervals(vehicle, self._commands, base)
@@ -118,8 +120,10 @@ class Robot:
         self.telemetry_events = TelemetryEvents(
             hub, vehicle, self._publish, self._run_prearm_checks
         )
+        self.traffic = Traffic(self._publish)
         self._heeded: dict[int, Callable[[Frame], None]] = {
             **dict.fromkeys(TelemetryEvents.heeded, self.telemetry_events.frame),
+            **dict.fromkeys(Traffic.heeded, self.traffic.frame),
             **dict.fromkeys(TIMED, self.telemetry.timed),
             0: self._heartbeat,
             22: self.parameters.take,  # PARAM_VALUE
@@ -156,7 +160,9 @@ class Robot:
                 self._commands,
                 Cameras(hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)),
             ).verbs(),
-            **Calibration(vehicle, self._commands, self.intervals, self.motion).verbs(),
+            **Calibration(
+                vehicle, self._commands, self.intervals, self.motion, self.parameters
+            ).verbs(),
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
@@ -316,6 +322,7 @@ class Robot:
             self.stop_if_latched()
         self._equipment.keep_ending()
         self.telemetry_events.links()
+        self.traffic.poll()
         self.guard.renew()
         self.telemetry.poll()
 
@@ -450,6 +457,8 @@ class Robot:
             own = name.removeprefix("param/")
             await self.parameters.read(own)
             return self._value(own)
+        if name == TRAFFIC:
+            return self.traffic.value()
         value = self.telemetry_events.value(name)
         if value is None:
             raise AdapterUnavailable(f"no value for '{name}' received yet")

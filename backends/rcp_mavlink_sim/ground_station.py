@@ -76,6 +76,7 @@ class GroundStation:
             "SET_ATTITUDE_TARGET": self._setpoint,
             "FILE_TRANSFER_PROTOCOL": self._ftp.take,
             "GIMBAL_MANAGER_SET_PITCHYAW": self._pitch_yaw,
+            "GPS_RTCM_DATA": self._corrections,
             "MANUAL_CONTROL": self._sticks,
             "RC_CHANNELS_OVERRIDE": self._sticks,
             "LOG_REQUEST_LIST": self._log_list,
@@ -144,6 +145,9 @@ class GroundStation:
         locked = bool(message.flags & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
         pitch, yaw = math.degrees(message.pitch), math.degrees(message.yaw)
         self.vehicle.mount.turn(pitch, yaw, locked=locked)
+
+    def _corrections(self, message: Any) -> None:
+        self.vehicle.corrections.take(message)
 
     def _sticks(self, message: Any) -> None:
         vehicle = self.vehicle

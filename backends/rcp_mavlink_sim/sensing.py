@@ -13,6 +13,7 @@ from rcp_mavlink_sim.wire import mav
 __all__ = [
     "attitude",
     "battery",
+    "escs",
     "gps",
     "highres",
     "microseconds",
@@ -183,6 +184,20 @@ def servos(v: Systems) -> Any:
     pulses |= v.motor_test.pulses()
     all_ = [pulses.get(output, 0) for output in range(1, 17)]
     return mav.MAVLink_servo_output_raw_message(microseconds(v) & 0xFFFFFFFF, 0, *all_)
+
+
+def escs(v: Systems) -> Any:
+    """Return ESC_TELEMETRY_1_TO_4; None where the speed controllers report nothing."""
+    if not v.params["SIM_ESC_TELEM"]:
+        return None
+    turning = [max(0, pulse - 1000) / 1000 for pulse in v.body.pulses(armed=v.armed)[:4]]
+    turning += [0.0] * (4 - len(turning))
+    drawn = round(v.battery.current * 100 / 4)
+    return mav.MAVLink_esc_telemetry_1_to_4_message(
+        [round(25 + 40 * part) for part in turning], [round(v.battery.voltage * 100)] * 4, [drawn] * 4,
+        [round(v.battery.consumed / 4)] * 4, [round(9000 * part) for part in turning],
+        [round(v.time * 10) % 65536 or 1] * 4,
+    )  # fmt: skip
 
 
 def relays(v: VehicleState) -> Any:

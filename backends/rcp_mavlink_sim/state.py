@@ -7,8 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_mavlink.geo import offset, shifted
+from rcp_mavlink_sim.adsb import AdsbReceiver
 from rcp_mavlink_sim.crafts import body_of, pilot_of
 from rcp_mavlink_sim.faults import Faults
+from rcp_mavlink_sim.flight_statistics import FlightStatistics
+from rcp_mavlink_sim.gnss_corrections import GnssCorrections
 from rcp_mavlink_sim.kinds import KINDS
 from rcp_mavlink_sim.noise import Noise
 from rcp_mavlink_sim.options import Options
@@ -59,6 +62,9 @@ class VehicleState:
         self.armed_for = 0.0
         self.sticks = Sticks()
         self.outputs = Outputs(self.params, self.send_text)
+        self.adsb = AdsbReceiver()
+        self.corrections = GnssCorrections()
+        self.statistics = FlightStatistics(self.params)
 
     # Position
 

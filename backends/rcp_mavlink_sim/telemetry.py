@@ -245,6 +245,8 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_RC_CHANNELS: sensing.rc,
     mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: sensing.servos,
     mav.MAVLINK_MSG_ID_RELAY_STATUS: sensing.relays,
+    mav.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: sensing.escs,
+    mav.MAVLINK_MSG_ID_ADSB_VEHICLE: lambda v: v.adsb.next(v.wall),
     mav.MAVLINK_MSG_ID_RAW_IMU: sensing.raw_imu,
     mav.MAVLINK_MSG_ID_SCALED_IMU2: sensing.scaled_imu,
     mav.MAVLINK_MSG_ID_SCALED_PRESSURE: sensing.pressure,

@@ -124,6 +124,8 @@ class Vehicle(Systems):
             self.set_home(None)
             self.send_text(6, "EKF3 IMU0 is using GPS")
         self.sticks.expire(self.wall)
+        flying = self.armed and (not self.body.landed or not self.kind.flies)
+        self.statistics.step(seconds, flying=flying)
         self.noise.step(seconds)
         self.mount.step(seconds)
         self.payloads.step(seconds)
