@@ -71,17 +71,17 @@ def test_a_plan_that_replaces_another_goes_on_with_its_node(
     monkeypatch.setattr(ros2, "_FOLLOWS", WAITS)
     data = plan(fresh_domain())["data"]
     first = ros2.open_sender(data)
-    node = first._shared.node  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    shared = first._shared  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
     closing = threading.Thread(target=first.close)
     closing.start()
     end = time.monotonic() + WAITS
-    while node.users:
+    while shared.users:
         assert time.monotonic() < end
         time.sleep(0.001)  # the other thread tells nobody
     second = ros2.open_sender(data | {"cancel": ["/go", "/come"]})
     closing.join(WAITS)
     assert not closing.is_alive()
-    assert second._shared.node is node  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    assert second._shared is shared  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
     second.send()
     monkeypatch.setattr(ros2, "_FOLLOWS", 0.0)
     second.close()
