@@ -31,6 +31,7 @@ _HELD = frozenset({
     "adapter_unavailable", "mode_forbids", "fenced",
 })  # fmt: skip
 """Errors after which the order is paused, and goes on when the fleet manager says so (`stopPause`)."""
+_GO_ON = "Send stopPause to go on, or cancelOrder."
 
 
 class ActionState(Struct):
@@ -234,7 +235,7 @@ class Work:
         held = error["code"] in _HELD
         text = f"on the way to {leg.node.node_id}: {error['message']}"
         references = (("orderId", self.book.order_id), ("nodeId", leg.node.node_id))
-        hint = "Send stopPause to go on, or cancelOrder." if held else error.get("remedy", "")
+        hint = _GO_ON if held else error.get("remedy", "")
         self.pause(Fault("unavailable" if held else "drive", text, references, hint))
 
     def _send(self, path: str, body: Any) -> Running:
@@ -285,6 +286,9 @@ class Work:
             references = (("actionId", state.action.action_id), ("orderId", self.book.order_id))
             text = f"{state.action.action_type}: {error['message']}"
             self.refuse(Fault("work", text, references, error.get("remedy", "")))
+            if error["code"] in _HELD and state.action.action_id in self.states:
+                # Before the next action begins: that an e-stop is the reason is told later.
+                self.pause(Fault("unavailable", text, references, _GO_ON))
         finally:
             if state.status == "RUNNING":
                 state.status = "FAILED"
