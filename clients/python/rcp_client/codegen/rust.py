@@ -25,7 +25,8 @@ _WORDS = {
     "bytes": "Base64",
 }
 _PARTS = (
-    "json.rs", "parser.rs", "values.rs", "error.rs", "gateway.rs", "resources.rs", "commands.rs",
+    "json.rs", "parser.rs", "values.rs", "error.rs", "connection.rs", "gateway.rs", "resources.rs",
+    "commands.rs", "leases.rs",
 )  # fmt: skip
 _RESERVED = (
     "Gateway", "Error", "Json", "Value", "Readable", "Writable", "Setting", "Command", "Running",
@@ -33,7 +34,8 @@ _RESERVED = (
     "Err", "Result", "Default", "Self", "BTreeMap", "PhantomData", "Duration", "Instant",
     "TcpStream", "ToSocketAddrs", "Read", "Write", "BufRead", "BufReader", "Clone", "Debug",
     "PartialEq", "From", "Into", "Iterator", "ToString", "Drop", "Fn", "FnMut", "FnOnce", "Copy",
-    "Send", "Sync", "Sized",
+    "Send", "Sync", "Sized", "Lease", "Hold", "HoldState", "Stream", "Target", "Connector",
+    "Chunks", "Arc", "Condvar", "Mutex", "Deref",
 )  # fmt: skip
 """Names that no type of a gateway may have."""
 _LITERALS = {str: "String", bool: "bool", int: "i64"}

@@ -1,86 +1,65 @@
-const POLL: Duration = Duration::from_millis(200);
-const ATTEMPT: Duration = Duration::from_secs(10);
-const PATIENCE: Duration = Duration::from_secs(30);
-const SILENCE: Duration = Duration::from_secs(45); // the gateway sends a comment every 15 s
-const FIRST_PAUSE: Duration = Duration::from_millis(250);
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
-
-/// A gateway, over HTTP and server-sent events without TLS: for one on this machine, or behind a proxy here.
+/// A gateway, over HTTP and server-sent events.
+#[derive(Clone)]
 pub struct Gateway {
+    authority: String,
     host: String,
+    port: u16,
+    prefix: String,
     token: String,
-}
-
-/// A response, whose body is read as it comes.
-struct Reply {
-    status: u16,
-    body: BufReader<Box<dyn Read>>,
-}
-
-/// The pieces of a body as one, up to the last.
-struct Chunks {
-    inner: BufReader<TcpStream>,
-    left: usize,
-    over: bool,
-}
-
-impl Read for Chunks {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        if self.left == 0 && !self.over {
-            let mut line = String::new();
-            while line.trim().is_empty() {
-                line.clear();
-                if self.inner.read_line(&mut line)? == 0 {
-                    return Err(io::ErrorKind::UnexpectedEof.into());
-                }
-            }
-            let size = line.trim().split(';').next().unwrap_or("");
-            self.left = usize::from_str_radix(size, 16).map_err(|_| io::Error::from(io::ErrorKind::InvalidData))?;
-            self.over = self.left == 0;
-        }
-        let most = into.len().min(self.left);
-        let size = self.inner.read(&mut into[..most])?;
-        if size == 0 && most > 0 {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        }
-        self.left -= size;
-        Ok(size)
-    }
+    connector: Arc<Connector>,
+    held: Option<Arc<Hold>>,
 }
 
 impl Gateway {
-    /// Nothing is sent yet. The token may be empty.
+    /// A gateway without TLS: one on this machine, or behind a proxy here. Nothing is sent yet. The token may be empty.
     pub fn new(url: &str, token: &str) -> Result<Gateway, Error> {
-        match url.strip_prefix("http://") {
-            Some(host) => Ok(Gateway { host: host.trim_end_matches('/').into(), token: token.into() }),
-            None => Err(Error::local("bad_request", format!("the address has to begin with http://, not {}", url))),
+        if url.starts_with("https://") {
+            return Err(Error::local("bad_request", format!("{} needs TLS: use Gateway::over with a connector", url)));
         }
+        Gateway::over(url, token, |target| Ok(Box::new(target.tcp()?)))
     }
 
-    fn connect(&self) -> io::Result<TcpStream> {
-        let mut outcome = Err(io::Error::from(io::ErrorKind::NotFound));
-        for address in self.host.to_socket_addrs()? {
-            outcome = TcpStream::connect_timeout(&address, ATTEMPT);
-            if outcome.is_ok() {
-                break;
-            }
-        }
-        outcome
+    /// A gateway over connections of your own, such as TLS over `Target::tcp`. The connector is called for each request. If it
+    /// fails with `InvalidData`, as TLS does for a wrong certificate, the request is not sent again.
+    pub fn over<F>(url: &str, token: &str, connector: F) -> Result<Gateway, Error>
+    where
+        F: Fn(&Target) -> io::Result<Box<dyn Stream>> + Send + Sync + 'static,
+    {
+        let wrong = || Error::local("bad_request", format!("{} is no address like http://host:8080", url));
+        let (plain, secure) = (url.strip_prefix("http://"), url.strip_prefix("https://"));
+        let (authority, prefix) = match plain.or(secure).ok_or_else(wrong)?.split_once('/') {
+            Some((authority, path)) => (authority, format!("/{}", path)),
+            None => (plain.or(secure).unwrap_or(""), String::new()),
+        };
+        let (host, port) = match authority.rsplit_once(':') {
+            Some((host, port)) if !port.ends_with(']') => (host, port.parse().map_err(|_| wrong())?),
+            _ => (authority, if secure.is_some() { 443 } else { 80 }),
+        };
+        Ok(Gateway {
+            authority: authority.into(),
+            host: host.trim_start_matches('[').trim_end_matches(']').into(),
+            port,
+            prefix: prefix.trim_end_matches('/').into(),
+            token: token.into(),
+            connector: Arc::new(connector),
+            held: None,
+        })
     }
 
     fn open(&self, method: &str, path: &str, body: Option<&Json>, header: &str, silence: Duration) -> Result<Reply, Error> {
-        let mut stream = self.connect()?;
-        stream.set_read_timeout(Some(silence))?;
-        stream.set_write_timeout(Some(ATTEMPT))?;
         let body = body.map_or(String::new(), |body| body.to_string());
-        let mut head = format!("{} /rcp/v1{} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n{}", method, path, self.host, header);
+        let mut head = format!("{} {}/rcp/v1{} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n{}", method, self.prefix, path, self.authority, header);
         if !self.token.is_empty() {
             head += &format!("Authorization: Bearer {}\r\n", self.token);
         }
         if !body.is_empty() {
             head += &format!("Content-Type: application/json\r\nContent-Length: {}\r\n", body.len());
         }
-        stream.write_all(format!("{}\r\n{}", head, body).as_bytes())?;
+        let target = Target { host: self.host.clone(), port: self.port, silence };
+        let stream = self.send(&target, &format!("{}\r\n{}", head, body)).map_err(|error| match error.kind() {
+            io::ErrorKind::InvalidData => Error::local("untrusted", error.to_string()),
+            _ => error.into(),
+        })?;
         let mut lines = BufReader::new(stream);
         let mut line = String::new();
         lines.read_line(&mut line)?;
@@ -107,6 +86,13 @@ impl Gateway {
             Box::new(lines.take(size))
         };
         Ok(Reply { status, body: BufReader::new(body) })
+    }
+
+    fn send(&self, target: &Target, request: &str) -> io::Result<Box<dyn Stream>> {
+        let mut stream = (self.connector)(target)?;
+        stream.write_all(request.as_bytes())?;
+        stream.flush()?;
+        Ok(stream)
     }
 
     fn ask(&self, method: &str, path: &str, body: Option<&Json>, header: &str) -> Result<Json, Error> {

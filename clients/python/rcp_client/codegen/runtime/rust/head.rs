@@ -10,5 +10,7 @@ use std::fmt;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::marker::PhantomData;
 use std::net::{TcpStream, ToSocketAddrs};
-use std::thread::sleep;
+use std::ops::Deref;
+use std::sync::{Arc, Condvar, Mutex};
+use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};

@@ -86,6 +86,7 @@ impl<T: Value> Writable<T> {
     /// Set a value, once: after `connection_lost` it may be in force. If `valid_for` is given, the gateway stops the
     /// robot unless the value is written again in that time.
     pub fn write(&self, gateway: &Gateway, value: &T, valid_for: Option<Duration>) -> Result<(), Error> {
+        gateway.check()?;
         let mut path = format!("/context{}", self.path);
         if let Some(time) = valid_for {
             path += &format!("?valid_for={}", time.as_secs_f64());
