@@ -21,7 +21,8 @@ _WORDS = {
     "null": "any",
     "bool": "bool",
     "int": "int64",
-    "uint": "int64",
+    "long": "Int",
+    "ulong": "Uint",
     "float": "Float",
     "str": "string",
     "bytes": "[]byte",
@@ -29,7 +30,7 @@ _WORDS = {
 _FILES = ("values.go", "gateway.go", "resources.go", "commands.go", "leases.go")
 _PREAMBLE = re.compile(r"package rcp\n\nimport \((.*?)\)\n", re.DOTALL)
 _RESERVED = (
-    "Gateway", "New", "Error", "Float", "Readable", "Writable", "Setting", "Command", "Update",
+    "Gateway", "New", "Error", "Float", "Int", "Uint", "Readable", "Writable", "Setting", "Command", "Update",
     "Some", "Lease", "Acquire", "WithKey",
 )  # fmt: skip
 """Names that no type of a gateway may have."""

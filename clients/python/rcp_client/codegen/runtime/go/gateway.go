@@ -130,6 +130,6 @@ func into[T any](body json.RawMessage) (T, error) {
 	if len(body) == 0 {
 		return value, nil
 	}
-	err := json.Unmarshal(body, &value)
+	err := decode(body, &value)
 	return value, err
 }

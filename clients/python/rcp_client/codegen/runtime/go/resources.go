@@ -3,7 +3,6 @@ package rcp
 import (
 	"bufio"
 	"context"
-	"encoding/json"
 	"errors"
 	"net/http"
 	"net/url"
@@ -105,7 +104,7 @@ func (r Readable[T]) stream(ctx context.Context, g *Gateway, query url.Values, l
 		case line == "":
 			if event == "update" {
 				var update Update[T]
-				if err := json.Unmarshal([]byte(data), &update); err != nil {
+				if err := decode([]byte(data), &update); err != nil {
 					return &halt{err}
 				}
 				if err := heard(update); err != nil {
