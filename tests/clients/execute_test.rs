@@ -5,6 +5,7 @@ mod rcp;
 use std::env::var;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
 use std::thread::{spawn, JoinHandle};
 use std::time::{Duration, Instant};
@@ -161,6 +162,23 @@ fn a_certificate_that_is_wrong_is_told_at_once() {
     assert_eq!(rcp::AlphaDrive.start(&gateway, "order-1", &1.5).err().unwrap().code, "untrusted");
     drop(gateway);
     assert_eq!(asked.iter().collect::<Vec<_>>(), [("::1".to_string(), 8443)]);
+}
+
+#[test]
+fn a_certificate_that_is_wrong_for_a_while_ends_nothing_that_may_have_begun() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let served = spawn(move || ["", BEGUN, THERE].map(|body| one(&listener, &answer(body))));
+    let calls = AtomicUsize::new(0);
+    let gateway = rcp::Gateway::over("https://robots.example", "", move |target| {
+        match calls.fetch_add(1, Ordering::SeqCst) {
+            1 | 3 => Err(io::Error::new(io::ErrorKind::InvalidData, "unknown issuer")),
+            _ => Ok(Box::new(rcp::Target { host: "127.0.0.1".into(), port, silence: target.silence }.tcp()?)),
+        }
+    });
+    let gateway = gateway.unwrap();
+    assert_eq!(rcp::AlphaDrive.start(&gateway, "order-1", &1.5).unwrap().wait().unwrap(), "there");
+    served.join().unwrap();
 }
 
 #[test]

@@ -106,6 +106,7 @@ impl Gateway {
         loop {
             match self.ask(method, path, body, header) {
                 Err(error) if error.code == "connection_lost" => lost = Some(error),
+                Err(error) if error.code == "untrusted" && (begun || lost.is_some()) => lost = Some(error),
                 Err(error) if error.retryable && error.command.is_empty() && (begun || lost.is_some()) => {
                     if Instant::now() >= end {
                         return Err(lost.unwrap_or(error));
