@@ -1,4 +1,4 @@
-"""Check that the built wheels have only packages of ours at their top level, all of them, and the pages."""
+"""Check that the built wheels have only packages of ours at their top level, all of them, and the files beside their code."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 _DASHBOARD = "rcp_dashboard/"
 _BUILT = ("index.html", "licenses.md")
+_RUNTIME = "rcp_client/codegen/runtime/"
 _FOLDERS = {
     "rcp_client": ("clients/python",),
     "rcp_gateway": (".", "transports", "plugins", "backends"),
@@ -20,6 +21,13 @@ def expected(distribution: str) -> set[str]:
     """List the packages of a distribution."""
     folders = [ROOT / name for name in _FOLDERS[distribution]]
     return {path.parent.name for folder in folders for path in folder.glob("rcp*/__init__.py")}
+
+
+def runtime() -> set[str]:
+    """List the files of other languages that `rcpctl codegen` writes."""
+    folder = ROOT / "clients/python"
+    found = (folder / _RUNTIME).glob("*/*.*")
+    return {path.relative_to(folder).as_posix() for path in found if path.suffix != ".pyc"}
 
 
 def check(wheel: Path) -> str | None:
@@ -35,6 +43,8 @@ def check(wheel: Path) -> str | None:
         sources = [name for name in names if name.startswith(_DASHBOARD + "web/")]
         if not {_DASHBOARD + f"static/{name}" for name in _BUILT} <= set(pages) or sources:
             return f"has {len(pages)} files of the dashboard and its sources {sources}"
+    if distribution == "rcp_client" and not (wanted := runtime()) <= set(names):
+        return f"lacks {sorted(wanted - set(names))}"
     print(f"{wheel.name}: {len(names)} files in {', '.join(sorted(packages))}")
     return None
 

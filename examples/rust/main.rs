@@ -22,6 +22,9 @@ fn main() -> Result<(), rcp::Error> {
         Ok(()) => println!("a speed of 99 m/s is in force"),
     }
 
+    // Nobody else drives meanwhile. Once it is lost, commands under it are cancelled; dropped, it is given back.
+    let lease = gateway.lease("/tenant/alpha", Duration::from_secs(10))?;
+
     // A key names what is done: sent twice, it is done once.
     let key = format!("visit-{}", SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos());
     let goal = |x: f64, speed: Option<f64>| rcp::MoveToIn {
@@ -29,15 +32,15 @@ fn main() -> Result<(), rcp::Error> {
         speed,
         ..Default::default()
     };
-    let first = rcp::AlphaMoveTo.start(&gateway, &key, &goal(0.5, None))?;
-    let again = rcp::AlphaMoveTo.start(&gateway, &key, &goal(0.5, None))?;
+    let first = rcp::AlphaMoveTo.start(&lease, &key, &goal(0.5, None))?;
+    let again = rcp::AlphaMoveTo.start(&lease, &key, &goal(0.5, None))?;
     first.wait()?;
     again.wait()?;
     let pose = rcp::AlphaPose.read(&gateway)?;
     println!("there: x {:.1} y {:.1}", pose.position.x, pose.position.y);
 
     // A cancelled command has ended, and the robot is at rest, when `wait` returns.
-    let far = rcp::AlphaMoveTo.start(&gateway, &format!("{}-far", key), &goal(2.5, Some(0.02)))?;
+    let far = rcp::AlphaMoveTo.start(&lease, &format!("{}-far", key), &goal(2.5, Some(0.02)))?;
     sleep(Duration::from_secs(1));
     far.cancel()?;
     match far.wait() {

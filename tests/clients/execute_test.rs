@@ -3,8 +3,10 @@
 mod rcp;
 
 use std::env::var;
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpListener;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::channel;
 use std::thread::{spawn, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -22,7 +24,13 @@ fn serve(answers: Vec<String>) -> (rcp::Gateway, JoinHandle<Vec<String>>) {
 
 fn one(listener: &TcpListener, answer: &str) -> String {
     let (mut stream, _) = listener.accept().unwrap();
-    let mut sent = BufReader::new(stream.try_clone().unwrap());
+    let request = received(&stream);
+    stream.write_all(answer.as_bytes()).unwrap();
+    request
+}
+
+fn received(stream: &TcpStream) -> String {
+    let mut sent = BufReader::new(stream);
     let (mut request, mut line, mut size) = (String::new(), String::new(), 0);
     while line != "\r\n" {
         line.clear();
@@ -33,7 +41,6 @@ fn one(listener: &TcpListener, answer: &str) -> String {
         request += &line;
     }
     sent.take(size).read_to_string(&mut request).unwrap();
-    stream.write_all(answer.as_bytes()).unwrap();
     request
 }
 
@@ -123,4 +130,93 @@ fn a_machine_that_does_not_answer_is_not_waited_for_for_minutes() {
     let lost = rcp::AlphaTicks.set.write(&gateway, &5, None).err().unwrap();
     assert_eq!(lost.code, "connection_lost");
     assert!(began.elapsed() < Duration::from_secs(60));
+}
+
+const HELD: &str = r#"{"status": "completed", "body": {"lease": "lease-1"}}"#;
+
+#[test]
+fn a_connection_of_ones_own_is_told_where_it_leads() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let served = spawn(move || one(&listener, &answer(BEGUN)));
+    let (told, asked) = channel();
+    let gateway = rcp::Gateway::over("https://robots.example/site/", "key", move |target| {
+        told.send((target.host.clone(), target.port)).unwrap();
+        let here = rcp::Target { host: address.ip().to_string(), port: address.port(), silence: target.silence };
+        Ok(Box::new(here.tcp()?))
+    });
+    rcp::AlphaTicks.set.write(&gateway.unwrap(), &5, None).unwrap();
+    let sent = served.join().unwrap();
+    assert!(sent.starts_with("PUT /site/rcp/v1/context/tenant/alpha/param/ticks HTTP/1.1\r\nHost: robots.example\r\n"));
+    assert_eq!(asked.iter().collect::<Vec<_>>(), [("robots.example".to_string(), 443)]);
+}
+
+#[test]
+fn a_certificate_that_is_wrong_is_told_at_once() {
+    let (told, asked) = channel();
+    let gateway = rcp::Gateway::over("https://[::1]:8443", "", move |target| {
+        told.send((target.host.clone(), target.port)).unwrap();
+        Err(io::Error::new(io::ErrorKind::InvalidData, "unknown issuer"))
+    });
+    let gateway = gateway.unwrap();
+    assert_eq!(rcp::AlphaDrive.start(&gateway, "order-1", &1.5).err().unwrap().code, "untrusted");
+    drop(gateway);
+    assert_eq!(asked.iter().collect::<Vec<_>>(), [("::1".to_string(), 8443)]);
+}
+
+#[test]
+fn a_certificate_that_is_wrong_for_a_while_ends_nothing_that_may_have_begun() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let served = spawn(move || ["", BEGUN, THERE].map(|body| one(&listener, &answer(body))));
+    let calls = AtomicUsize::new(0);
+    let gateway = rcp::Gateway::over("https://robots.example", "", move |target| {
+        match calls.fetch_add(1, Ordering::SeqCst) {
+            1 | 3 => Err(io::Error::new(io::ErrorKind::InvalidData, "unknown issuer")),
+            _ => Ok(Box::new(rcp::Target { host: "127.0.0.1".into(), port, silence: target.silence }.tcp()?)),
+        }
+    });
+    let gateway = gateway.unwrap();
+    assert_eq!(rcp::AlphaDrive.start(&gateway, "order-1", &1.5).unwrap().wait().unwrap(), "there");
+    served.join().unwrap();
+}
+
+#[test]
+fn an_address_that_is_none_is_refused() {
+    for wrong in ["robots.example", "ftp://robots.example", "http://robots.example:http", "https://robots.example"] {
+        assert_eq!(rcp::Gateway::new(wrong, "").err().unwrap().code, "bad_request");
+    }
+}
+
+#[test]
+fn a_lease_that_cannot_be_renewed_is_lost_when_its_time_is_over_and_its_command_is_cancelled() {
+    let ended = r#"{"status": "completed", "body": {"status": "cancelled", "error": {"code": "cancelled"}}}"#;
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    let served = spawn(move || {
+        let mut requests = Vec::new();
+        for body in [HELD, BEGUN] {
+            requests.push(one(&listener, &answer(body)));
+        }
+        loop {
+            let (mut stream, _) = listener.accept().unwrap();
+            let word = received(&stream).split(' ').next().unwrap().to_string();
+            let answered = match &*word {
+                "POST" => continue, // a renewal: hung up on
+                "DELETE" => answer(BEGUN),
+                _ => answer(ended),
+            };
+            stream.write_all(answered.as_bytes()).unwrap();
+            requests.push(word.clone());
+            if word == "GET" {
+                return requests;
+            }
+        }
+    });
+    let gateway = rcp::Gateway::new(&url, "").unwrap();
+    let lease = gateway.lease("/tenant/alpha", Duration::from_millis(600)).unwrap();
+    let running = rcp::AlphaDrive.start(&lease, "order-1", &1.5).unwrap();
+    assert_eq!(lease.wait_lost(Duration::from_secs(60)).unwrap().code, "lease_lost");
+    assert_eq!(running.wait().err().unwrap().code, "cancelled");
+    assert_eq!(served.join().unwrap()[2..], ["DELETE", "GET"]);
 }

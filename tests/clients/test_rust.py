@@ -85,6 +85,30 @@ def drives(example: Path, url: str, key: str) -> None:
     ]
 
 
+def test_leases_and_connections_at_a_gateway(example: Path, running: Demo) -> None:
+    shutil.copy(Path(__file__).with_name("live_test.rs"), example.parent)
+    rustc(example.parent / "live_test.rs", "--test")
+    passes(
+        example.parent / "live_test",
+        RCP_URL=running.url,
+        RCP_TOKEN=running.key,
+        RCP_ADMIN=running.admin,
+    )
+
+
+def passes(tests: Path, **environment: str) -> None:
+    """Run a program of tests."""
+    done = subprocess.run(
+        [tests],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=_PATIENCE,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_odd_names_and_texts_are_good_rust(tmp_path: Path) -> None:
     (tmp_path / "odd.rs").write_text(generate("rust", HOSTILE, "http://h\n*/"), encoding="utf-8")
     rustc(tmp_path / "odd.rs", "--crate-type", "lib", "--emit", "metadata")
@@ -116,15 +140,8 @@ def test_what_is_lost_or_refused_while_a_robot_drives(tmp_path: Path) -> None:
             waiting = stack.enter_context(socket.socket())
             waiting.setblocking(False)
             waiting.connect_ex(silent.getsockname())
-        done = subprocess.run(
-            [tmp_path / "execute_test"],
-            env=os.environ | {"RCP_SILENT": f"http://127.0.0.1:{silent.getsockname()[1]}"},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=_PATIENCE,
-        )
-    assert done.returncode == 0, done.stdout + done.stderr
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        passes(tmp_path / "execute_test", RCP_SILENT=url)
 
 
 def test_the_example_drives(example: Path, running: Demo) -> None:

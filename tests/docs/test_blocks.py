@@ -26,7 +26,9 @@ from click.testing import CliRunner
 from docs.blocks import BLOCKS, Block
 from docs.pages import ROOT
 from plugins.client.test_codegen import node
+from programs import program
 from rcp_client.cli import rcpctl
+from rcp_client.codegen import generate
 from rcpd.cli import main as rcpd
 from rcpd.diagnosis import Diagnosis
 
@@ -274,6 +276,57 @@ def test_python_of_the_pages_has_no_error_of_types(tmp_path: Path) -> None:
     }
     (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings), encoding="utf-8")
     succeeds(sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "-p", str(tmp_path))
+
+
+_RUSTLS = """
+use std::{io, sync::Arc};
+pub struct ClientConfig;
+pub struct ClientConnection;
+pub struct StreamOwned<C, T>(C, T);
+impl ClientConnection {
+    pub fn new(_: Arc<ClientConfig>, _: pki_types::ServerName<'static>) -> Result<Self, io::Error> {
+        Ok(ClientConnection)
+    }
+}
+impl<C, T> StreamOwned<C, T> {
+    pub fn new(connection: C, stream: T) -> Self {
+        StreamOwned(connection, stream)
+    }
+}
+impl<C, T: io::Read> io::Read for StreamOwned<C, T> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.1.read(into)
+    }
+}
+impl<C, T: io::Write> io::Write for StreamOwned<C, T> {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        self.1.write(data)
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        self.1.flush()
+    }
+}
+pub mod pki_types {
+    pub struct ServerName<'a>(std::marker::PhantomData<&'a ()>);
+    impl TryFrom<String> for ServerName<'static> {
+        type Error = std::fmt::Error;
+        fn try_from(_: String) -> Result<Self, Self::Error> {
+            Ok(ServerName(std::marker::PhantomData))
+        }
+    }
+}
+"""
+"""What the pages use of rustls, which comes from a registry that not every machine reaches."""
+
+
+@each("rust")
+def test_rust_of_the_pages_compiles(block: Block, tmp_path: Path) -> None:
+    (tmp_path / "rcp.rs").write_text(generate("rust", [], "http://robots"), encoding="utf-8")
+    (tmp_path / "rustls.rs").write_text(_RUSTLS, encoding="utf-8")
+    page = tmp_path / "page.rs"
+    page.write_text(f"mod rcp;\nmod rustls;\n{block.text}\n")
+    out = ("--emit", "metadata", "--out-dir", str(tmp_path))
+    succeeds(program("rustc"), "--edition", "2021", "--crate-type", "lib", *out, str(page))
 
 
 def typed(block: Block) -> str:

@@ -9,6 +9,7 @@ import pytest
 
 from docs.demo import Demo, demo
 from installed.fresh import importable, said, venv, wheels
+from rcp_client.codegen import generate
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -49,6 +50,19 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def robots(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
     with demo(tmp_path_factory.mktemp("demo")) as running:
         yield running
+
+
+CODEGEN = """
+from rcp_client.codegen import generate
+for language in ("go", "python", "rust", "typescript"):
+    print(len(generate(language, [], "http://robots")))
+"""
+
+
+def test_it_brings_what_generated_clients_consist_of(programs: Path) -> None:
+    languages = ("go", "python", "rust", "typescript")
+    sizes = [len(generate(language, [], "http://robots")) for language in languages]
+    assert [int(size) for size in said(programs, "python", "-c", CODEGEN).split()] == sizes
 
 
 def test_it_brings_no_server(programs: Path) -> None:

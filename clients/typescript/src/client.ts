@@ -2,6 +2,7 @@ import type { Clock } from "./clock.ts";
 import { Command } from "./command.ts";
 import { RcpError } from "./errors.ts";
 import { Lease } from "./lease.ts";
+import { Plan, type PlanBody, type PlannedStep, planOf, type Step } from "./plans.ts";
 import { Session, type SessionOptions, type State } from "./session.ts";
 import { type Handlers, Subscription } from "./subscription.ts";
 import type {
@@ -54,6 +55,7 @@ function holdOf(robot: string | undefined): string {
   return [...parts.slice(0, 3), "service", ...parts.slice(3), "hold"].join("/");
 }
 
+const PLANS = "/system/plans";
 const LEASE = 10; // s, the gateway's own default
 const ESTOP = 10; // s for robots to be confirmed at rest
 
@@ -191,6 +193,28 @@ export class Client<T extends Catalogue = Untyped> {
     return command;
   }
 
+  /**
+   * Run several operations as one plan, which the gateway checks first: steps, a whole body, or a text (JSON, what a
+   * planner put out, lines of commands). A refusal has all faults in `details.faults`. Cancelling it stops its steps.
+   */
+  plan(plan: string | readonly Step[] | PlanBody, options: Omit<CommandOptions, "dryRun"> = {}): Plan {
+    const running = new Plan(PLANS, async (one) => void (await this.cancel(await one.accepted)));
+    try {
+      this.session.run({ type: "execute", path: PLANS, body: planOf(plan), ...this.#command(options) }, running);
+    } catch (problem) {
+      const { code, message, remedy } = problem as RcpError;
+      running.take({ type: "execute", status: "rejected", error: { code, message, remedy, origin: "client" } });
+    }
+    return running;
+  }
+
+  /** Check a plan as `plan` would, without starting anything; returns the requests that it would send. */
+  async validatePlan(plan: string | readonly Step[] | PlanBody, options: { deadline?: number } = {}): Promise<PlannedStep[]> {
+    const checked = { ...options, dryRun: true };
+    const body = planOf(plan);
+    return (await this.#ask({ type: "execute", path: PLANS, body, ...this.#command(checked) })).body.steps as PlannedStep[];
+  }
+
   #command(options: CommandOptions): Partial<Request> {
     return {
       timestamp: this.#stamp(),
@@ -285,16 +309,10 @@ export class Client<T extends Catalogue = Untyped> {
     const ask = async (input: Record<string, unknown>): Promise<LeaseState> =>
       (await this.#ask({ type: "execute", path: "/system/leases", body: input })).body as LeaseState;
     const state = await ask({ do: "acquire", scope, ttl, ...how });
-    const lease: Lease = new Lease(
-      state,
-      ttl,
-      (id) => ask({ do: "renew", lease: id, ttl }),
-      async (one) => {
-        this.#leases.delete(one);
-        await ask({ do: "release", lease: one.state.lease });
-      },
-      (notice) => lost?.(notice),
-    );
+    const lease: Lease = new Lease(state, ttl, ask, {
+      ended: (one) => this.#leases.delete(one),
+      lost: (notice) => lost?.(notice),
+    });
     this.#leases.add(lease);
     return lease;
   }

@@ -1,5 +1,5 @@
 import { type ConnectionLost, RcpError } from "./errors.ts";
-import { FINAL, type Reply } from "./wire.ts";
+import { FINAL, type Reply, type WireError } from "./wire.ts";
 
 /** Feedback while a command runs. */
 export interface Feedback<F> {
@@ -91,7 +91,7 @@ export class Command<O = any, F = any> {
     }
     if (reply.status === "in_progress" && reply.body !== undefined) this.feedback = reply.body as F;
     const last = FINAL.has(reply.status);
-    if (last && reply.error) this.#fail(new RcpError(reply.error));
+    if (last && reply.error) this.#fail(new RcpError(withBody(reply.error, reply.body)));
     else if (last) this.#finish(reply.body as O);
     for (const listener of [...this.#listeners]) listener();
     return last;
@@ -103,4 +103,9 @@ export class Command<O = any, F = any> {
     this.#fail(error);
     for (const listener of [...this.#listeners]) listener();
   }
+}
+
+/** Add what a command brought about before it failed, such as the states of a plan's steps. */
+function withBody(error: WireError, body: unknown): WireError {
+  return body === undefined || body === null ? error : { ...error, details: { ...error.details, body } };
 }

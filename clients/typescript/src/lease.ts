@@ -8,55 +8,76 @@ export class Lease {
   state: LeaseState;
   /** Set when somebody took it over, it lapsed, or an e-stop ended it. */
   lost: Notice | undefined;
-  readonly #renew: (lease: string) => Promise<LeaseState>;
-  readonly #release: (lease: Lease) => Promise<void>;
-  readonly #told: (notice: Notice | undefined) => void;
+  readonly #ask: (input: Record<string, unknown>) => Promise<LeaseState>;
+  readonly #told: { ended: (lease: Lease) => void; lost: (notice: Notice | undefined) => void };
   #timer: ReturnType<typeof setTimeout> | undefined;
-  readonly #every: number;
+  readonly #ttl: number;
 
   constructor(
     state: LeaseState,
     ttl: number,
-    renew: (lease: string) => Promise<LeaseState>,
-    release: (lease: Lease) => Promise<void>,
-    lost: (notice: Notice | undefined) => void,
+    ask: (input: Record<string, unknown>) => Promise<LeaseState>,
+    told: { ended: (lease: Lease) => void; lost: (notice: Notice | undefined) => void },
   ) {
     this.state = state;
-    this.#renew = renew;
-    this.#release = release;
-    this.#told = lost;
-    this.#every = (ttl * 1000) / 3;
+    this.#ttl = ttl;
+    this.#ask = ask;
+    this.#told = told;
     this.#schedule();
+  }
+
+  /** Whether it is held here: neither released nor handed over nor lost. */
+  get held(): boolean {
+    return this.#timer !== undefined;
   }
 
   #schedule(): void {
     this.#timer = setTimeout(async () => {
       try {
-        this.state = await this.#renew(this.state.lease);
+        this.state = await this.#ask({ do: "renew", lease: this.state.lease, ttl: this.#ttl });
       } catch (problem) {
         // A cut may pass before the lease lapses. A loss is told by its notice; what this session gave away is not.
         if (GONE.has((problem as RcpError).code)) return this.lose(undefined);
       }
-      if (this.#timer !== undefined) this.#schedule();
-    }, this.#every);
+      if (this.held) this.#schedule();
+    }, (this.#ttl * 1000) / 3);
   }
 
   #stop(): void {
     clearTimeout(this.#timer);
     this.#timer = undefined;
+    this.#told.ended(this);
   }
 
   /** Give it back. */
   async release(): Promise<void> {
+    if (!this.held) return;
     this.#stop();
-    if (this.lost === undefined) await this.#release(this);
+    await this.#ask({ do: "release", lease: this.state.lease });
+  }
+
+  /**
+   * Hand it over, with the commands that run under it, to a principal or to the first eight characters of a session's id;
+   * returns its state there. It is not held here any more, which `lost` is not called for. The heir goes on with
+   * `lease(scope)`. If it is refused, it is held and renewed as before.
+   */
+  async handOver(to: string): Promise<LeaseState> {
+    clearTimeout(this.#timer); // a renewal after it would be refused, as if it had been lost
+    try {
+      this.state = await this.#ask({ do: "hand_over", lease: this.state.lease, to });
+    } catch (problem) {
+      if (this.held) this.#schedule();
+      throw problem;
+    }
+    this.#stop();
+    return this.state;
   }
 
   /** Note that it is gone. */
   lose(notice: Notice | undefined): void {
-    if (this.#timer === undefined) return; // released, or lost already
+    if (!this.held) return;
     this.#stop();
     this.lost = notice;
-    this.#told(notice);
+    this.#told.lost(notice);
   }
 }

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { afterEach, test } from "node:test";
 
-import { Client, ConnectionLost, RcpError, type Update } from "../src/index.ts";
+import { Client, ConnectionLost, RcpError, type Step, type Update } from "../src/index.ts";
 import { msgpack } from "../src/msgpack.ts";
 
 const url = process.env["RCP_URL"] as string;
@@ -278,6 +278,72 @@ test("a lease that its own session gave away is lost at the next renewal", async
   const lease = await client.lease("/tenant/alpha/actuator", { ttl: 1, lost: () => (lost += 1) });
   await client.execute("/system/leases", { do: "release", lease: lease.state.lease }).result;
   await until(() => lost === 1, "the loss");
+});
+
+test("a lease is handed over, and the heir goes on with it", async () => {
+  const [mine, heir] = [await connected(), await connected({ token: admin, tenant: "alpha" })];
+  const [scope, drive] = ["/tenant/alpha/actuator", { linear: { x: 0 }, angular: { z: 0 } }];
+  let lost = 0;
+  const lease = await mine.lease(scope, { lost: () => (lost += 1) });
+  assert.equal((await refusal(lease.handOver("nobody"))).code, "unknown_path");
+  assert.ok(lease.held);
+  await mine.write("/actuator/cmd_vel", drive);
+  const given = await lease.handOver(heir.hello?.session.slice(0, 8) as string);
+  assert.equal(given.holder, "demo-admin");
+  assert.equal(lease.held, false);
+  assert.equal((await refusal(mine.write("/actuator/cmd_vel", drive))).code, "lease_held");
+  await heir.write("/actuator/cmd_vel", drive);
+  await lease.release(); // nothing of his is released
+  assert.equal((await refusal(mine.write("/actuator/cmd_vel", drive))).code, "lease_held");
+  await (await heir.lease(scope)).release();
+  await mine.write("/actuator/cmd_vel", drive);
+  assert.equal(lost, 0);
+});
+
+const move = (x: number, how: { speed?: number } = {}): Step => ({
+  do: "execute", path: "/action/move_to", value: { position: { x, y: 0 }, ...how },
+});
+
+test("a plan is checked without effect, and its result has each step", async () => {
+  const client = await connected();
+  const steps: Step[] = [
+    { do: "read", path: "/sensor/pose", id: "start" },
+    { do: "write", path: "/param/speed_limit", value: 1 },
+    { do: "execute", path: "/action/move_to", value: { position: { $result: "start/position" } }, id: "there" },
+  ];
+  const planned = await client.validatePlan(steps);
+  assert.deepEqual(planned.map((one) => one.step), ["start", "2", "there"]);
+  assert.equal(planned[2]?.path, "/tenant/alpha/action/move_to");
+  const plan = client.plan({ name: "stay", steps });
+  const states = await plan.result;
+  assert.deepEqual(states.map(({ step, state }) => [step, state]), [...plan.steps.values()].map(({ step, state }) => [step, state]));
+  assert.ok(states.every(({ state }) => state === "completed"));
+  assert.equal(typeof states[0]?.result.position.x, "number");
+  assert.equal((await client.read("/system/plans")).value[0].name, "stay");
+});
+
+test("a plan that is wrong is refused with all of its faults", async () => {
+  const client = await connected();
+  const error = await refusal(client.validatePlan("execute /action/mov_to x=1\nwrite /param/speed_limit 99"));
+  assert.deepEqual(error.details["faults"].map((fault: { code: string }) => fault.code), ["unknown_path", "out_of_range"]);
+  assert.equal((await refusal(client.plan([move(1), { do: "read", path: "/sensor/nothing" }]).result)).code, "unknown_path");
+  const broken = client.plan('[{"do": "read"');
+  assert.equal((await refusal(broken.result)).code, "bad_request");
+  assert.equal((await refusal(broken.cancel())).code, "bad_request");
+  const [symbolic] = await client.validatePlan("; found in 0.01 s\n(move_to alpha 0.1 0.0)");
+  assert.deepEqual(symbolic?.value.position, { x: 0.1, y: 0 });
+  const [json] = await client.validatePlan(JSON.stringify({ steps: [move(0.1)] }));
+  assert.equal(json?.path, symbolic?.path);
+});
+
+test("a cancelled plan has stopped the robot, and says how far it came", async () => {
+  const client = await connected();
+  const plan = client.plan([move(5, { speed: 0.1 }), move(0)]);
+  for await (const { body } of plan) if (body.feedback !== undefined) await plan.cancel();
+  const error = await refusal(plan.result);
+  assert.equal(error.code, "cancelled");
+  assert.deepEqual([...plan.steps.values()].map(({ state }) => state), ["cancelled", "skipped"]);
+  assert.deepEqual(error.details["body"].steps.length, 2);
 });
 
 test("a pattern is read whole, and page by page", async () => {

@@ -216,6 +216,11 @@ await robot.write("/tenant/alpha/sensor/point", { x: 1 });
 await robot.write("/tenant/alpha/param/limit", { x: 1 });
 // @ts-expect-error no such field
 await robot.execute("/tenant/alpha/action/go", { z: 2 });
+const states: string[] = (await robot.plan([{ do: "read", path: "/sensor/point" }]).result).map((one) => one.state);
+// @ts-expect-error no such step
+robot.plan([{ do: "jump", path: states[0] }]);
+// @ts-expect-error a wait has to end
+robot.plan([{ do: "wait", until: "true" }]);
 """
 _OPTIONS = {
     "target": "ES2022",

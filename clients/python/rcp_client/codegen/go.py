@@ -5,11 +5,12 @@ It needs nothing but Go's own library, from 1.19 on.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import msgspec
 
-from rcp_client.codegen.go_client import CLIENT, HEAD, RESERVED
+from rcp_client.codegen.runtime import runtime
 from rcp_client.codegen.types import Record, Shape, Types, class_name, groups, one_line
 from rcp_client.messages import ResourceInfo
 
@@ -20,27 +21,43 @@ _WORDS = {
     "null": "any",
     "bool": "bool",
     "int": "int64",
-    "uint": "int64",
+    "long": "Int",
+    "ulong": "Uint",
     "float": "Float",
     "str": "string",
     "bytes": "[]byte",
 }
+_FILES = ("values.go", "gateway.go", "resources.go", "commands.go", "leases.go")
+_PREAMBLE = re.compile(r"package rcp\n\nimport \((.*?)\)\n", re.DOTALL)
+_RESERVED = (
+    "Gateway", "New", "Error", "Float", "Int", "Uint", "Readable", "Writable", "Setting", "Command", "Update",
+    "Some", "Lease", "Acquire", "WithKey",
+)  # fmt: skip
+"""Names that no type of a gateway may have."""
 _LITERALS = {str: "string", bool: "bool", int: "int64"}
 
 
 def write_go(resources: list[ResourceInfo], url: str) -> str:
     """Generate the file of a package `rcp`."""
     types = Types()
-    for word in RESERVED:
+    for word in _RESERVED:
         types.take_name(word)
+    files = [runtime("go", name) for name in _FILES]
     rows = [row for one in groups(resources).items() for row in _rows(types, *one)]
     text = [
-        HEAD.replace("URL", one_line(url)),
+        runtime("go", "head.go").replace("URL", one_line(url)),
+        _imports(files),
         *(_record(record, types.records) for record in types.records.values()),
         "var (\n" + "\n".join(rows) + "\n)",
-        CLIENT,
+        *(_PREAMBLE.sub("", file) for file in files),
     ]
     return "\n\n".join(part.strip("\n") for part in text) + "\n"
+
+
+def _imports(files: list[str]) -> str:
+    """Return the one import declaration of what were several files."""
+    used = {line for file in files for line in _PREAMBLE.findall(file)[0].split("\n") if line}
+    return "\n".join(["import (", *sorted(used), ")"])
 
 
 def _rows(types: Types, owner: str, members: list[tuple[str, ResourceInfo]]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from rcp_client.codegen.rust_client import CLIENT, HEAD, RESERVED
+from rcp_client.codegen.runtime import runtime
 from rcp_client.codegen.types import Record, Shape, Types, class_name, groups, one_line
 from rcp_client.messages import ResourceInfo
 
@@ -19,11 +19,26 @@ _WORDS = {
     "null": "()",
     "bool": "bool",
     "int": "i64",
-    "uint": "u64",
+    "long": "i64",
+    "ulong": "u64",
     "float": "f64",
     "str": "String",
     "bytes": "Base64",
 }
+_PARTS = (
+    "json.rs", "parser.rs", "values.rs", "error.rs", "connection.rs", "gateway.rs", "resources.rs",
+    "commands.rs", "leases.rs",
+)  # fmt: skip
+_RESERVED = (
+    "Gateway", "Error", "Json", "Value", "Readable", "Writable", "Setting", "Command", "Running",
+    "Update", "Reply", "Parser", "Base64", "Vec", "Option", "String", "Box", "Some", "None", "Ok",
+    "Err", "Result", "Default", "Self", "BTreeMap", "PhantomData", "Duration", "Instant",
+    "TcpStream", "ToSocketAddrs", "Read", "Write", "BufRead", "BufReader", "Clone", "Debug",
+    "PartialEq", "From", "Into", "Iterator", "ToString", "Drop", "Fn", "FnMut", "FnOnce", "Copy",
+    "Send", "Sync", "Sized", "Lease", "Hold", "HoldState", "Stream", "Target", "Connector",
+    "Chunks", "Arc", "Condvar", "Mutex", "Deref",
+)  # fmt: skip
+"""Names that no type of a gateway may have."""
 _LITERALS = {str: "String", bool: "bool", int: "i64"}
 _KEYWORDS = frozenset(
     [
@@ -84,14 +99,14 @@ _KEYWORDS = frozenset(
 def write_rust(resources: list[ResourceInfo], url: str) -> str:
     """Generate the file of a module `rcp`."""
     types = Types()
-    for word in RESERVED:
+    for word in _RESERVED:
         types.take_name(word)
     rows = [row for one in groups(resources).items() for row in _rows(types, *one)]
     text = [
-        HEAD.replace("URL", one_line(url)),
+        runtime("rust", "head.rs").replace("URL", one_line(url)),
         *(_record(record, types.records) for record in types.records.values()),
         "\n".join(rows),
-        CLIENT,
+        runtime("rust", *_PARTS),
     ]
     return "\n\n".join(part.strip("\n") for part in text) + "\n"
 

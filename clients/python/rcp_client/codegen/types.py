@@ -27,7 +27,10 @@ class Shape:
     """A type, independent of the language."""
 
     kind: str
-    """any, null, bool, int, uint, float, str, bytes, literal, list, map, name, or union."""
+    """any, null, bool, int, long, ulong, float, str, bytes, literal, list, map, name, or union.
+
+    A long may be beyond the integers that JSON carries exactly, a ulong also beyond the signed ones.
+    """
     parts: tuple[Shape, ...] = ()
     """Item type of a list or map, options of a union."""
     values: tuple[Any, ...] = ()
@@ -36,7 +39,7 @@ class Shape:
 
 
 ANY, NULL = Shape("any"), Shape("null")
-_INT, _UINT = Shape("int"), Shape("uint")
+_INT, _LONG, _ULONG = Shape("int"), Shape("long"), Shape("ulong")
 _SIMPLE = {"null": "null", "boolean": "bool", "integer": "int", "number": "float"}
 
 
@@ -112,15 +115,16 @@ class Types:
 
     def _union(self, options: list[Any], defs: dict[str, Any], *, inward: bool) -> Shape:
         found: list[Shape] = []
-        unsigned = any(option.get("pattern", "").startswith("^[0-9]{1,") for option in options)
-        for option in options:
+        patterns = [option.get("pattern", "") for option in options]
+        long = any(pattern.startswith("^-?[0-9]{1,") for pattern in patterns)
+        ulong = any(pattern.startswith("^[0-9]{1,") for pattern in patterns)
+        for option, pattern in zip(options, patterns, strict=True):
             spelled = set(option.get("enum", ())) == _ODD_FLOATS
-            digits = option.get("pattern", "").startswith(("^-?[0-9]{1,", "^[0-9]{1,"))
-            if spelled or digits:  # alternative JSON spellings of numbers
-                continue
+            if spelled or pattern.startswith(("^-?[0-9]{1,", "^[0-9]{1,")):
+                continue  # alternative JSON spellings of numbers
             shape = self._shape(option, defs, inward=inward)
-            if unsigned and shape == _INT:  # a wide one, which may be beyond the signed ones
-                shape = _UINT
+            if shape == _INT and (long or ulong):
+                shape = _ULONG if ulong else _LONG
             if shape not in found:
                 found.append(shape)
         if ANY in found or not found:
