@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
-from rcp_kernel.errors import DeviceTimeout, EstopActive
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, EstopActive
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress, Publication, check_fence
 from rcp_mujoco.camera import CameraThread, Frame
@@ -22,6 +22,7 @@ __all__ = ["Device"]
 
 _Result = TypeVar("_Result")
 _ANSWER = 2.0  # s for the stepping thread to respond
+_OVER = "the simulation has ended"
 _LOOK = 0.1  # s between checks of the stepping thread
 
 
@@ -52,6 +53,7 @@ class Device:
         self._blind: str | None = None
         self._reported: tuple[str | None, bool] = (None, False)
         self._cameras: CameraThread | None = None
+        self._ended = False
 
     def start(self) -> None:
         """Start to step."""
@@ -84,11 +86,12 @@ class Device:
         self._report()
 
     async def close(self) -> None:
-        """End the threads."""
+        """End the threads; what is asked for from now on is refused at once."""
+        self._ended = True
         await asyncio.to_thread(self.stepper.close)
         if self._cameras is not None:
             await asyncio.to_thread(self._cameras.close)
-        self.waiting.close("the simulation has ended")
+        self.waiting.close(_OVER)
 
     async def watch_thread(self) -> None:
         """Report a stalled stepping thread, until cancelled.
@@ -165,8 +168,11 @@ class Device:
         """Run a function between two steps, and return its result.
 
         :raises EstopActive: it moves the robot, which was stopped before the function ran.
+        :raises AdapterUnavailable: the simulation has ended.
         :raises DeviceTimeout: the stepping thread does not respond.
         """
+        if self._ended:
+            raise AdapterUnavailable(_OVER)
         if moves:
             check_fence()
         stops, robot = self.stops, self.robot
