@@ -83,6 +83,9 @@ async def test_joints_move_while_a_slider_is_held_and_stay_where_it_is_let_go(
     await page.get_by_role("button", name="Show individual joints").click()
     panel = page.locator('[data-joints="/tenant/delta/actuator/tilt/position"]')
     tilt = panel.get_by_role("slider")  # without a dead-man: it goes there when it is let go
+    await expect(panel).to_contain_text(
+        re.compile(r"is -?\d")
+    )  # steps go from where it is known to be
     await tilt.focus()
     before = (await until(robot, joints, bool))["positions"]["tilt"]
     await page.keyboard.press("PageUp")
