@@ -19,7 +19,7 @@ from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.testing import serve
 
-pytestmark = [pytest.mark.anyio, pytest.mark.serial]
+pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 expect.set_options(timeout=60_000)  # ms
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
 GATEWAY = (

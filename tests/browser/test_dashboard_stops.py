@@ -15,7 +15,7 @@ from browser.input_helpers import UNSEEN, drives, push, stands, take
 from browser.movers import Movers, key_of, movers, person
 from browser.robots import until
 
-pytestmark = [pytest.mark.anyio, pytest.mark.serial]
+pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 expect.set_options(timeout=60_000)  # ms
 TOUCH = 43.5  # px: 44, as browsers round
 MANY = 200

@@ -14,7 +14,7 @@ from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
 
-pytestmark = [pytest.mark.anyio, pytest.mark.serial]
+pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 expect.set_options(timeout=60_000)  # ms
 FLIGHT = 90.0  # s until a drone that was just switched on hangs in the air
 

@@ -129,7 +129,7 @@ def reader(tmp_path: Path) -> Generator[Reader]:
         made.stop()
 
 
-@pytest.mark.serial
+@pytest.mark.paired
 async def test_every_command_of_the_page_succeeds_in_order(reader: Reader) -> None:
     for block in blocks_of(PAGE):
         if block.language == "toml":

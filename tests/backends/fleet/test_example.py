@@ -43,7 +43,7 @@ def fleet() -> Iterator[tuple[str, str]]:
             assert process.wait(60) == 0
 
 
-@pytest.mark.serial
+@pytest.mark.paired
 async def test_a_person_uses_the_robots_of_a_fleet_and_stops_them(fleet: tuple[str, str]) -> None:
     url, token = fleet
 

@@ -19,7 +19,7 @@ from rcp_kernel.testing import serve
 
 pytestmark = [
     pytest.mark.anyio,
-    pytest.mark.serial,
+    pytest.mark.paired,
     pytest.mark.skipif(MOSQUITTO is None, reason="needs Mosquitto"),
 ]
 FOLDER = ROOT / "examples" / "depot"

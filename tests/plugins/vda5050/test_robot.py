@@ -415,7 +415,7 @@ AMRS, ORDERS, CUTS = 10, 10, 50
 TRIES = 15
 
 
-@pytest.mark.serial
+@pytest.mark.paired
 async def test_ten_robots_finish_a_hundred_orders_each_once_through_fifty_cuts(
     tmp_path: Path,
 ) -> None:
