@@ -38,14 +38,15 @@ class Cameras:
         self._camera: int | None = None
         self._sequence = itertools.count(1)
 
-    async def photo(self, _: None, progress: Progress) -> m.Photo:
+    async def photo(self, given: m.ByCamera | None, progress: Progress) -> m.Photo:
         """Take a picture; completes when the camera confirms it."""
-        camera = await self.find()
+        wanted = None if given is None else given.camera
+        camera = await self.find() if wanted is None else wanted
         if camera is None:
-            return await self._taken(Command(_TRIGGER, x=1.0))
+            return await self._taken(Command(_TRIGGER, x=1.0), None)
         sequence = float(next(self._sequence))
         return await self._taken(
-            Command(_START_CAPTURE, (0.0, 0.0, 1.0, sequence), component=camera)
+            Command(_START_CAPTURE, (0.0, 0.0, 1.0, sequence), component=camera), wanted
         )
 
     async def find(self) -> int | None:
@@ -83,12 +84,12 @@ class Cameras:
             await self._vehicle.until(lambda: bool(found), self._hub.config.timeout)
         return bool(found) and bool(found[0].fields()["flags"] & _CAN_CAPTURE)
 
-    async def _taken(self, command: Command) -> m.Photo:
-        """Send a command and return the picture that the camera confirms."""
+    async def _taken(self, command: Command, camera: int | None) -> m.Photo:
+        """Send a command and return the picture that the camera confirms, or any if None is given."""
         reply: asyncio.Future[Frame] = asyncio.get_running_loop().create_future()
 
         def take(frame: Frame) -> None:
-            if not reply.done():
+            if not reply.done() and camera in (None, frame.component):
                 reply.set_result(frame)
 
         vehicle = self._vehicle

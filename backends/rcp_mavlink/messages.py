@@ -8,7 +8,7 @@ from msgspec import Meta, Struct, defstruct
 
 from rcp_kernel.types import PoseStamped
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Calibrating", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetItem", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "ByCamera", "Calibrate", "Calibrated", "Calibrating", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetItem", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
@@ -153,6 +153,13 @@ class Calibrating(Struct, frozen=True):
     """What to do now, in words."""
     position: str | None
     """The position to put it in, if it waits for one."""
+
+
+class ByCamera(Struct, frozen=True, forbid_unknown_fields=True):
+    """The camera that is meant."""
+
+    camera: Annotated[int, Meta(ge=1, le=255, extra_json_schema={"unit": "1"})] | None = None
+    """Component id, as in service/camera/list; default: the first that takes pictures."""
 
 
 class Item(Struct, frozen=True, forbid_unknown_fields=True):

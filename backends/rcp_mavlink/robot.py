@@ -24,6 +24,7 @@ from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.camera_controls import CameraControls
+from rcp_mavlink.camera_list import CameraList
 from rcp_mavlink.cameras import Cameras
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.described import Described
@@ -154,6 +155,7 @@ class Robot:
             **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
             "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
+            **CameraList(hub, vehicle, self._commands).verbs(),
             **CameraControls(
                 hub,
                 vehicle,

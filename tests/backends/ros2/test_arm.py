@@ -55,14 +55,22 @@ class TestArmProfile(ProfileSuite):
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Any]:
         async with super().served_by_device() as robot:
+            parts: dict[str, bool] = {}
 
             async def claims() -> bool:
-                unknown = await robot.ask("read", "sensor/none")  # no longer "not yet"
+                unknown = await robot.ask("read", "sensor/none")
                 found = robot.resources.get(FOLLOW)
-                known = found is not None and "maximum" in str(value_type(found.input).schema)
-                return "arm" in self.claimed and known and not unknown["error"]["retryable"]
+                parts["no longer 'not yet'"] = not unknown["error"]["retryable"]
+                parts["claimed"] = "arm" in self.claimed
+                parts["limits"] = found is not None and "maximum" in str(
+                    value_type(found.input).schema
+                )
+                return all(parts.values())
 
-            await eventually(claims, "the arm is discovered", BOUND)
+            try:
+                await eventually(claims, "the arm is discovered", BOUND)
+            except AssertionError as error:
+                raise AssertionError(f"{error}: {parts}, {sorted(robot.resources)}") from None
             yield robot
 
     async def joints(self) -> Mapping[str, float]:
