@@ -29,7 +29,7 @@ from scheduling import PROCESSES, Scheduling
 
 _under_way: set[str] = set()
 _REST = 120  # s that a test that failed may take to clean up
-_MEMORY = 2**30  # bytes that a process and what its tests start may need
+_MEMORY = 2**31  # bytes that a process and what its tests start may need
 _LINE = 4000  # characters of a line in a report: errors are told in full, maps and pictures are not
 _PHASES = ("setup", "call", "teardown")
 _listed = os.environ.get(LISTED)
