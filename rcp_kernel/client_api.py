@@ -473,6 +473,10 @@ class ClientApi:
         """Count a request that the transport had to refuse before it was an envelope."""
         self._parts.counts.count(self.name, type_, code)
 
+    def turned_away(self, peer: Peer, error: RcpError) -> None:
+        """Report a client that could not prove who it is in a way of the transport's own."""
+        self._parts.events.stranger(self.name, peer, error)
+
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
         return self._parts.status.ready()

@@ -55,6 +55,11 @@ class JwtAuthenticator(Authenticator):
         if self._running:
             fresh.start(self._changed)
 
+    @property
+    def current(self) -> Issuers:
+        """The issuers of the current configuration."""
+        return self._issuers
+
     def _changed(self) -> None:
         for callback in self.on_change:
             callback()
