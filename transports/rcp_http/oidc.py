@@ -105,6 +105,7 @@ async def _log_in(
 ) -> tuple[bytes, bytes]:
     """Begin a login; return its cookie."""
     peer = peer_of(scope)
+    client_api.check_attempts(peer)  # each one asks the issuer
     principal = await place.oidc.finish(place.id, returned)
     client_api.charge(client_api.session(principal, None, peer))
     remember, former = returned.started.remember, returned.started.former

@@ -32,6 +32,7 @@ LOGIN = "/rcp/v1/login"
 BEGIN = "/rcp/v1/login/oidc/house"
 BACK = BEGIN + "/callback"
 TOP = "anonymous = false\n"
+PATIENT = "[limits]\nfailed_logins = 1000\n"
 ALPHA = configuration(table("tenants.alpha"))
 
 
@@ -61,7 +62,7 @@ async def issuer() -> AsyncGenerator[Issuer]:
 
 @pytest.fixture(scope="module")
 async def gateway(issuer: Issuer) -> AsyncGenerator[Site]:
-    async with people_logging_in(issuer) as made:
+    async with people_logging_in(issuer, PATIENT) as made:
         yield made
 
 
@@ -431,6 +432,19 @@ async def test_a_failed_login_is_on_record(issuer: Issuer, tmp_path: Path) -> No
         found = (await browser.get(path, headers=headers)).json()["body"]
         assert found["what"] == "denial"
         assert "its `nonce` is another" in found["message"]
+
+
+async def test_wrong_codes_of_one_address_are_slowed_and_no_burden_to_the_issuer(
+    issuer: Issuer,
+) -> None:
+    async with (
+        people_logging_in(issuer, "[limits]\nfailed_logins = 2\n") as gateway,
+        httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser,
+    ):
+        before = len(issuer.asking)
+        told = [(await back(browser, issuer, nonce="x")).status_code for _ in range(4)]
+        assert told == [401, 401, 429, 429]
+        assert len(issuer.asking) == before + 2
 
 
 async def test_behind_a_proxy_that_adds_tls_the_cookies_are_the_hosts_alone(issuer: Issuer) -> None:
