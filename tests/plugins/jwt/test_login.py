@@ -5,53 +5,30 @@ from __future__ import annotations
 import json
 import time
 from base64 import b64decode
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
-from datetime import datetime
+from collections.abc import AsyncGenerator
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, unquote_plus, urlencode, urlsplit
 
 import httpx
 import jwt
-import msgspec
 import pytest
 
-from configuration import configuration, key, table
+from configuration import key
 from issuer import Issuer, issuing
-from kernel.world import prepared
 from openid import CLIENT, SECRET, free_port, login_table
+from plugins.jwt.people import BACK, BEGIN, LOGIN, TOP, back, people_logging_in, sent
 from rcp_jwt import code_flow, issuers
-from rcp_kernel.app.server import prepare
-from rcp_kernel.config.file import parse
-from rcp_kernel.errors import ConfigError
 from transports.robot import BOUND, Site, site
 
 pytestmark = pytest.mark.anyio
-LOGIN = "/rcp/v1/login"
-BEGIN = "/rcp/v1/login/oidc/house"
-BACK = BEGIN + "/callback"
-TOP = "anonymous = false\n"
 PATIENT = "[limits]\nfailed_logins = 1000\n"
-ALPHA = configuration(table("tenants.alpha"))
 
 
 @pytest.fixture(scope="module")
 def anyio_backend() -> str:
     """Keep one event loop for a file, so that the gateway lives as long as its tests."""
     return "asyncio"
-
-
-@asynccontextmanager
-async def people_logging_in(issuer: Issuer, more: str = "", **options: Any) -> AsyncGenerator[Site]:
-    issuer.more |= {
-        "authorization_endpoint": issuer.url + "/authorize?tenant=1",
-        "token_endpoint": issuer.url + "/token",
-    }
-    port = free_port()
-    text = login_table(issuer.url, port) + more
-    async with site(port=port, top=TOP, more=text, **options) as made:
-        yield made
 
 
 @pytest.fixture(scope="module")
@@ -70,25 +47,6 @@ async def gateway(issuer: Issuer) -> AsyncGenerator[Site]:
 async def browser(gateway: Site) -> AsyncGenerator[httpx.AsyncClient]:
     async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as made:
         yield made
-
-
-async def sent(browser: httpx.AsyncClient, **query: str) -> dict[str, str]:
-    """Begin to log in; return what the issuer is sent."""
-    answer = await browser.get(BEGIN, params=query)
-    assert answer.status_code == 303, answer.text
-    asked = parse_qs(urlsplit(answer.headers["location"]).query)
-    return {name: values[0] for name, values in asked.items()}
-
-
-async def back(
-    browser: httpx.AsyncClient, issuer: Issuer, token: str | None = None, **changed: Any
-) -> httpx.Response:
-    """Log in; the issuer gives out a token, the one that is due but for what is changed."""
-    asked = await sent(browser)
-    due = {"aud": CLIENT, "nonce": asked["nonce"], "groups": ["drivers"]}
-    made = token or issuer.token(**{**due, **changed})
-    issuer.exchanged = json.dumps({"id_token": made, "token_type": "Bearer"}).encode()
-    return await browser.get(BACK, params={"code": "c", "state": asked["state"]})
 
 
 async def nobody(browser: httpx.AsyncClient, answer: httpx.Response, text: str) -> None:
@@ -376,50 +334,6 @@ async def test_an_issuer_where_people_cannot_log_in_is_told_of() -> None:
             assert "does not offer the login of people" in answer.text
 
 
-@pytest.mark.parametrize(
-    ("methods", "secret", "fields"),
-    [
-        (["client_secret_post"], SECRET, {"client_id": CLIENT, "client_secret": SECRET}),
-        (["client_secret_basic", "client_secret_post"], SECRET, {}),
-        (["none"], None, {"client_id": CLIENT}),
-    ],
-)
-async def test_the_gateway_proves_itself_as_the_issuer_wants_it(
-    methods: list[str], secret: str | None, fields: dict[str, str]
-) -> None:
-    async with issuing() as issuer:
-        issuer.more["token_endpoint_auth_methods_supported"] = methods
-        async with people_logging_in(issuer) as gateway:
-            if secret is None:
-                reloaded(gateway, lambda text: without(text, "client_secret"))
-            async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser:
-                assert (await back(browser, issuer)).status_code == 303
-        head, form = issuer.asking[-1]
-        assert {name: form[name] for name in form if name.startswith("client")} == fields
-        assert ("Authorization" in head) == (not fields)
-
-
-def without(text: str, key: str) -> str:
-    return "\n".join(line for line in text.splitlines() if not line.startswith(key))
-
-
-async def test_a_login_outlives_its_token_and_ends_with_its_table(issuer: Issuer) -> None:
-    async with (
-        people_logging_in(issuer) as gateway,
-        httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser,
-    ):
-        now = int(time.time())
-        assert (await back(browser, issuer, exp=now + 1)).status_code == 303
-        state = (await browser.get(LOGIN)).json()
-        assert state["principal"] == "ann"
-        assert datetime.fromisoformat(state["expires"]).timestamp() > now + 7 * 3600
-        reloaded(gateway, lambda text: text.replace('"operator"', '"viewer"'))
-        logins = (await browser.get("/rcp/v1/context/system/logins")).json()["body"]
-        assert [one["principal"] for one in logins] == ["ann"]
-        reloaded(gateway, lambda text: text.partition("[jwt.login]")[0])
-        assert (await browser.get(LOGIN)).json()["principal"] is None
-
-
 async def test_a_failed_login_is_on_record(issuer: Issuer, tmp_path: Path) -> None:
     more = key("boss", "admin-of-this-test", roles={"*": ["admin"]})
     async with (
@@ -445,66 +359,3 @@ async def test_wrong_codes_of_one_address_are_slowed_and_no_burden_to_the_issuer
         told = [(await back(browser, issuer, nonce="x")).status_code for _ in range(4)]
         assert told == [401, 401, 429, 429]
         assert len(issuer.asking) == before + 2
-
-
-async def test_behind_a_proxy_that_adds_tls_the_cookies_are_the_hosts_alone(issuer: Issuer) -> None:
-    issuer.more |= {"authorization_endpoint": issuer.url, "token_endpoint": issuer.url + "/token"}
-    more = login_table(issuer.url, 0).replace("http://127.0.0.1:0", "https://robots.example/gw")
-    asgi = 'hosts = ["robots.example"]\nroot_path = "/gw"'
-    async with (
-        site(top=TOP, asgi=asgi, more=more) as gateway,
-        httpx.AsyncClient(base_url=gateway.url, headers={"host": "robots.example"}) as browser,
-    ):
-        begun = await browser.get(BEGIN)
-        asked = parse_qs(urlsplit(begun.headers["location"]).query)
-        assert asked["redirect_uri"] == ["https://robots.example/gw" + BACK]
-        told = begun.headers["set-cookie"]
-        assert told.startswith("__Host-rcp_oidc=")
-        assert {"Secure", "HttpOnly", "SameSite=Lax", "Path=/"} <= set(told.split("; "))
-        token = issuer.token(aud=CLIENT, nonce=asked["nonce"][0], groups=["drivers"])
-        issuer.exchanged = json.dumps({"id_token": token}).encode()
-        answer = await browser.get(
-            BACK,
-            params={"code": "c", "state": asked["state"][0]},
-            headers={"cookie": told.partition(";")[0]},
-        )
-        assert answer.headers["location"] == "https://robots.example/gw/"
-        assert answer.headers.get_list("set-cookie")[1].startswith("__Host-rcp_login=")
-
-
-def reloaded(gateway: Site, change: Callable[[str], str]) -> None:
-    """Change the tables of issuers in a running gateway."""
-    config = gateway.server.kernel.settings.config
-    text = change(login_table(config.jwt[0]["issuer"], gateway.port))
-    changed = msgspec.structs.replace(config, jwt=parse(ALPHA + text, "test").jwt)
-    gateway.server.kernel.reconfigure(changed, prepared(changed, []).features)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "text"),
-    [
-        ("discovery = true", 'jwks_url = "https://i.example"', "`login` needs `discovery = true`"),
-        ("http://127.0.0.1:1", "http://robots.example", "`url` must be the https address"),
-        ("http://127.0.0.1:1", "https://robots.example/?a=b", "`url` must be the https address"),
-        ("http://127.0.0.1:1", "robots.example", "`url` must be the https address"),
-        ("http://127.0.0.1:1", "https://robots.example", "not listed in"),
-        ("http://127.0.0.1:1", "http://127.0.0.1:1/gw", "`root_path` is ''"),
-        ('id = "house"', 'id = "The House"', "id"),
-        ('id = "house"', 'id = "house"\nscopes = ["a b"]', "'a b' is not a scope"),
-        ('id = "house"', 'id = "house"\nclientid = 1', "unknown key `clientid`"),
-        ("[[jwt]]", "[features]\nlogins = false\n[[jwt]]", "needs the feature `logins`"),
-    ],
-)
-def test_a_table_that_cannot_work_is_refused_with_its_place(old: str, new: str, text: str) -> None:
-    text_of = login_table("https://i.example", 1)
-    assert old in text_of
-    with pytest.raises(ConfigError, match="jwt") as refused:
-        prepare(parse(ALPHA + text_of.replace(old, new), "test"), "test")
-    assert text in str(refused.value)
-    assert SECRET not in str(refused.value)
-
-
-def test_two_logins_have_two_ids() -> None:
-    text = login_table("https://i.example", 1) + login_table("https://j.example", 1)
-    with pytest.raises(ConfigError, match="is also that of"):
-        prepare(parse(ALPHA + text, "test"), "test")
