@@ -31,7 +31,7 @@ def free_port() -> int:
         return int(free.getsockname()[1])
 
 
-def login_table(issuer: str, port: int, more: str = "") -> str:
+def login_table(issuer: str, port: int, more: str = "", scheme: str = "http") -> str:
     """Write the configuration of a gateway whose people log in at an issuer."""
     return f"""
 [[jwt]]
@@ -46,7 +46,7 @@ drivers = {{ role = "operator", tenants = ["alpha"] }}
 [jwt.login]
 id = "house"
 name = "House & Co"
-url = "http://127.0.0.1:{port}"
+url = "{scheme}://127.0.0.1:{port}"
 client_id = "{CLIENT}"
 client_secret = "{SECRET}"
 """
@@ -60,12 +60,12 @@ class Provider:
         self.url = url
         self.keys = [Key("first", "RS256")]
 
-    async def serve(self, port: int) -> None:
+    async def serve(self, port: int, scheme: str = "http") -> None:
         """Have it serve the gateway at a port, with the keys of now."""
         client = {
             "client_id": CLIENT,
             "client_secret": SECRET,
-            "redirect_uris": [f"http://127.0.0.1:{port}/rcp/v1/login/oidc/house/callback"],
+            "redirect_uris": [f"{scheme}://127.0.0.1:{port}/rcp/v1/login/oidc/house/callback"],
             "response_types": ["code"],
             "grant_types": ["authorization_code"],
         }

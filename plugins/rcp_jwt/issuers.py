@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
-import msgspec
 import structlog
 from msgspec.structs import replace
 
@@ -24,7 +23,8 @@ from rcp_jwt.jwks import PublicKey, read_set, read_static
 from rcp_jwt.login_config import LoginConfig
 from rcp_jwt.provider import Provider, discover
 from rcp_jwt.urls import shown_url
-from rcp_jwt.webtokens import Claims, Read, check_id_token, principal_of, read_token, verify
+from rcp_jwt.verified import LoginProofs, Verified, VerifiedTokens
+from rcp_jwt.webtokens import Read, check_id_token, needed_claims, principal_of, read_token, verify
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal, fingerprint
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
@@ -35,7 +35,6 @@ log = structlog.get_logger("rcp.jwt")
 _GAP = 3.0  # s between two fetches caused by tokens with unknown keys
 _RETRY = (1.0, 30.0)  # s after a first failure, and the maximum
 _WAIT = 9.0  # s that a login may wait: one gap and one fetch
-_KNOWN = 20_000  # cached verified tokens
 _S = 1_000_000_000  # ns
 
 
@@ -198,22 +197,6 @@ def _source(config: JwtConfig) -> tuple[object, ...]:
     return config.issuer, config.keys, config.jwks_url, config.discovery
 
 
-class _Verified(msgspec.Struct, frozen=True):
-    claims: Claims
-    key: str
-    """Thumbprint of the key that signed it."""
-    read: Read
-    client: str | None = None
-    """The client id to which it was given for a login."""
-    principal: Principal | None = None
-    tables: object = None
-    """The tables under which the principal was determined."""
-
-    @property
-    def expires(self) -> int:
-        return 0 if self.principal is None else self.principal.expires or 0
-
-
 class Issuers:
     """All issuers, and the cache of verified tokens."""
 
@@ -223,8 +206,11 @@ class Issuers:
         tenants: Sequence[str],
         clock: Clock,
         before: Issuers | None = None,
+        proofs: LoginProofs | None = None,
     ) -> None:
         """Create the issuers; the keys and cache of `before` are taken over.
+
+        `proofs` are what people have logged in with.
 
         :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
@@ -237,9 +223,9 @@ class Issuers:
         self._tenants = tenants
         self._now = clock.now
         self._tables = object()
-        self.verified: dict[str, _Verified] = {} if before is None else before.verified
-        self.logins: dict[str, _Verified] = {} if before is None else before.logins
-        """What people have logged in with, apart: no flood of other tokens is to end a login."""
+        self.verified = VerifiedTokens(clock) if before is None else before.verified
+        """Tokens of programs."""
+        self._proofs = LoginProofs(clock, None) if proofs is None else proofs
 
     def start(self, changed: Callable[[], None]) -> None:
         """Start fetching; `changed` is called after a key was removed or has expired."""
@@ -253,10 +239,12 @@ class Issuers:
 
     def kept(self, digest: str) -> Principal | None:
         """Return the principal of a verified token, if its key is still valid."""
-        found = self.verified.get(digest) or self.logins.get(digest)
+        found = self.verified.get(digest) or self._proofs.get(digest)
         if found is None:
             return None
         issuer = self.issuers.get(found.read.issuer)
+        if issuer is not None and issuer.fetches and issuer.fetched is None:
+            return None  # after a start: whether its key is still valid is not known yet
         if issuer is None or not issuer.holds(found.key):
             self._forget(digest)
             return None
@@ -265,22 +253,21 @@ class Issuers:
         return found.principal
 
     def _forget(self, digest: str) -> None:
-        self.verified.pop(digest, None)
-        self.logins.pop(digest, None)
+        self.verified.forget(digest)
+        self._proofs.forget(digest)
 
-    def _reevaluate(self, digest: str, found: _Verified, config: JwtConfig) -> Principal | None:
+    def _reevaluate(self, digest: str, found: Verified, config: JwtConfig) -> Principal | None:
         """Evaluate a verified token under changed tables: its signature remains valid."""
-        self._forget(digest)
         if found.client is None:
             taken = (config.audience,) if isinstance(config.audience, str) else config.audience
         else:
             taken = () if config.login is None else (config.login.client_id,)
         named: Any = found.claims["aud"]
         meant = any(one in taken for one in ([named] if isinstance(named, str) else named))
-        if not meant or found.read.algorithm not in config.algorithms:
-            return None
-        with suppress(RcpError):  # reported when the token is used again
-            return self._keep(config, digest, found)
+        if meant and found.read.algorithm in config.algorithms:
+            with suppress(RcpError):  # reported when the token is used again
+                return self._keep(config, digest, found)
+        self._forget(digest)
         return None
 
     def renewed(self, principal: Principal) -> Principal | None:
@@ -308,7 +295,7 @@ class Issuers:
                 return issuer
             raise Unauthenticated("the token is signed with an unknown key")
         claims, key = verify(token, keys, issuer.config, issuer.config.audience)
-        return self._keep(issuer.config, digest, _Verified(claims, key.thumbprint, read))
+        return self._keep(issuer.config, digest, Verified(claims, key.thumbprint, read))
 
     def verify_after_fetch(self, token: str, digest: str) -> Principal:
         """Verify a token as `find` after its issuer's keys were fetched.
@@ -342,26 +329,16 @@ class Issuers:
         claims, key = verify(token, issuer.candidates(read), config, login.client_id)
         check_id_token(claims, login.client_id, nonce)
         # OpenID Connect Core, 3.1.3.7: `exp` is for the acceptance of the token, which is now.
-        claims["exp"] = self._now() // _S + int(login.lifetime)
+        kept = needed_claims(config, claims) | {"exp": self._now() // _S + int(login.lifetime)}
         digest = fingerprint(secrets.token_urlsafe(32))
-        found = _Verified(claims, key.thumbprint, read, client=login.client_id)
+        found = Verified(kept, key.thumbprint, read, client=login.client_id)
         return self._keep(config, digest, found)
 
-    def _keep(self, config: JwtConfig, digest: str, found: _Verified) -> Principal:
-        now = self._now()
-        principal = principal_of(config, found.claims, digest, self._tenants, now)
-        kept = self.verified if found.client is None else self.logins
-        if len(kept) >= _KNOWN:
-            _make_room(kept, now)
-        kept[digest] = replace(found, principal=principal, tables=self._tables)
+    def _keep(self, config: JwtConfig, digest: str, found: Verified) -> Principal:
+        principal = principal_of(config, found.claims, digest, self._tenants, self._now())
+        kept = self.verified if found.client is None else self._proofs
+        kept.keep(digest, replace(found, principal=principal, tables=self._tables))
         return principal
-
-
-def _make_room(kept: dict[str, _Verified], moment: int) -> None:
-    for digest in [d for d, v in kept.items() if v.expires < moment]:
-        del kept[digest]
-    if len(kept) >= _KNOWN:
-        del kept[next(iter(kept))]
 
 
 def _no_keys() -> AdapterUnavailable:

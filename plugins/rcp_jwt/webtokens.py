@@ -17,7 +17,16 @@ from rcp_kernel.contract.identity import Grants, Principal, check_time
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
 from rcp_protocol.plain import is_list, is_map
 
-__all__ = ["Claims", "Read", "check_id_token", "is_jwt", "principal_of", "read_token", "verify"]
+__all__ = [
+    "Claims",
+    "Read",
+    "check_id_token",
+    "is_jwt",
+    "needed_claims",
+    "principal_of",
+    "read_token",
+    "verify",
+]
 
 Claims = dict[str, Any]
 _LONGEST = 16_384  # characters
@@ -135,6 +144,15 @@ def check_id_token(claims: Claims, client: str, nonce: str) -> None:
     found: Any = claims.get("nonce")
     if not isinstance(found, str) or not hmac.compare_digest(found.encode(), nonce.encode()):
         raise Unauthenticated("the ID token is not for this login: its `nonce` is another")
+
+
+def needed_claims(config: JwtConfig, claims: Claims) -> Claims:
+    """Return the claims that decide on a principal, and none of the others that a person has."""
+    names = {"aud", "exp", "iat"}
+    for name in (config.name_claim, config.role_claim, config.tenant_claim):
+        if name is not None:
+            names |= {name, name.partition(".")[0]}
+    return {name: value for name, value in claims.items() if name in names}
 
 
 def principal_of(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator
+from pathlib import Path
 
 import pytest
-from playwright.async_api import Page, expect
+from playwright.async_api import Browser, Page, expect
 
 from browser.watched import require_pages
+from certs import Authority
+from configuration import tls
 from openid import Provider, free_port, login_table, providing
 from transports.robot import Site, site
 
@@ -84,3 +87,24 @@ async def test_whoever_turns_back_is_told_so_and_may_try_again(page: Page, gatew
     await expect(page.get_by_role("main")).to_contain_text("gives eve no role on this gateway")
     await page.get_by_role("link", name="Open the gateway").click()
     await expect(page.get_by_role("heading", name="Log in required")).to_be_visible()
+
+
+async def test_over_tls_the_login_is_the_hosts_alone(
+    browser: Browser, provider: Provider, tmp_path: Path
+) -> None:
+    require_pages()
+    port = free_port()
+    await provider.serve(port, "https")
+    more = login_table(provider.url, port, scheme="https") + "\n[plugins.dashboard]\n"
+    asgi = tls(Authority(tmp_path).server())
+    context = await browser.new_context(ignore_https_errors=True)  # it does not know the CA
+    async with site(port=port, top="anonymous = false\n", asgi=asgi, more=more) as gateway:
+        page = await context.new_page()
+        await page.goto(gateway.url)
+        await to_the_provider(page)
+        await named(page, "ann")
+        await expect(page.get_by_test_id("principal")).to_have_text("ann")
+        (cookie,) = [one for one in await context.cookies(gateway.url) if "rcp" in one["name"]]
+        assert cookie["name"] == f"__Host-rcp_login_{port}"
+        assert (cookie["secure"], cookie["sameSite"]) == (True, "Strict")
+    await context.close()

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import AsyncGenerator, Callable
 from datetime import datetime
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import httpx
@@ -17,6 +18,7 @@ from issuer import Issuer, issuing
 from kernel.world import prepared
 from openid import CLIENT, SECRET, login_table
 from plugins.jwt.people import BACK, BEGIN, LOGIN, TOP, back, people_logging_in
+from rcp_jwt import authenticator
 from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
@@ -74,6 +76,47 @@ async def test_a_login_outlives_its_token_and_ends_with_its_table(issuer: Issuer
         assert [one["principal"] for one in logins] == ["ann"]
         reloaded(gateway, lambda text: text.partition("[jwt.login]")[0])
         assert (await browser.get(LOGIN)).json()["principal"] is None
+
+
+async def principal(gateway: Site, secret: str) -> str | None:
+    """Return whose login a secret is, as a browser with its cookie is told."""
+    cookie = {"cookie": f"rcp_login_{gateway.port}={secret}"}
+    async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND, headers=cookie) as browser:
+        return (await browser.get(LOGIN)).json()["principal"]
+
+
+def written(folder: Path) -> bytes:
+    return b"".join(file.read_bytes() for file in folder.iterdir())
+
+
+async def test_logins_outlive_a_restart_unless_they_were_ended_or_their_key_is_gone(
+    issuer: Issuer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secrets: list[str] = []
+    async with people_logging_in(issuer, folder=tmp_path) as gateway:
+        for _ in range(2):
+            async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser:
+                assert (await back(browser, issuer, email="ann@example.org")).status_code == 303
+                secrets.append(next(iter(browser.cookies.values())))
+        kept, ended = secrets
+        headers = {"origin": gateway.url, "cookie": f"rcp_login_{gateway.port}={ended}"}
+        async with httpx.AsyncClient(base_url=gateway.url, headers=headers) as browser:
+            assert (await browser.delete(LOGIN)).status_code == 200
+    assert b"drivers" in written(tmp_path)
+    assert b"ann@example.org" not in written(tmp_path)  # nothing decides by it
+    async with people_logging_in(issuer, folder=tmp_path) as gateway:
+        assert await principal(gateway, kept) == "ann"
+        assert await principal(gateway, ended) is None
+    monkeypatch.setattr(authenticator, "_START", 0.05)
+    issuer.status = b"503 No"
+    async with people_logging_in(issuer, folder=tmp_path) as gateway:
+        assert await principal(gateway, kept) is None  # nobody knows whether its key is still good
+    issuer.status = b"200 OK"
+    issuer.add("k2")
+    issuer.listed.remove("k1")
+    monkeypatch.undo()
+    async with people_logging_in(issuer, folder=tmp_path) as gateway:
+        assert await principal(gateway, kept) is None
 
 
 async def test_behind_a_proxy_that_adds_tls_the_cookies_are_the_hosts_alone(issuer: Issuer) -> None:
