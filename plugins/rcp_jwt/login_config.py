@@ -98,6 +98,10 @@ def _check_listener(login: LoginConfig, where: str, listener: dict[str, Any]) ->
             f"{where}: `url` has the path '{parts.path.rstrip('/')}', but "
             f"[transports.asgi] `root_path` is '{root}'"
         )
+    if parts.scheme == "http" and "tls" in listener:
+        raise ConfigError(
+            f"{where}: `url` must be https, as the listener has [transports.asgi.tls]"
+        )
     named, host = listener.get("hosts", ()), str(listener.get("host", "127.0.0.1"))
     if not named and host not in _HERE:
         return

@@ -42,15 +42,10 @@ async def discover(issuer: str) -> Provider:
         raise Unreachable("the discovery document is not JSON") from None
     if not is_map(document) or document.get("issuer") != issuer:
         raise Unreachable("the discovery document names another issuer")
-    secure = urlsplit(issuer).scheme == "https"
 
     def url(name: str) -> str | None:
         found: Any = document.get(name)
-        if not isinstance(found, str) or not is_private_url(found):
-            return None
-        if secure and urlsplit(found).scheme != "https":
-            raise Unreachable(f"the discovery document has a `{name}` without https")
-        return found
+        return found if isinstance(found, str) and _fits(found, issuer) else None
 
     jwks = url("jwks_uri")
     if jwks is None:
@@ -65,3 +60,8 @@ async def discover(issuer: str) -> Provider:
         posts_secret=posts and "client_secret_post" in methods,
         tells_issuer=document.get("authorization_response_iss_parameter_supported") is True,
     )
+
+
+def _fits(url: str, issuer: str) -> bool:
+    """Return whether a URL is as well protected as its issuer's own."""
+    return is_private_url(url) and urlsplit(url).scheme in ("https", urlsplit(issuer).scheme)

@@ -13,7 +13,7 @@ import httpx
 import msgspec
 import pytest
 
-from configuration import configuration, table
+from configuration import configuration, listener, table
 from issuer import Issuer, issuing
 from kernel.world import prepared
 from openid import CLIENT, SECRET, login_table
@@ -180,3 +180,10 @@ def test_two_logins_have_two_ids() -> None:
     text = login_table("https://i.example", 1) + login_table("https://j.example", 1)
     with pytest.raises(ConfigError, match="is also that of"):
         prepare(parse(ALPHA + text, "test"), "test")
+
+
+def test_the_address_of_a_listener_with_tls_is_https() -> None:
+    files = table("transports.asgi.tls", certificate="c.pem", key="k.pem")
+    text = listener() + files + table("tenants.alpha") + login_table("https://i.example", 1)
+    with pytest.raises(ConfigError, match="`url` must be https, as the listener has"):
+        prepare(parse(text, "test"), "test")
