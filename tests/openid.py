@@ -6,17 +6,19 @@ import asyncio
 import json
 import shutil
 import socket
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import jwt
+import pytest
 
 from issuer import Key
 from node import node, npm_packages
+from rcp_jwt import documents, issuers
 
-__all__ = ["CLIENT", "SECRET", "Provider", "free_port", "login_table", "providing"]
+__all__ = ["CLIENT", "SECRET", "Provider", "free_port", "login_table", "patience", "providing"]
 
 SCRIPT = Path(__file__).parent / "npm" / "oidc" / "provider.mjs"
 CLIENT = "gateway of this test"  # a space and a plus tell whether its encoding is right
@@ -50,6 +52,15 @@ url = "{scheme}://127.0.0.1:{port}"
 client_id = "{CLIENT}"
 client_secret = "{SECRET}"
 """
+
+
+@contextmanager
+def patience() -> Generator[None]:
+    """Give an issuer the time that it may take on a machine that is busy otherwise."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(documents, "_PATIENCE", _BOUND)
+        patch.setattr(issuers, "_WAIT", _BOUND)
+        yield
 
 
 class Provider:
@@ -97,7 +108,8 @@ async def _line(process: asyncio.subprocess.Process) -> Any:
 @asynccontextmanager
 async def providing(folder: Path) -> AsyncGenerator[Provider]:
     """Run a provider while entered."""
-    (folder / "node_modules").symlink_to(npm_packages("oidc") / "node_modules")
+    packages = npm_packages("oidc")
+    (folder / "node_modules").symlink_to(packages / "node_modules")
     shutil.copy(SCRIPT, folder)
     process = await asyncio.create_subprocess_exec(
         *(node(), "--no-warnings", str(folder / SCRIPT.name)),
@@ -106,7 +118,8 @@ async def providing(folder: Path) -> AsyncGenerator[Provider]:
         stderr=asyncio.subprocess.DEVNULL,
     )
     try:
-        yield Provider(process, (await _line(process))["url"])
+        with patience():
+            yield Provider(process, (await _line(process))["url"])
     finally:
         process.kill()
         await process.wait()

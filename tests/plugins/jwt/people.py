@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 import httpx
 
 from issuer import Issuer
-from openid import CLIENT, free_port, login_table
+from openid import CLIENT, free_port, login_table, patience
 from transports.robot import Site, site
 
 __all__ = ["BACK", "BEGIN", "LOGIN", "TOP", "back", "people_logging_in", "sent"]
@@ -30,8 +30,9 @@ async def people_logging_in(issuer: Issuer, more: str = "", **options: Any) -> A
     }
     port = free_port()
     text = login_table(issuer.url, port) + more
-    async with site(port=port, top=TOP, more=text, **options) as made:
-        yield made
+    with patience():
+        async with site(port=port, top=TOP, more=text, **options) as made:
+            yield made
 
 
 async def sent(browser: httpx.AsyncClient, **query: str) -> dict[str, str]:

@@ -13,7 +13,8 @@ import httpx
 import msgspec
 import pytest
 
-from configuration import configuration, listener, table
+from certs import Authority
+from configuration import configuration, listener, table, tls
 from issuer import Issuer, issuing
 from kernel.world import prepared
 from openid import CLIENT, SECRET, login_table
@@ -182,8 +183,8 @@ def test_two_logins_have_two_ids() -> None:
         prepare(parse(ALPHA + text, "test"), "test")
 
 
-def test_the_address_of_a_listener_with_tls_is_https() -> None:
-    files = table("transports.asgi.tls", certificate="c.pem", key="k.pem")
+def test_the_address_of_a_listener_with_tls_is_https(tmp_path: Path) -> None:
+    files = tls(Authority(tmp_path).server())
     text = listener() + files + table("tenants.alpha") + login_table("https://i.example", 1)
     with pytest.raises(ConfigError, match="`url` must be https, as the listener has"):
         prepare(parse(text, "test"), "test")
