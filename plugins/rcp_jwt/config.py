@@ -80,7 +80,7 @@ def check_tables(tables: JwtTables, gateway: GatewayConfig) -> None:
             check_grants(one.grants, f"{where} by_claim '{value}'", gateway.tenant_names, roles)
         if table.login is not None and not table.discovery:
             raise ConfigError(f"{where}: `login` needs `discovery = true`, to find its endpoints")
-    logins = [(f"[jwt.login] of '{one.issuer}'", one.login) for one in tables.jwt if one.login]
+    logins = [(f"[[jwt]] '{one.issuer}' login", one.login) for one in tables.jwt if one.login]
     check_logins(logins, gateway)
 
 
