@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from base64 import b64decode
@@ -343,8 +344,10 @@ async def test_a_failed_login_is_on_record(issuer: Issuer, tmp_path: Path) -> No
         await back(browser, issuer, nonce="x")
         headers = {"authorization": "Bearer admin-of-this-test"}
         path = "/rcp/v1/context/system/audit"
-        found = (await browser.get(path, headers=headers)).json()["body"]
-        assert found["what"] == "denial"
+        found: dict[str, Any] = {}
+        async with asyncio.timeout(BOUND):
+            while found.get("what") != "denial":  # it is told when it is stored
+                found = (await browser.get(path, headers=headers)).json()["body"]
         assert "its `nonce` is another" in found["message"]
 
 
