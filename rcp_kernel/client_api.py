@@ -473,6 +473,19 @@ class ClientApi:
         """Count a request that the transport had to refuse before it was an envelope."""
         self._parts.counts.count(self.name, type_, code)
 
+    def check_attempts(self, peer: Peer) -> None:
+        """Check that a client may try to prove itself in a way of the transport's own.
+
+        :raises RateLimited: it has failed too often.
+        """
+        self._parts.identities.check_attempts(peer)
+
+    def turned_away(self, peer: Peer, error: RcpError) -> None:
+        """Report a client that could not prove who it is in such a way, or has no role."""
+        if isinstance(error, Unauthenticated):
+            self._parts.identities.failed(peer)
+        self._parts.events.stranger(self.name, peer, error)
+
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
         return self._parts.status.ready()

@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, closing, suppress
 from typing import Any
+from urllib.parse import parse_qsl
 
 import jwt
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
@@ -59,6 +60,12 @@ class Issuer:
         self.status = b"200 OK"
         self.named: str | None = None
         """Issuer of the discovery document, if it is to be another."""
+        self.more: dict[str, Any] = {}
+        """What else the discovery document says."""
+        self.exchanged: bytes | None = None
+        """What a code is exchanged for; None: nothing is answered."""
+        self.asking: list[tuple[str, dict[str, str]]] = []
+        """The head and form of each exchange."""
         self.go = asyncio.Event()
         self.go.set()
         self.asked = 0
@@ -102,9 +109,16 @@ class Issuer:
             head = await reader.readuntil(b"\r\n\r\n")
             self.asked += 1
             await self.go.wait()
-            if b"openid-configuration" in head:
+            if head.startswith(b"POST"):
+                length = int(head.lower().partition(b"content-length:")[2].split()[0])
+                form = (await reader.readexactly(length)).decode()
+                self.asking.append((head.decode(), dict(parse_qsl(form))))
+                if self.exchanged is None:
+                    return
+                body = self.exchanged
+            elif b"openid-configuration" in head:
                 facts = {"issuer": self.named or self.url, "jwks_uri": self.url + "/keys"}
-                body = json.dumps(facts).encode()
+                body = json.dumps(facts | self.more).encode()
             else:
                 known = [self.keys[name].jwk for name in self.listed]
                 body = self.body or json.dumps({"keys": known}).encode()

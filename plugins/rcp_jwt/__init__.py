@@ -1,15 +1,17 @@
-"""JSON Web Tokens: clients authenticate with tokens signed by configured issuers."""
+"""JSON Web Tokens: clients authenticate with tokens signed by configured issuers, and people log in there."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from rcp_jwt.authenticator import JwtAuthenticator
+from rcp_jwt.code_flow import CodeFlow
 from rcp_jwt.config import JwtConfig, JwtTables, check_tables
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
 from rcp_kernel.hookspecs import hookimpl
+from rcp_web.oidc import OIDC
 
 __all__ = ["JwtConfig", "rcp_features"]
 
@@ -28,8 +30,13 @@ def _check(tables: JwtTables, gateway: GatewayConfig) -> None:
 
 
 def _make(tables: JwtTables, host: FeatureHost) -> Feature:
-    made = JwtAuthenticator(tables, host.clock)
-    return Feature(authenticator=made, reconfigure=made.reconfigure, running=made.running)
+    made = JwtAuthenticator(tables, host.clock, host.store("logins"))
+    return Feature(
+        authenticator=made,
+        services={OIDC: CodeFlow(made, host.clock)},
+        reconfigure=made.reconfigure,
+        running=made.running,
+    )
 
 
 @hookimpl

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 from rcp_jwt.config import JwtTables
 from rcp_jwt.issuers import Issuer, Issuers
+from rcp_jwt.verified import LoginProofs
 from rcp_jwt.webtokens import is_jwt
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
+from rcp_store.plugin_store import PluginStore
 
 __all__ = ["JwtAuthenticator"]
+
+_START = 3.0  # s that the start may wait for issuers
 
 
 class JwtAuthenticator(Authenticator):
@@ -22,8 +27,8 @@ class JwtAuthenticator(Authenticator):
     name = "jwt"
     signed = True
 
-    def __init__(self, tables: JwtTables, clock: Clock) -> None:
-        """Create the issuers.
+    def __init__(self, tables: JwtTables, clock: Clock, store: PluginStore | None = None) -> None:
+        """Create the issuers; `store` has what people have logged in with.
 
         :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
@@ -31,7 +36,8 @@ class JwtAuthenticator(Authenticator):
         self._running = False
         self._clock = clock
         self._tables = tables
-        self._issuers = Issuers(tables.jwt, tables.tenants, clock)
+        self._proofs = LoginProofs(clock, store)
+        self._issuers = Issuers(tables.jwt, tables.tenants, clock, None, self._proofs)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
@@ -39,21 +45,34 @@ class JwtAuthenticator(Authenticator):
         self._running = True
         self._issuers.start(self._changed)
         try:
+            await self._wait_for_keys(self._proofs.load())
             yield
         finally:
             self._running = False
             self._issuers.stop()
+
+    async def _wait_for_keys(self, names: set[str]) -> None:
+        """Wait for the keys of issuers with logins: before they are there, these logins do not count."""
+        found = [one for name, one in self._issuers.issuers.items() if name in names]
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_START):
+                await asyncio.gather(*[issuer.ask() for issuer in found])
 
     def reconfigure(self, tables: JwtTables) -> None:
         """Apply new tables; verified tokens are checked against them when used again.
 
         :raises ConfigError: as for the constructor.
         """
-        fresh = Issuers(tables.jwt, tables.tenants, self._clock, self._issuers)
+        fresh = Issuers(tables.jwt, tables.tenants, self._clock, self._issuers, self._proofs)
         self._issuers.stop()
         self._tables, self._issuers = tables, fresh
         if self._running:
             fresh.start(self._changed)
+
+    @property
+    def current(self) -> Issuers:
+        """The issuers of the current configuration."""
+        return self._issuers
 
     def _changed(self) -> None:
         for callback in self.on_change:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-from ipaddress import ip_address
 from typing import Annotated, Literal
-from urllib.parse import urlsplit
 
 import msgspec
 from msgspec import Meta
 
+from rcp_jwt.login_config import LoginConfig, check_logins
+from rcp_jwt.urls import is_private_url
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import Granting, check_grants, needs_role
 from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["Algorithm", "JwtConfig", "JwtTables", "check_tables", "is_private_url"]
+__all__ = ["Algorithm", "JwtConfig", "JwtTables", "check_tables"]
 
 Algorithm = Literal["RS256", "ES256", "EdDSA"]
 _FETCH = 15.0  # s that a fetch may be late, including the delay before it
@@ -52,6 +52,8 @@ class JwtConfig(Granting, frozen=True, kw_only=True):
     """Roles for each value of `role_claim`, in addition to those of the table."""
     tenant_claim: str | None = None
     """Claim with a tenant or list of tenants to which the roles are restricted."""
+    login: LoginConfig | None = None
+    """The login of people in their browsers."""
 
 
 class JwtTables(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,28 +64,6 @@ class JwtTables(msgspec.Struct, frozen=True, kw_only=True):
     """All tenants of the gateway."""
     effective_roles: frozenset[str] = frozenset()
     """The roles that grant anything."""
-
-
-def is_private_url(url: str) -> bool:
-    """Return whether a URL is protected against eavesdropping and tampering.
-
-    It must be `https`, or `http` on loopback, without a user name or password.
-    """
-    try:
-        parts = urlsplit(url)
-        host, _ = parts.hostname, parts.port
-    except ValueError:
-        return False
-    if host is None or "@" in parts.netloc:
-        return False
-    return parts.scheme == "https" or (parts.scheme == "http" and _is_here(host))
-
-
-def _is_here(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def check_tables(tables: JwtTables, gateway: GatewayConfig) -> None:
@@ -98,6 +78,10 @@ def check_tables(tables: JwtTables, gateway: GatewayConfig) -> None:
         check_grants(table.grants, where, gateway.tenant_names, roles)
         for value, one in table.by_claim.items():
             check_grants(one.grants, f"{where} by_claim '{value}'", gateway.tenant_names, roles)
+        if table.login is not None and not table.discovery:
+            raise ConfigError(f"{where}: `login` needs `discovery = true`, to find its endpoints")
+    logins = [(f"[[jwt]] '{one.issuer}' login", one.login) for one in tables.jwt if one.login]
+    check_logins(logins, gateway)
 
 
 def _check_issuer(issuer: JwtConfig, where: str) -> None:

@@ -9,28 +9,25 @@ only as long as the key that signed it.
 from __future__ import annotations
 
 import asyncio
+import secrets
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
-from urllib.parse import urlsplit
 
-import msgspec
 import structlog
+from msgspec.structs import replace
 
-from rcp_jwt.config import JwtConfig, is_private_url
-from rcp_jwt.jwks import (
-    PublicKey,
-    Unreachable,
-    fetch,
-    read_document,
-    read_set,
-    read_static,
-)
-from rcp_jwt.webtokens import Claims, Read, principal_of, read_token, verify
+from rcp_jwt.config import JwtConfig
+from rcp_jwt.documents import Unreachable, fetch, read_document
+from rcp_jwt.jwks import PublicKey, read_set, read_static
+from rcp_jwt.login_config import LoginConfig
+from rcp_jwt.provider import Provider, discover
+from rcp_jwt.urls import shown_url
+from rcp_jwt.verified import LoginProofs, Verified, VerifiedTokens
+from rcp_jwt.webtokens import Read, check_id_token, needed_claims, principal_of, read_token, verify
 from rcp_kernel.clock import Clock
-from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.identity import Principal, fingerprint
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
-from rcp_protocol.plain import is_map
 
 __all__ = ["Issuer", "Issuers"]
 
@@ -38,8 +35,7 @@ log = structlog.get_logger("rcp.jwt")
 _GAP = 3.0  # s between two fetches caused by tokens with unknown keys
 _RETRY = (1.0, 30.0)  # s after a first failure, and the maximum
 _WAIT = 9.0  # s that a login may wait: one gap and one fetch
-_KNOWN = 20_000  # cached verified tokens
-_DISCOVERY = "/.well-known/openid-configuration"
+_S = 1_000_000_000  # ns
 
 
 class Issuer:
@@ -53,8 +49,10 @@ class Issuer:
         self.config = config
         where = f"[[jwt]] '{config.issuer}'"
         self.keys: tuple[PublicKey, ...] = read_static(config.keys, where) if config.keys else ()
-        self.facts: dict[str, Any] = {"name": f"jwt {_shown(config.issuer)}", "state": "ready"}
+        self.facts: dict[str, Any] = {"name": f"jwt {shown_url(config.issuer)}", "state": "ready"}
         """For the health report."""
+        self.provider: Provider | None = None
+        """What its discovery document says; None before that was fetched, or if it is not to be."""
         self.fetched: float | None = None
         self.stale = False
         """Whether its keys could not be refreshed for their `lifetime`, so that none is valid."""
@@ -67,6 +65,7 @@ class Issuer:
         self._round: asyncio.Future[None] | None = None
         if before is not None and _source(before.config) == _source(config) and not config.keys:
             self.keys, self.fetched = before.keys, before.fetched
+            self.provider = before.provider
 
     @property
     def fetches(self) -> bool:
@@ -120,7 +119,7 @@ class Issuer:
 
     def _lapsed(self) -> None:
         self._lapse, self.stale = None, True
-        log.error("jwt_keys_lapsed", issuer=_shown(self.config.issuer), keys=len(self.keys))
+        log.error("jwt_keys_lapsed", issuer=shown_url(self.config.issuer), keys=len(self.keys))
         self._changed()
 
     async def ask(self) -> None:
@@ -156,38 +155,29 @@ class Issuer:
     async def _fetch(self) -> tuple[PublicKey, ...] | str:
         """Return the keys, or why they could not be fetched."""
         try:
-            url = self.config.jwks_url or await self._discover()
+            url = self.config.jwks_url or await self._discovered()
             try:
                 return read_set(read_document(await fetch(url)))
             except ValueError as error:
-                return f"the key set at {_shown(url)} is not valid: {error}"
+                return f"the key set at {shown_url(url)} is not valid: {error}"
         except Unreachable as error:
             return str(error)
 
-    async def _discover(self) -> str:
-        issuer = self.config.issuer
-        try:
-            document = read_document(await fetch(issuer.rstrip("/") + _DISCOVERY))
-        except ValueError:
-            raise Unreachable("the discovery document is not JSON") from None
-        if not is_map(document) or document.get("issuer") != issuer:
-            raise Unreachable("the discovery document names another issuer")
-        url: Any = document.get("jwks_uri")
-        if not isinstance(url, str) or not is_private_url(url):
-            raise Unreachable("the discovery document has no `jwks_uri` with https")
-        if urlsplit(url).scheme != "https" and urlsplit(issuer).scheme == "https":
-            raise Unreachable("the discovery document has a `jwks_uri` without https")
-        return url
+    async def _discovered(self) -> str:
+        self.provider = await discover(self.config.issuer)
+        return self.provider.jwks
 
     def _take(self, found: tuple[PublicKey, ...] | str) -> None:
         if isinstance(found, str):
             self._failures += 1
             if self._failures == 1:
-                log.warning("jwt_keys_unreachable", issuer=_shown(self.config.issuer), reason=found)
+                log.warning(
+                    "jwt_keys_unreachable", issuer=shown_url(self.config.issuer), reason=found
+                )
             self.facts |= {"state": "down", "detail": f"its keys cannot be fetched: {found}"}
             return
         if self._failures:
-            log.info("jwt_keys_fetched", issuer=_shown(self.config.issuer), keys=len(found))
+            log.info("jwt_keys_fetched", issuer=shown_url(self.config.issuer), keys=len(found))
         self._failures = 0
         self.fetched = asyncio.get_running_loop().time()
         self._watch()
@@ -207,21 +197,6 @@ def _source(config: JwtConfig) -> tuple[object, ...]:
     return config.issuer, config.keys, config.jwks_url, config.discovery
 
 
-def _shown(url: str) -> str:
-    """Return a URL without parts that may be secret."""
-    return url.partition("?")[0].partition("#")[0][:200]
-
-
-class _Verified(msgspec.Struct, frozen=True):
-    claims: Claims
-    key: str
-    """Thumbprint of the key that signed it."""
-    read: Read
-    principal: Principal
-    tables: object
-    """The tables under which it was last evaluated."""
-
-
 class Issuers:
     """All issuers, and the cache of verified tokens."""
 
@@ -231,8 +206,11 @@ class Issuers:
         tenants: Sequence[str],
         clock: Clock,
         before: Issuers | None = None,
+        proofs: LoginProofs | None = None,
     ) -> None:
         """Create the issuers; the keys and cache of `before` are taken over.
+
+        `proofs` are what people have logged in with.
 
         :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
@@ -245,7 +223,9 @@ class Issuers:
         self._tenants = tenants
         self._now = clock.now
         self._tables = object()
-        self.verified: dict[str, _Verified] = {} if before is None else before.verified
+        self.verified = VerifiedTokens(clock) if before is None else before.verified
+        """Tokens of programs."""
+        self._proofs = LoginProofs(clock, None) if proofs is None else proofs
 
     def start(self, changed: Callable[[], None]) -> None:
         """Start fetching; `changed` is called after a key was removed or has expired."""
@@ -259,27 +239,35 @@ class Issuers:
 
     def kept(self, digest: str) -> Principal | None:
         """Return the principal of a verified token, if its key is still valid."""
-        found = self.verified.get(digest)
+        found = self.verified.get(digest) or self._proofs.get(digest)
         if found is None:
             return None
         issuer = self.issuers.get(found.read.issuer)
+        if issuer is not None and issuer.fetches and issuer.fetched is None:
+            return None  # after a start: whether its key is still valid is not known yet
         if issuer is None or not issuer.holds(found.key):
-            del self.verified[digest]
+            self._forget(digest)
             return None
         if found.tables is not self._tables:
-            return self._reevaluate(digest, issuer.config)
+            return self._reevaluate(digest, found, issuer.config)
         return found.principal
 
-    def _reevaluate(self, digest: str, config: JwtConfig) -> Principal | None:
+    def _forget(self, digest: str) -> None:
+        self.verified.forget(digest)
+        self._proofs.forget(digest)
+
+    def _reevaluate(self, digest: str, found: Verified, config: JwtConfig) -> Principal | None:
         """Evaluate a verified token under changed tables: its signature remains valid."""
-        found = self.verified.pop(digest)
-        taken = (config.audience,) if isinstance(config.audience, str) else config.audience
+        if found.client is None:
+            taken = (config.audience,) if isinstance(config.audience, str) else config.audience
+        else:
+            taken = () if config.login is None else (config.login.client_id,)
         named: Any = found.claims["aud"]
         meant = any(one in taken for one in ([named] if isinstance(named, str) else named))
-        if not meant or found.read.algorithm not in config.algorithms:
-            return None
-        with suppress(RcpError):  # reported when the token is used again
-            return self._keep(config, digest, found.claims, found.key, found.read)
+        if meant and found.read.algorithm in config.algorithms:
+            with suppress(RcpError):  # reported when the token is used again
+                return self._keep(config, digest, found)
+        self._forget(digest)
         return None
 
     def renewed(self, principal: Principal) -> Principal | None:
@@ -306,8 +294,8 @@ class Issuers:
             if issuer.fetches:
                 return issuer
             raise Unauthenticated("the token is signed with an unknown key")
-        claims, key = verify(token, keys, issuer.config)
-        return self._keep(issuer.config, digest, claims, key.thumbprint, read)
+        claims, key = verify(token, keys, issuer.config, issuer.config.audience)
+        return self._keep(issuer.config, digest, Verified(claims, key.thumbprint, read))
 
     def verify_after_fetch(self, token: str, digest: str) -> Principal:
         """Verify a token as `find` after its issuer's keys were fetched.
@@ -318,25 +306,44 @@ class Issuers:
         if isinstance(found, Principal):
             return found
         if not found.reachable:
-            raise AdapterUnavailable(
-                "the keys of the token's issuer cannot be fetched at present",
-                retry_after=_RETRY[0],
-                remedy="Try again. If it persists, ask the operator to check the issuer.",
-            )
+            raise _no_keys()
         raise Unauthenticated("the token is signed with a key that its issuer does not publish")
 
-    def _keep(
-        self, config: JwtConfig, digest: str, claims: Claims, key: str, read: Read
-    ) -> Principal:
-        principal = principal_of(config, claims, digest, self._tenants, self._now())
-        if len(self.verified) >= _KNOWN:
-            self._make_room()
-        self.verified[digest] = _Verified(claims, key, read, principal, self._tables)
+    async def log_in(self, issuer: Issuer, login: LoginConfig, token: str, nonce: str) -> Principal:
+        """Return the principal of an ID token, for as long as a login of it lasts.
+
+        Its `credential` is the hash of no token: nobody can show it instead of the login.
+
+        :raises RcpError: as `find` and `verify_after_fetch`.
+        """
+        read = read_token(token)
+        config = issuer.config
+        if read.issuer != config.issuer:
+            raise Unauthenticated("the ID token is of another issuer")
+        if read.algorithm not in config.algorithms:
+            raise Unauthenticated("the ID token's signature algorithm is not accepted")
+        if not (issuer.reachable and issuer.candidates(read)):
+            await issuer.ask()
+        if not issuer.reachable:
+            raise _no_keys()
+        claims, key = verify(token, issuer.candidates(read), config, login.client_id)
+        check_id_token(claims, login.client_id, nonce)
+        # OpenID Connect Core, 3.1.3.7: `exp` is for the acceptance of the token, which is now.
+        kept = needed_claims(config, claims) | {"exp": self._now() // _S + int(login.lifetime)}
+        digest = fingerprint(secrets.token_urlsafe(32))
+        found = Verified(kept, key.thumbprint, read, client=login.client_id)
+        return self._keep(config, digest, found)
+
+    def _keep(self, config: JwtConfig, digest: str, found: Verified) -> Principal:
+        principal = principal_of(config, found.claims, digest, self._tenants, self._now())
+        kept = self.verified if found.client is None else self._proofs
+        kept.keep(digest, replace(found, principal=principal, tables=self._tables))
         return principal
 
-    def _make_room(self) -> None:
-        moment = self._now()
-        for digest in [d for d, v in self.verified.items() if (v.principal.expires or 0) < moment]:
-            del self.verified[digest]
-        if len(self.verified) >= _KNOWN:
-            del self.verified[next(iter(self.verified))]
+
+def _no_keys() -> AdapterUnavailable:
+    return AdapterUnavailable(
+        "the keys of the token's issuer cannot be fetched at present",
+        retry_after=_RETRY[0],
+        remedy="Try again. If it persists, ask the operator to check the issuer.",
+    )

@@ -1,41 +1,25 @@
-"""Public keys of token issuers: parsed from text and files, or fetched from servers.
-
-Servers are trusted as little as possible: sizes and times are bounded, redirects are not followed,
-and each key is used with only one algorithm.
-"""
+"""Public keys of token issuers, from text and files; each key is used with only one algorithm."""
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
-import http.client
-import socket
-import ssl
-import threading
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 import msgspec
 
+from rcp_jwt.documents import read_document
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 
-__all__ = ["PublicKey", "Unreachable", "fetch", "read_document", "read_set", "read_static"]
+__all__ = ["PublicKey", "read_set", "read_static"]
 
-_LONGEST = 512 * 1024  # bytes of a document
-_PATIENCE = 5.0  # s for a whole fetch
 _MOST = 64  # keys of one issuer
 _RSA_BITS = 2048  # RFC 8725, 3.5
-
-
-class Unreachable(Exception):
-    """The document could not be fetched, or is invalid."""
 
 
 class PublicKey(msgspec.Struct, frozen=True):
@@ -153,90 +137,3 @@ def _read_text(text: str) -> tuple[PublicKey, ...]:
     if not found:
         raise ValueError("write PEM (BEGIN PUBLIC KEY), JWK or JWKS")
     return tuple(found)
-
-
-def read_document(data: bytes) -> Any:
-    """Parse JSON.
-
-    :raises ValueError: it is invalid.
-    """
-    try:
-        return msgspec.json.decode(data)
-    except (msgspec.DecodeError, RecursionError):
-        raise ValueError("it is not JSON") from None
-
-
-async def fetch(url: str) -> bytes:
-    """Fetch a document in a worker thread.
-
-    :raises Unreachable: it failed, took too long, was too large, or had a status other than 200.
-    """
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[bytes] = loop.create_future()
-    call = _Call(url)
-
-    def settle(data: bytes | None, reason: str) -> None:
-        if done.done():
-            return
-        if data is None:
-            done.set_exception(Unreachable(reason))
-        else:
-            done.set_result(data)
-
-    def work() -> None:
-        data, reason = None, ""
-        try:
-            data = call.run()
-        except Unreachable as error:
-            reason = str(error)
-        except (OSError, http.client.HTTPException, ValueError) as error:
-            reason = type(error).__name__
-        with suppress(RuntimeError):  # the event loop has ended, and with it the caller
-            loop.call_soon_threadsafe(settle, data, reason)
-
-    threading.Thread(target=work, name="rcp-fetch", daemon=True).start()
-    try:
-        async with asyncio.timeout(_PATIENCE):
-            return await done
-    except TimeoutError:
-        raise Unreachable(f"no complete answer within {_PATIENCE:g} s") from None
-    finally:
-        call.stop()
-
-
-class _Call:
-    """One GET request that another thread can abort."""
-
-    def __init__(self, url: str) -> None:
-        parts = urlsplit(url)
-        self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-        host = parts.hostname or ""
-        if parts.scheme == "https":
-            context = ssl.create_default_context()
-            self._connection: http.client.HTTPConnection = http.client.HTTPSConnection(
-                host, parts.port, timeout=_PATIENCE, context=context
-            )
-        else:
-            self._connection = http.client.HTTPConnection(host, parts.port, timeout=_PATIENCE)
-
-    def run(self) -> bytes:
-        connection = self._connection
-        headers = {"Accept": "application/json", "User-Agent": "rcp-gateway"}
-        try:
-            connection.request("GET", self._target, headers=headers)
-            response = connection.getresponse()
-            if response.status != 200:
-                raise Unreachable(f"the answer has status {response.status}")
-            data = response.read(_LONGEST + 1)
-        finally:
-            connection.close()
-        if len(data) > _LONGEST:
-            raise Unreachable(f"the answer is longer than {_LONGEST} bytes")
-        return data
-
-    def stop(self) -> None:
-        """Wake a thread that still waits for the server."""
-        held: Any = self._connection.sock
-        if held is not None:
-            with suppress(OSError):
-                held.shutdown(socket.SHUT_RDWR)

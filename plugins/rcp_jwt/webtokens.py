@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hmac
 import json
 import re
 from collections.abc import Sequence
@@ -16,7 +17,16 @@ from rcp_kernel.contract.identity import Grants, Principal, check_time
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
 from rcp_protocol.plain import is_list, is_map
 
-__all__ = ["Claims", "Read", "is_jwt", "principal_of", "read_token", "verify"]
+__all__ = [
+    "Claims",
+    "Read",
+    "check_id_token",
+    "is_jwt",
+    "needed_claims",
+    "principal_of",
+    "read_token",
+    "verify",
+]
 
 Claims = dict[str, Any]
 _LONGEST = 16_384  # characters
@@ -83,7 +93,9 @@ def _malformed() -> Unauthenticated:
     return Unauthenticated("the token is malformed")
 
 
-def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims, PublicKey]:
+def verify(
+    token: str, keys: list[PublicKey], config: JwtConfig, audience: str | Sequence[str]
+) -> tuple[Claims, PublicKey]:
     """Verify signature and claims; return the claims and the key that signed.
 
     :raises TokenExpired: the token has expired.
@@ -91,7 +103,6 @@ def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims
     """
     import jwt
 
-    audience = config.audience
     for key in keys[:_TRIED]:
         try:
             claims = jwt.decode(
@@ -120,6 +131,28 @@ def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims
             raise _malformed() from None
         return claims, key
     raise Unauthenticated("the token's signature is invalid")
+
+
+def check_id_token(claims: Claims, client: str, nonce: str) -> None:
+    """Check what an ID token has beyond other tokens (OpenID Connect Core, 3.1.3.7).
+
+    :raises Unauthenticated: it was not issued for this login.
+    """
+    audience, party = claims["aud"], claims.get("azp")
+    if party != client and (party is not None or (is_list(audience) and len(audience) > 1)):
+        raise Unauthenticated("the ID token was given to another client (`azp`)")
+    found: Any = claims.get("nonce")
+    if not isinstance(found, str) or not hmac.compare_digest(found.encode(), nonce.encode()):
+        raise Unauthenticated("the ID token is not for this login: its `nonce` is another")
+
+
+def needed_claims(config: JwtConfig, claims: Claims) -> Claims:
+    """Return the claims that decide on a principal, and none of the others that a person has."""
+    names = {"aud", "exp", "iat"}
+    for name in (config.name_claim, config.role_claim, config.tenant_claim):
+        if name is not None:
+            names |= {name, name.partition(".")[0]}
+    return {name: value for name, value in claims.items() if name in names}
 
 
 def principal_of(

@@ -205,6 +205,17 @@ class Identities:
         assert found is not None
         return found
 
+    def check_attempts(self, peer: Peer) -> None:
+        """Check that a peer may try to prove itself in a way that asks somebody else.
+
+        :raises RateLimited: it has failed too often.
+        """
+        self._attempts.check(peer.address, "")
+
+    def failed(self, peer: Peer) -> None:
+        """Count a failure of such an attempt."""
+        self._attempts.failed(peer.address, "")
+
     def _look(self, token: str | None, peer: Peer, *, fetched: bool = False) -> Principal | None:
         certified = None
         if peer.certificate is not None:

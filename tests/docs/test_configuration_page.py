@@ -16,6 +16,7 @@ from rcp_audit import AuditConfig
 from rcp_dashboard import DashboardConfig
 from rcp_hubs.config import HubConfig
 from rcp_jwt.config import JwtConfig
+from rcp_jwt.login_config import LoginConfig
 from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.file import (
     Anonymous,
@@ -44,6 +45,7 @@ _TABLES = [
     ("`[[certificates]]`", CertificateConfig),
     ("`[[keys]]`", KeyConfig),
     ("`[[jwt]]`", JwtConfig),
+    ("`[jwt.login]`", LoginConfig),
     ("`[[hubs]]`", HubConfig),
     ("`[anonymous]`", Anonymous),
     ("Bounds", Bound),

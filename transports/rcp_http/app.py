@@ -13,6 +13,7 @@ from rcp_http.controllers import Catalogue, Commands, Files, Status
 from rcp_http.logins import Login
 from rcp_http.messages import Messages
 from rcp_http.octets import range_headers
+from rcp_http.oidc import OidcLogin
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session, to_internal_error
 from rcp_kernel.client_api import ClientApi
@@ -42,7 +43,7 @@ class HttpApp:
         self._context = Context(client_api, config, self._answers)
         self._messages = Messages(client_api, config, self._answers, self._context)
         self.calls = Application(
-            [Router(PREFIX, route_handlers=[Catalogue, Status, Commands, Files, Login])],
+            [Router(PREFIX, route_handlers=[Catalogue, Status, Commands, Files, Login, OidcLogin])],
             dependencies={
                 "call": Provide(self._call),
                 "client_api": Provide(self._get_client_api, sync_to_thread=False),

@@ -19,21 +19,36 @@ from rcp_web.application import Asked, response, scope_of
 from rcp_web.asgi import Headers, Scope, peer_of, read_body
 from rcp_web.calls import call as declared
 from rcp_web.logins import LOGINS, LoginService, login_cookie, no_cookie, shown_login
+from rcp_web.oidc import OIDC
 from rcp_web.own_page import own_origin
 
 __all__ = ["Login"]
 
 _LONGEST = 32_768  # bytes of a body: a token has at most 16,384 characters
 _NO_STORE: Headers = [(b"cache-control", b"no-store")]
+_LINK: dict[str, Any] = {
+    "type": "object",
+    "required": ["name", "url"],
+    "properties": {"name": TEXT, "url": TEXT},
+}
 _STATE: dict[str, Any] = {
     "type": "object",
-    "required": ["principal", "expires", "durable"],
+    "required": ["principal", "expires", "durable", "issuers", "log_out_at"],
     "properties": {
         "principal": {"type": ["string", "null"], "description": "Whose login the cookie is."},
         "expires": {"type": ["string", "null"], "description": "When it ends at the latest."},
         "durable": {
             "type": "boolean",
             "description": "Whether logins outlive a restart of the gateway.",
+        },
+        "issuers": {
+            "type": "array",
+            "items": _LINK,
+            "description": "Where people log in by OpenID Connect: addresses for a browser.",
+        },
+        "log_out_at": {
+            "anyOf": [_LINK, {"type": "null"}],
+            "description": "Where the person of the cookie logs out of the issuer too.",
         },
     },
 }
@@ -74,7 +89,7 @@ class Login(Controller):
     def state(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
         """Answer with the principal of the cookie, if there is one."""
         logins, secret = _service(client_api), shown_login(scope_of(request))
-        return _state(logins, None if secret is None else logins.find(secret))
+        return _state(client_api, logins, None if secret is None else logins.find(secret))
 
     @post(
         **declared(
@@ -98,7 +113,7 @@ class Login(Controller):
         if former is not None:
             logins.end(former)
         cookie = login_cookie(origin, made.secret, made.lifetime if wanted.remember else None)
-        return _state(logins, logins.find(made.secret), cookie)
+        return _state(client_api, logins, logins.find(made.secret), cookie)
 
     @delete(
         **declared("End the login in the cookie.", responses=_answers(400, 403, 404)),
@@ -110,9 +125,10 @@ class Login(Controller):
         scope, logins = scope_of(request), _service(client_api)
         origin = _page(scope)
         secret = shown_login(scope)
+        ended = None if secret is None else logins.find(secret)
         if secret is not None:
             logins.end(secret)
-        return _state(logins, None, no_cookie(origin))
+        return _state(client_api, logins, None, no_cookie(origin), ended=ended)
 
 
 def _service(client_api: ClientApi) -> LoginService:
@@ -149,12 +165,20 @@ def _read(data: bytes) -> _Wanted:
 
 
 def _state(
-    logins: LoginService, principal: Principal | None, *cookies: tuple[bytes, bytes]
+    client_api: ClientApi,
+    logins: LoginService,
+    principal: Principal | None,
+    *cookies: tuple[bytes, bytes],
+    ended: Principal | None = None,
 ) -> ASGIApp:
     expires = None if principal is None else principal.expires
+    oidc, person = client_api.service(OIDC), principal or ended
+    place = None if oidc is None or person is None else oidc.log_out(person)
     body = {
         "principal": None if principal is None else principal.name,
         "expires": None if expires is None else iso(expires),
         "durable": logins.durable,
+        "issuers": [] if oidc is None else [one._asdict() for one in oidc.issuers],
+        "log_out_at": None if place is None else place._asdict(),
     }
     return response(200, msgspec.json.encode(body), headers=[*_NO_STORE, *cookies])

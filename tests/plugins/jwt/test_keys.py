@@ -9,7 +9,7 @@ import pytest
 
 from issuer import Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, prepared, world_of
-from rcp_jwt import issuers, jwks
+from rcp_jwt import documents, issuers
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import (
@@ -95,7 +95,7 @@ async def test_an_issuer_in_trouble_is_told_of_and_asked_again(
 async def test_a_slow_issuer_holds_up_nobody_else(
     issuer: Issuer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jwks, "_PATIENCE", 0.3)
+    monkeypatch.setattr(documents, "_PATIENCE", 0.3)
     monkeypatch.setattr(issuers, "_WAIT", 0.5)
     issuer.go.clear()
     async with world_of(CONFIG + issuer.table()) as world:

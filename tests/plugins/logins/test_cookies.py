@@ -92,7 +92,13 @@ async def ended(wire: ClientConnection) -> list[dict[str, Any]]:
 async def test_a_browser_stays_logged_in_by_a_cookie_that_no_script_can_read(
     gateway: Site, http: httpx.AsyncClient
 ) -> None:
-    assert (await http.get(LOGIN)).json() == {"principal": None, "expires": None, "durable": True}
+    assert (await http.get(LOGIN)).json() == {
+        "principal": None,
+        "expires": None,
+        "durable": True,
+        "issuers": [],
+        "log_out_at": None,
+    }
     assert (await http.get(LIMIT)).status_code == 401
     answer = await http.post(LOGIN, json={"token": KEY, "remember": True})
     assert answer.json()["principal"] == "op"

@@ -1,6 +1,6 @@
 import { afterEach, describe, expect, it, vi } from "vitest";
 
-import { beginLogin, endLogin } from "../src/lib/login.ts";
+import { beginLogin, endLogin, issuersOf, loginAt } from "../src/lib/login.ts";
 
 afterEach(() => vi.unstubAllGlobals());
 
@@ -36,7 +36,18 @@ describe("a login", () => {
   it("has ended where the gateway has ended it, or keeps none", async () => {
     for (const [status, ended] of [[200, true], [403, true], [404, true], [503, false]] as const) {
       answering(status, {});
-      expect(await endLogin("")).toBe(ended);
+      expect(await endLogin("")).toEqual({ ended });
     }
+  });
+
+  it("may be begun and ended at an issuer", async () => {
+    const issuer = { name: "House & Co", url: "https://robots.example/rcp/v1/login/oidc/house" };
+    answering(200, { principal: null, durable: true, issuers: [issuer], log_out_at: issuer });
+    expect(await issuersOf("")).toEqual([issuer]);
+    expect(await endLogin("")).toEqual({ ended: true, logOutAt: issuer });
+    expect(loginAt(issuer, "#/explore?path=/a", true)).toBe(`${issuer.url}?next=%2F%23%2Fexplore%3Fpath%3D%2Fa&remember=true`);
+    expect(loginAt(issuer, "", false)).toBe(`${issuer.url}?next=%2F`);
+    answering(404, refusal("unknown_path"));
+    expect(await issuersOf("")).toEqual([]);
   });
 });

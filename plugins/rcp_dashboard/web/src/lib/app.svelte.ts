@@ -4,7 +4,7 @@ import type { Approval } from "./approvals.ts";
 import { msgpack } from "rcp-client/msgpack";
 
 import { forget, keep, kept } from "./kept.ts";
-import { beginLogin, endLogin, isLoggedIn } from "./login.ts";
+import { beginLogin, endLogin, type IssuerLink, isLoggedIn } from "./login.ts";
 import { robotsOf } from "./robots.ts";
 import { latchedOf } from "./stops.ts";
 import { Tabs } from "./tabs.ts";
@@ -83,6 +83,8 @@ class App {
   #cookie = false;
   /** Whether the gateway did not answer when it was to end the login. */
   stillLoggedIn = $state(false);
+  /** Where the person who has just logged out here is still logged in, and logs out. */
+  logOutAt = $state.raw<IssuerLink>();
   readonly #tabs = new Tabs(BASE, () => this.token, () => this.#cookie, () => this.#change(undefined));
 
   constructor() {
@@ -248,16 +250,18 @@ class App {
       forget(TOKEN); // at once: it takes no answer of the gateway
       this.#tabs.logOut(token);
     }
-    const ended = await endLogin(BASE);
+    const { ended, logOutAt } = await endLogin(BASE);
     if (ended) this.#tabs.logOut();
     const still = !ended && (this.#cookie || token === undefined);
     if (!still || token !== undefined) this.#change(undefined, false, still);
     this.stillLoggedIn = still;
+    this.logOutAt = logOutAt;
   }
 
   #change(token: string | undefined, remember = false, cookie = false): void {
     this.#cookie = cookie;
     this.stillLoggedIn = false;
+    this.logOutAt = undefined;
     forget(TOKEN);
     if (token) keep(TOKEN, token, remember ? "computer" : "tab");
     this.client.close();

@@ -5,9 +5,23 @@ import { ConnectionLost, RcpError } from "rcp-client";
 const PATIENCE = 15_000; // ms
 const NONE = [403, 404]; // where the gateway keeps no logins, or not for this page
 
+/** An issuer at which people log in or out, and where the browser goes for it. */
+export interface IssuerLink {
+  name: string;
+  url: string;
+}
+
+interface Told {
+  principal?: string | null;
+  durable?: boolean;
+  issuers?: IssuerLink[];
+  log_out_at?: IssuerLink | null;
+  error?: ConstructorParameters<typeof RcpError>[0];
+}
+
 interface Answer {
   status: number;
-  told: { principal?: string | null; durable?: boolean; error?: ConstructorParameters<typeof RcpError>[0] } | undefined;
+  told: Told | undefined;
 }
 
 /** Whether the browser has one that has not ended. */
@@ -30,10 +44,23 @@ export async function beginLogin(base: string, token: string, remember: boolean)
   throw new ConnectionLost("no response from the gateway", "Try again.");
 }
 
-/** End it, if there is one; return whether there is none now: without that, the browser is still logged in. */
-export async function endLogin(base: string): Promise<boolean> {
+/** End it, if there is one; return whether there is none now (without that, the browser is still logged in), and where the issuer ends its own. */
+export async function endLogin(base: string): Promise<{ ended: boolean; logOutAt?: IssuerLink }> {
   const answer = await ask(base, "DELETE");
-  return answer !== undefined && [200, ...NONE].includes(answer.status);
+  const ended = answer !== undefined && [200, ...NONE].includes(answer.status);
+  const place = answer?.told?.log_out_at;
+  return { ended, ...(place && { logOutAt: place }) };
+}
+
+/** Return the issuers at which people log in, instead of by a key. */
+export async function issuersOf(base: string): Promise<IssuerLink[]> {
+  return (await ask(base, "GET"))?.told?.issuers ?? [];
+}
+
+/** Return where the browser goes to log in at an issuer, and come back to the page at `hash`. */
+export function loginAt(issuer: IssuerLink, hash: string, remember: boolean): string {
+  const query = new URLSearchParams({ next: `/${hash}`, ...(remember && { remember: "true" }) });
+  return `${issuer.url}?${query}`;
 }
 
 /** Return what the gateway answers; undefined if it does not answer in time. */
