@@ -34,7 +34,7 @@ class TestArmProfile(ProfileSuite):
     kind = next(iter(rcp_ros2.rcp_backends()))
     config: ClassVar[Mapping[str, Any]] = {
         "domain_id": DOMAIN,
-        "grace": 2.0,
+        "grace": 0.5,
         "timeout": 2.0,
         "silence": 1.5,
     }

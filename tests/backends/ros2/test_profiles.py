@@ -31,7 +31,7 @@ class TestRoverProfiles(ProfileSuite):
     kind = next(iter(rcp_ros2.rcp_backends()))
     config: ClassVar[Mapping[str, Any]] = {
         "domain_id": DOMAIN,
-        "grace": 2.0,
+        "grace": 0.5,
         "timeout": 1.0,
         "silence": 1.5,
         "limits": {"speed": 0.8, "turn": 1.5},

@@ -30,7 +30,7 @@ async def test_a_limit_is_what_the_navigator_was_told_last_by_whomever() -> None
     navigator = Navigator(domain, str(interfaces.built()), shared_memory=False)  # it is killed
     navigator.start()
     try:
-        async with robot_of(domain, grace=2.0, poll=0.2) as robot:
+        async with robot_of(domain, grace=0.5, poll=0.2) as robot:
             await robot.until(lambda: LIMIT in robot.resources)
             with pytest.raises(AdapterUnavailable):  # it was told none, and has none to read
                 await robot.read(LIMIT)
