@@ -269,5 +269,7 @@ async def test_who_is_here_and_who_has_control_is_on_one_page(
         await expect(control).to_contain_text("demo-operator")
         sessions = admin.page.locator("tr[data-session]")
         await expect(sessions.filter(has_text="this page")).to_contain_text("demo-admin")
-        newest = sessions.filter(has_text="demo-operator").last  # earlier ones may wait to be resumed
+        newest = sessions.filter(
+            has_text="demo-operator"
+        ).last  # earlier ones may wait to be resumed
         await expect(newest).to_contain_text("connected")
