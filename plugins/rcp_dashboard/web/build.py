@@ -21,7 +21,7 @@ _LOCK = WEB / "package-lock.json"
 _INSTALLED = WEB / "node_modules" / ".lock"
 _SKIPPED = {"node_modules", ".made", ".svelte-kit", "__pycache__", "test"}
 _PATIENCE = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-timeout=60000")
-_COMPRESSED = {".html", ".js", ".css", ".svg", ".json", ".md", ".webmanifest"}
+_COMPRESSED = {".html", ".js", ".mjs", ".css", ".svg", ".json", ".md", ".webmanifest"}
 
 
 def sources() -> Iterable[Path]:
