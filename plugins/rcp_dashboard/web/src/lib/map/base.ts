@@ -34,6 +34,8 @@ export class Base {
   #archive: Archive | undefined;
   #dark: boolean;
   #over = false;
+  /** What was shown last. */
+  #place = "";
 
   /** Draw the archive at a URL; throws where the browser has no WebGL 2. */
   constructor(box: HTMLElement, url: string, dark: boolean, told: Told) {
@@ -75,11 +77,15 @@ export class Base {
   /** Show what the plane shows, now and not a picture later. */
   follow(plane: Plane): void {
     const { latitude, longitude } = plane.centre;
+    const place = `${latitude} ${longitude} ${plane.zoomed} ${plane.size.width} ${plane.size.height}`;
+    if (place === this.#place) return; // robots move, and the tiles lie still
+    this.#place = place;
     this.#map.jumpTo({ center: [longitude, latitude], zoom: plane.zoomed });
     this.#map.redraw();
   }
 
   resize(): void {
+    this.#place = "";
     this.#map.resize();
   }
 

@@ -122,9 +122,11 @@ export class Plan {
     this.selected = undefined;
   }
 
+  /** Add an item where it belongs: a take-off first, an end last, another after the one that is selected. */
   add(item: Item): void {
     const items = this.shownMission;
-    const after = this.selected?.what === "mission" ? this.selected.item + 1 : items.length;
+    const inner = placed(item) && !/LAND$/.test(item.command) && this.selected?.what === "mission";
+    const after = /TAKEOFF$/.test(item.command) ? 0 : inner ? (this.selected as { item: number }).item + 1 : items.length;
     this.setMission([...items.slice(0, after), item, ...items.slice(after)]);
     this.selected = { what: "mission", item: after };
   }
