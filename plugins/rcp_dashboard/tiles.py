@@ -43,7 +43,7 @@ class Tiles:
         known = msgspec.json.encode({"tiles": self._archive is not None})
 
         @get(PREFIX, sync_to_thread=False)
-        def facts(request: Asked) -> ASGIApp:
+        def facts() -> ASGIApp:
             """Tell whether there are tiles."""
             return response(200, known, headers=[(b"cache-control", b"no-cache")])
 

@@ -150,7 +150,7 @@ async def test_tiles_of_the_gateway_lie_below_the_robots(browser: Browser, url: 
         spot = {"x": middle[0], "y": middle[1], "width": 4, "height": 4}
         await page.emulate_media(color_scheme="light")
         async with asyncio.timeout(60):
-            while await _colour(page, spot) != GRASS:
+            while await _colour(page, spot) != GRASS:  # noqa: ASYNC110 - it is a picture
                 await asyncio.sleep(0.05)
         await tab.shoot("map-tiles")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator
 from pathlib import Path
 
@@ -32,7 +33,7 @@ async def stranger(static: object, archive: Path) -> AsyncGenerator[httpx.AsyncC
         yield client
 
 
-async def test_ranges_of_the_archive_are_served(stranger: httpx.AsyncClient, archive: Path) -> None:
+async def test_ranges_of_the_archive_are_served(stranger: httpx.AsyncClient) -> None:
     assert (await stranger.get("/dashboard/map")).json() == {"tiles": True}
     for wanted, start, stop in (
         ("bytes=0-16383", 0, 16_384),
@@ -55,12 +56,18 @@ async def test_ranges_of_the_archive_are_served(stranger: httpx.AsyncClient, arc
     past = await stranger.get("/dashboard/map/tiles", headers={"range": "bytes=9999999-"})
     assert past.status_code == 416
     assert past.headers["content-range"] == f"bytes */{len(ARCHIVE)}"
-    archive.write_bytes(ARCHIVE[:9000])
+
+
+async def test_an_archive_may_be_replaced_and_be_missed(
+    stranger: httpx.AsyncClient, archive: Path
+) -> None:
+    etag = (await stranger.get("/dashboard/map/tiles")).headers["etag"]
+    await asyncio.to_thread(archive.write_bytes, ARCHIVE[:9000])
     changed = {"range": "bytes=0-9", "if-range": etag}
     other = await stranger.get("/dashboard/map/tiles", headers=changed)
     assert (other.status_code, len(other.content)) == (200, 9000)
     assert other.headers["etag"] != etag
-    archive.unlink()
+    await asyncio.to_thread(archive.unlink)
     gone = await stranger.get("/dashboard/map/tiles")
     assert (gone.status_code, gone.json()["error"]["code"]) == (404, "unknown_path")
 

@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 
 import { type Geo, toGeo } from "../src/lib/geo.ts";
 import { checkFence, checkMission, crossed, lengthOf, outside, within } from "../src/lib/map/check.ts";
-import { type Area, EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, sideFor, waypoint, wayOf, whole } from "../src/lib/map/items.ts";
+import { type Area, EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placeFor, sideFor, waypoint, wayOf, whole } from "../src/lib/map/items.ts";
 import { Plane } from "../src/lib/map/plane.ts";
 import { styleOf, wordsOf } from "../src/lib/map/style.ts";
 
@@ -82,6 +82,16 @@ describe("items", () => {
     expect(moved(["a", "b"], 1, 2)).toEqual(["a", "b"]);
   });
 
+  it("puts a new item where it belongs", () => {
+    const home = whole({ command: "NAV_RETURN_TO_LAUNCH", frame: "mission" });
+    const items = [...flight([10, 0], [20, 0]), home];
+    expect(placeFor(items, waypoint(HOME, 5), undefined)).toBe(3);
+    expect(placeFor(items, waypoint(HOME, 5), 1)).toBe(2);
+    expect(placeFor(items, whole({ command: "NAV_TAKEOFF" }), 2)).toBe(0);
+    expect(placeFor(items.slice(0, 3), home, 1)).toBe(3);
+    expect(placeFor([], waypoint(HOME, 5), undefined)).toBe(0);
+  });
+
   it("puts a new corner into the side that it is nearest to", () => {
     expect(sideFor(square(100).corners, at(0, 130))).toBe(3);
     expect(sideFor(square(100).corners, at(-120, 5))).toBe(4);
@@ -112,7 +122,7 @@ describe("checks", () => {
   });
 
   it("find heights, slips and what has no place", () => {
-    expect(told([])).toEqual(["✕ The mission is empty."]);
+    expect(told([])).toEqual(["▲ The mission is empty: the vehicle will have none."]);
     expect(told([waypoint(HOME, 20)])[0]).toContain("does not begin with a take-off");
     expect(told([...flight(), waypoint(HOME, 0)])[0]).toContain("on the ground of home");
     expect(told([...flight(), waypoint(HOME, 500)])[0]).toContain("500 m above home");

@@ -97,7 +97,7 @@ export function checkFence(fence: Fence, vehicles: { name: string; at: Geo }[] =
 
 /** What is wrong with a mission that is flown within a fence. */
 export function checkMission(items: Item[], fence: Fence, flies: boolean): Finding[] {
-  if (items.length === 0) return [wrong("The mission is empty.")];
+  if (items.length === 0) return [odd("The mission is empty: the vehicle will have none.")];
   const found: Finding[] = [];
   const usable = checkFence(fence).every((one) => !one.wrong);
   let last: { at: Item; name: string } | undefined;

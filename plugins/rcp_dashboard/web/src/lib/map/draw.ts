@@ -127,6 +127,7 @@ export function drawMission(pen: Pen, plane: Plane, { items, open, home, selecte
   items.forEach((item, place) => {
     if (!placed(item)) return;
     knob(pen, plane, item, place === current ? colour("--good") : own, String(place + 1), selected?.what === "mission" && selected.item === place, colour);
+    if (item.altitude === 0) return;
     const [x, y] = plane.toScreen(item);
     pen.font = "12px system-ui, sans-serif";
     word(pen, `${Math.round(item.altitude * 10) / 10} m`, x + 12, y - 8, colour);

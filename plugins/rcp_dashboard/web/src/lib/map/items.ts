@@ -31,6 +31,7 @@ const POLYGON = /^NAV_FENCE_POLYGON_VERTEX_(IN|EX)CLUSION$/;
 const CIRCLE = /^NAV_FENCE_CIRCLE_(IN|EX)CLUSION$/;
 /** Commands that are given without a place: the vehicle goes on from where it is. */
 const PLACELESS = new Set(["NAV_TAKEOFF", "NAV_LAND", "NAV_VTOL_TAKEOFF", "NAV_VTOL_LAND"]);
+const END = /^NAV_(RETURN_TO_LAUNCH|(VTOL_)?LAND)$/;
 const WORDS: Record<string, string> = {
   NAV_WAYPOINT: "Waypoint",
   NAV_SPLINE_WAYPOINT: "Waypoint, curved",
@@ -68,6 +69,15 @@ export function high(item: Item): boolean {
 
 export function waypoint(at: Geo, altitude: number): Item {
   return whole({ command: "NAV_WAYPOINT", ...at, altitude });
+}
+
+/** Where a new item belongs: a take-off first, an end last, any other after the one that is selected, or before the end. */
+export function placeFor(items: Item[], item: Item, selected: number | undefined): number {
+  if (/TAKEOFF$/.test(item.command)) return 0;
+  if (END.test(item.command)) return items.length;
+  if (selected !== undefined) return selected + 1;
+  const last = items.findLastIndex((one) => !END.test(one.command));
+  return last + 1;
 }
 
 /** The places that a mission leads to, home among them where an item is there. */

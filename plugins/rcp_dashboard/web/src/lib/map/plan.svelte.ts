@@ -4,7 +4,7 @@ import { type Resource, RcpError } from "rcp-client";
 import { app } from "../app.svelte.ts";
 import type { Geo } from "../geo.ts";
 import type { Robot } from "../robots.ts";
-import { EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placed, sideFor, whole } from "./items.ts";
+import { EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placed, placeFor, sideFor, whole } from "./items.ts";
 
 const STEPS = 50; // that can be undone
 
@@ -19,6 +19,7 @@ export interface Offers {
   downloadFence: Resource | undefined;
   progress: Resource | undefined;
   vehicle: Resource | undefined;
+  mode: Resource | undefined;
 }
 
 export function offersOf(robot: Robot): Offers {
@@ -34,6 +35,7 @@ export function offersOf(robot: Robot): Offers {
     downloadFence: able("fence/download", "execute"),
     progress: able("sensor/mission", "subscribe") ?? robot.resources.find((one) => one.kind === "sensor" && one.native === "MISSION_CURRENT"),
     vehicle: robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/vehicle")),
+    mode: robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/mode") && one.operations.includes("subscribe")),
   };
 }
 
@@ -41,6 +43,10 @@ export function offersOf(robot: Robot): Offers {
 export function plannable(robot: Robot): boolean {
   const { download, upload, downloadFence, uploadFence } = offersOf(robot);
   return [download, upload, downloadFence, uploadFence].some((one) => one !== undefined);
+}
+
+export function canFly(robot: Robot): boolean {
+  return robot.resources.some((one) => one.path.endsWith("/takeoff"));
 }
 
 export type Handle = { what: "mission"; item: number } | { what: "fence"; area: number; corner: number };
@@ -122,11 +128,10 @@ export class Plan {
     this.selected = undefined;
   }
 
-  /** Add an item where it belongs: a take-off first, an end last, another after the one that is selected. */
+  /** Add an item where it belongs. */
   add(item: Item): void {
     const items = this.shownMission;
-    const inner = placed(item) && !/LAND$/.test(item.command) && this.selected?.what === "mission";
-    const after = /TAKEOFF$/.test(item.command) ? 0 : inner ? (this.selected as { item: number }).item + 1 : items.length;
+    const after = placeFor(items, item, this.selected?.what === "mission" ? this.selected.item : undefined);
     this.setMission([...items.slice(0, after), item, ...items.slice(after)]);
     this.selected = { what: "mission", item: after };
   }
@@ -225,11 +230,13 @@ export class Plan {
 }
 
 const plans = new Map<string, Plan>();
+let epoch: number | undefined;
 
-/** The plan of a robot, which outlives the page that shows it: what was drawn is not lost by looking elsewhere. */
+/** The plan of a robot, which outlives the page that shows it, and not the login: what was drawn is not lost by looking elsewhere. */
 export function planOf(robot: string): Plan {
-  const key = `${app.epoch} ${robot}`;
-  let found = plans.get(key);
-  if (!found) plans.set(key, (found = new Plan(robot)));
+  if (epoch !== app.epoch) plans.clear();
+  epoch = app.epoch;
+  let found = plans.get(robot);
+  if (!found) plans.set(robot, (found = new Plan(robot)));
   return found;
 }
