@@ -209,6 +209,38 @@ async def test_a_fence_is_drawn_with_its_faults_told_and_uploaded(
         await expect(findings).to_contain_text("1 (Waypoint) is outside the fence")
         await page.get_by_role("button", name="Discard").click()
         await execute(drone, f"{DRONE}/service/fence/upload", {"items": []})
+        # What somebody else uploads is shown.
+        items = [{"command": "NAV_WAYPOINT", "latitude": -35.363, "longitude": 149.1653}]
+        await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
+        await expect(page.get_by_test_id("onboard")).to_contain_text("1 item.")
+        await execute(drone, f"{DRONE}/service/mission/clear")
+        await expect(page.get_by_test_id("onboard")).to_contain_text("no mission")
+
+
+async def test_a_plan_file_is_saved_and_loaded_after_a_question(
+    browser: Browser, url: str, drone: httpx.AsyncClient
+) -> None:
+    async with opened(browser, url) as tab:
+        page = tab.page
+        await page.get_by_test_id("plan").click()
+        async with page.expect_download() as saving:
+            await page.get_by_role("button", name="Save as a file").click()
+        saved = await (await saving.value).path()
+        text = await asyncio.to_thread(saved.read_text)
+        assert '"fileType": "Plan"' in text
+        picker = page.get_by_label("Plan file")
+        wrong = {"name": "x.plan", "mimeType": "application/json", "buffer": b"{}"}
+        await picker.set_input_files(wrong)
+        await page.get_by_role("button", name="Load it into the vehicle").click()
+        await expect(page.get_by_test_id("refusal")).to_contain_text("Plan")
+        lines = "QGC WPL 110\n0 1 0 16 0 0 0 0 -35.36 149.16 584 1\n1 0 3 22 0 0 0 0 0 0 7 1\n"
+        right = {"name": "y.waypoints", "mimeType": "text/plain", "buffer": lines.encode()}
+        await picker.set_input_files(right)
+        await expect(page.get_by_text("Load y.waypoints into drone?")).to_be_visible()
+        assert (await execute(drone, f"{DRONE}/service/mission/download"))["items"] == []
+        await page.get_by_role("button", name="Load it into the vehicle").click()
+        await expect(page.get_by_test_id("onboard")).to_contain_text("1 item.")
+        await execute(drone, f"{DRONE}/service/mission/clear")
 
 
 async def test_a_mission_is_drawn_uploaded_flown_watched_and_ended(

@@ -17,6 +17,8 @@ export interface Offers {
   download: Resource | undefined;
   uploadFence: Resource | undefined;
   downloadFence: Resource | undefined;
+  exportFile: Resource | undefined;
+  loadFile: Resource | undefined;
   progress: Resource | undefined;
   vehicle: Resource | undefined;
   mode: Resource | undefined;
@@ -33,6 +35,8 @@ export function offersOf(robot: Robot): Offers {
     download: able("mission/download", "execute"),
     uploadFence: able("fence/upload", "execute"),
     downloadFence: able("fence/download", "execute"),
+    exportFile: able("plan/export", "execute"),
+    loadFile: able("plan/load", "execute"),
     progress: able("sensor/mission", "subscribe") ?? robot.resources.find((one) => one.kind === "sensor" && one.native === "MISSION_CURRENT"),
     vehicle: robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/vehicle")),
     mode: robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/mode") && one.operations.includes("subscribe")),
@@ -64,6 +68,7 @@ export class Plan {
   /** As they are being drawn; undefined where nobody draws. */
   draft = $state.raw<Draft>({ mission: undefined, fence: undefined });
   reading = $state(false);
+  #pending: Promise<void> | undefined;
   /** Why they could not be read. */
   error = $state.raw<RcpError>();
   selected = $state.raw<Handle>();
@@ -78,9 +83,13 @@ export class Plan {
     this.robot = robot;
   }
 
-  /** Ask the robot for what it has. */
-  async read(offers: Offers): Promise<void> {
-    if (this.reading) return;
+  /** Ask the robot for what it has; one that is being asked already is waited for. */
+  read(offers: Offers): Promise<void> {
+    this.#pending ??= this.#read(offers).finally(() => (this.#pending = undefined));
+    return this.#pending;
+  }
+
+  async #read(offers: Offers): Promise<void> {
     this.reading = true;
     this.error = undefined;
     try {
@@ -150,13 +159,13 @@ export class Plan {
     this.selected = undefined;
   }
 
-  /** Add a corner to the area that is selected, or begin one. */
+  /** Add a corner after the one that is selected, else into the nearest side of the last area; or begin one. */
   addCorner(at: Geo): void {
     const { areas, rest } = this.shownFence;
     const chosen = this.selected?.what === "fence" ? this.selected.area : areas.length - 1;
     const area = areas[chosen];
     if (!area || area.radius !== undefined) return this.addArea({ inside: true, corners: [at] });
-    const corner = sideFor(area.corners, at);
+    const corner = this.selected?.what === "fence" ? this.selected.corner + 1 : sideFor(area.corners, at);
     const corners = [...area.corners.slice(0, corner), at, ...area.corners.slice(corner)];
     this.setFence({ areas: areas.map((one, place) => (place === chosen ? { ...one, corners } : one)), rest });
     this.selected = { what: "fence", area: chosen, corner };
