@@ -188,6 +188,8 @@ async def test_a_fence_is_drawn_with_its_faults_told_and_uploaded(
     async with opened(browser, url) as tab:
         page = tab.page
         drawn = await planning(page, "Fence")
+        off = page.get_by_test_id("fence-off")
+        await expect(off).to_contain_text("does not heed its fence: FENCE_ENABLE is 0")
         findings, upload = page.get_by_test_id("findings"), page.get_by_test_id("upload")
         await drawn.click((-250, -250), (250, -250))
         await expect(findings).to_contain_text("needs three corners")
@@ -202,6 +204,9 @@ async def test_a_fence_is_drawn_with_its_faults_told_and_uploaded(
         stored = (await execute(drone, f"{DRONE}/service/fence/download"))["items"]
         assert [one["command"] for one in stored] == ["NAV_FENCE_POLYGON_VERTEX_INCLUSION"] * 4
         assert near(62.5, 62.5)(stored[1])
+        await drone.put(f"/rcp/v1/context{DRONE}/param/FENCE_ENABLE", json=1)
+        await expect(off).to_have_count(0)
+        await drone.put(f"/rcp/v1/context{DRONE}/param/FENCE_ENABLE", json=0)
         await tab.shoot("map-fence")
         # A mission that leaves it is told of before it is flown.
         await planning(page)

@@ -22,6 +22,8 @@ export interface Offers {
   progress: Resource | undefined;
   vehicle: Resource | undefined;
   mode: Resource | undefined;
+  /** Whether an ArduPilot heeds its fence. */
+  enabled: Resource | undefined;
 }
 
 export function offersOf(robot: Robot): Offers {
@@ -40,6 +42,7 @@ export function offersOf(robot: Robot): Offers {
     progress: able("sensor/mission", "subscribe") ?? robot.resources.find((one) => one.kind === "sensor" && one.native === "MISSION_CURRENT"),
     vehicle: robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/vehicle")),
     mode: robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/mode") && one.operations.includes("subscribe")),
+    enabled: able("FENCE_ENABLE", "subscribe"),
   };
 }
 
