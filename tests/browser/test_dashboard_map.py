@@ -19,7 +19,7 @@ from playwright.async_api import Browser, Locator, Page, expect
 import rcp_mavlink
 import rcp_sim
 from browser.accessible import SMALL, WIDER, violations
-from browser.input_helpers import held
+from browser.input_helpers import held, touching
 from browser.machines import key_of
 from browser.robots import until, value
 from browser.watched import Watched, signed_in
@@ -168,6 +168,24 @@ async def test_a_browser_that_cannot_draw_tiles_says_so_and_shows_the_rest(
         await expect(told).to_contain_text("This browser cannot draw the tiles")
         await expect(tab.page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
         await expect(tab.page.get_by_test_id("broken")).to_have_count(0)
+
+
+async def test_two_fingers_zoom_the_map_and_draw_nothing(browser: Browser, url: str) -> None:
+    async with opened(browser, url) as tab, touching(tab.page) as two:
+        page = tab.page
+        drawn = await planning(page)
+        count = await items(page).get_by_role("button", name="Delete").count()
+        await two.down(0, *drawn.at(-100, 0))
+        await two.down(1, *drawn.at(100, 0))
+        await two.move(a=drawn.at(-200, 0), b=drawn.at(200, 0))
+        await two.up(1)
+        await two.up(0)
+        await expect(items(page).get_by_role("button", name="Delete")).to_have_count(count)
+        await drawn.click((160, 0))
+        await expect(items(page).get_by_role("button", name="Delete")).to_have_count(count + 1)
+        longitude = page.get_by_label(f"Longitude of item {count + 1}")
+        east = (float(await longitude.input_value()) - 149.1652374) * 111_320 * 0.8155
+        assert east == pytest.approx(20, abs=1.5)  # 160 pixels: 8 in a metre, not 4
 
 
 async def test_a_robot_without_a_place_on_earth_has_a_map_of_its_own(

@@ -5,6 +5,7 @@ import { app } from "../app.svelte.ts";
 import type { Geo } from "../geo.ts";
 import type { Robot } from "../robots.ts";
 import { EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placed, placeFor, sideFor, whole } from "./items.ts";
+import type { Plane } from "./plane.ts";
 
 const STEPS = 50; // that can be undone
 
@@ -209,6 +210,17 @@ export class Plan {
   *handles(what: keyof Draft): Generator<[Handle, Geo]> {
     if (what === "mission") for (const [item, one] of this.shownMission.entries()) if (placed(one)) yield [{ what, item }, one];
     if (what === "fence") for (const [area, { corners }] of this.shownFence.areas.entries()) for (const [corner, at] of corners.entries()) yield [{ what, area, corner }, at];
+  }
+
+  /** The handle that is nearest to a pixel, within reach of it. */
+  near(what: keyof Draft, plane: Plane, px: number, py: number, reach: number): Handle | undefined {
+    let best: { handle: Handle; far: number } | undefined;
+    for (const [handle, at] of this.handles(what)) {
+      const [x, y] = plane.toScreen(at);
+      const far = Math.hypot(x - px, y - py);
+      if (far < reach && far <= (best?.far ?? Infinity)) best = { handle, far };
+    }
+    return best?.handle;
   }
 
   /** Move a handle along with the pointer; it is one change, until it is dropped. */
