@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import pytest
 from PIL import Image
-from playwright.async_api import Browser, Locator, Page, expect
+from playwright.async_api import Browser, FilePayload, Locator, Page, expect
 
 import rcp_mavlink
 import rcp_sim
@@ -252,12 +252,12 @@ async def test_a_plan_file_is_saved_and_loaded_after_a_question(
         text = await asyncio.to_thread(saved.read_text)
         assert '"fileType": "Plan"' in text
         picker = page.get_by_label("Plan file")
-        wrong = {"name": "x.plan", "mimeType": "application/json", "buffer": b"{}"}
+        wrong = FilePayload(name="x.plan", mimeType="application/json", buffer=b"{}")
         await picker.set_input_files(wrong)
         await page.get_by_role("button", name="Load it into the vehicle").click()
         await expect(page.get_by_test_id("refusal")).to_contain_text("Plan")
         lines = "QGC WPL 110\n0 1 0 16 0 0 0 0 -35.36 149.16 584 1\n1 0 3 22 0 0 0 0 0 0 7 1\n"
-        right = {"name": "y.waypoints", "mimeType": "text/plain", "buffer": lines.encode()}
+        right = FilePayload(name="y.waypoints", mimeType="text/plain", buffer=lines.encode())
         await picker.set_input_files(right)
         await expect(page.get_by_text("Load y.waypoints into drone?")).to_be_visible()
         assert (await execute(drone, f"{DRONE}/service/mission/download"))["items"] == []
