@@ -23,13 +23,17 @@ async def open_dashboard(
     from rcp_dashboard.pages import STATIC, Pages
     from rcp_dashboard.panels import PREFIX as PANELS
     from rcp_dashboard.panels import Panels
+    from rcp_dashboard.tiles import PREFIX as MAP
+    from rcp_dashboard.tiles import Tiles
 
     pages = Pages(STATIC)
     panels = Panels(config.panels)
+    tiles = Tiles(config.tiles)
     api = Api(client_api, config, panels.encoded())
     mounts = (
         Mount(name="dashboard", prefix="/", app=pages.app),
         Mount(name="dashboard panels", prefix=PANELS, app=panels.app),
+        Mount(name="dashboard map", prefix=MAP, app=tiles.app),
         Mount(name="dashboard api", prefix=PREFIX, app=api.app, openapi=api.openapi),
     )
     for mount in mounts:

@@ -27,3 +27,5 @@ class DashboardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Maximum number of camera streams."""
     panels: dict[Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}$")], str] = {}
     """Panels of plugins, by name: an installed package, or a folder, with a `/` in its path."""
+    tiles: str | None = None
+    """Path of a PMTiles archive with the tiles of the map."""

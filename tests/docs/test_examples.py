@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import struct
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -56,6 +57,16 @@ def test_every_program_is_proved() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
     for path in EXAMPLES.glob("*.py"):
         assert f'example("{path.stem}"' in text
+
+
+def test_tiles_of_an_invented_place_are_made_where_they_are_wanted(tmp_path: Path) -> None:
+    made = tmp_path / "field.pmtiles"
+    run([sys.executable, str(EXAMPLES / "tiles" / "make.py"), str(made), "--home", "47.4", "8.5"])
+    head = made.read_bytes()[:127]
+    assert head[:8] == b"PMTiles\x03"
+    west, south, east, north = (n / 1e7 for n in struct.unpack("<4i", head[102:118]))
+    assert west < 8.5 < east
+    assert south < 47.4 < north
 
 
 def test_poses_are_streamed_with_the_standard_library(live: Demo) -> None:

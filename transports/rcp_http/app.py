@@ -12,7 +12,6 @@ from rcp_http.context import Context
 from rcp_http.controllers import Catalogue, Commands, Files, Status
 from rcp_http.logins import Login
 from rcp_http.messages import Messages
-from rcp_http.octets import range_headers
 from rcp_http.oidc import OidcLogin
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session, to_internal_error
@@ -23,6 +22,7 @@ from rcp_kernel.wire import encode_reply, failure
 from rcp_web.application import Application, Asked, scope_of
 from rcp_web.asgi import MEDIA, Receive, Scope, Send, respond
 from rcp_web.calls import parameters_of
+from rcp_web.ranges import range_headers
 from rcp_web.refusals import NotTaken, Refusal, headers_of
 
 __all__ = ["PREFIX", "HttpApp"]

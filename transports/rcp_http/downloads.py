@@ -8,13 +8,13 @@ from contextlib import aclosing
 from typing import Any, cast
 
 from rcp_http.answers import matches
-from rcp_http.octets import byte_range
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import NotImplementedByRobot, RcpError
 from rcp_web.asgi import Headers, Send, respond
 from rcp_web.downloads import RECORDINGS, Download, Recordings
+from rcp_web.ranges import byte_range
 
 __all__ = ["HISTORY", "SENT_AS_LIST", "history_options", "recordings", "send_download"]
 

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 from rcp_http.answers import BOOT, matches
 from rcp_http.negotiate import OCTETS
 from rcp_http.request import HttpRequest
 from rcp_kernel.api import Sample
-from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.wire import Reply
 from rcp_web.asgi import Headers, Send, respond
+from rcp_web.ranges import byte_range
 
-__all__ = ["byte_range", "bytes_of", "range_headers", "send_octets"]
+__all__ = ["bytes_of", "send_octets"]
 
-_RANGE = re.compile(r"bytes=(\d*)-(\d*)\Z")
 _MEDIA = OCTETS.encode()
-
-
-class NotSatisfiable(BadRequest):
-    """The range is outside the value."""
-
-    http = 416
 
 
 def bytes_of(reply: Reply, *, native: bool) -> bytes | None:
@@ -59,28 +51,3 @@ async def send_octets(send: Send, http: HttpRequest, reply: Reply, data: bytes) 
             await respond(send, 206, data[start:stop], _MEDIA, headers)
             return
     await respond(send, 200, data, _MEDIA, headers)
-
-
-def byte_range(text: str, size: int) -> tuple[int, int] | None:
-    """Return the part that a `Range` header names; None: the whole is a valid response too.
-
-    :raises NotSatisfiable: it is outside.
-    """
-    match = _RANGE.match(text.strip())
-    if match is None or match[0] == "bytes=-":
-        return None  # several ranges or another unit
-    if match[1]:
-        start = int(match[1])
-        stop = min(size, int(match[2]) + 1) if match[2] else size
-    else:
-        start, stop = max(0, size - int(match[2])), size
-    if start >= stop:
-        raise NotSatisfiable(f"the value has {size} bytes", details={"size": size})
-    return start, stop
-
-
-def range_headers(error: RcpError) -> Headers:
-    """Return the header with the size, for a range outside the value."""
-    if isinstance(error, NotSatisfiable) and error.details is not None:
-        return [(b"content-range", b"bytes */%d" % error.details["size"])]
-    return []

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import json
 import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 WEB = Path(__file__).resolve().parent
 STATIC = WEB.parent / "static"
@@ -19,9 +21,12 @@ CLIENT = WEB.parents[2] / "clients" / "typescript" / "src"
 _MADE = WEB / ".made"
 _LOCK = WEB / "package-lock.json"
 _INSTALLED = WEB / "node_modules" / ".lock"
+_LICENSES = STATIC / "licenses.md"
+_WITHIN = ("maplibre-gl",)
+"""Packages that come with their dependencies in one file, so that Vite does not see these."""
 _SKIPPED = {"node_modules", ".made", ".svelte-kit", "__pycache__", "test"}
 _PATIENCE = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-timeout=60000")
-_COMPRESSED = {".html", ".js", ".css", ".svg", ".json", ".md", ".webmanifest"}
+_COMPRESSED = {".html", ".js", ".mjs", ".css", ".svg", ".json", ".md", ".webmanifest"}
 
 
 def sources() -> Iterable[Path]:
@@ -62,11 +67,32 @@ def build() -> None:
         _INSTALLED.write_text(lock)
     vite = str(WEB / "node_modules" / "vite" / "bin" / "vite.js")
     _done(node([vite, "build"], return_completed_process=True, cwd=WEB))
+    with _LICENSES.open("a", encoding="utf-8") as file:
+        file.writelines(_notices(_LICENSES.read_text(encoding="utf-8")))
     for path in STATIC.rglob("*"):
         if path.suffix in _COMPRESSED:
             packed = gzip.compress(path.read_bytes(), 9, mtime=0)
             path.with_name(path.name + ".gz").write_bytes(packed)
     _MADE.write_text(now)
+
+
+def _notices(listed: str) -> Iterable[str]:
+    """Return the licences of what packages have within them, as Vite writes those of the others."""
+    found: dict[str, dict[str, Any]] = {}
+    wanted = list(_WITHIN)
+    while wanted:
+        name = wanted.pop()
+        manifest = WEB / "node_modules" / name / "package.json"
+        if name in found or name.startswith("@types/") or not manifest.is_file():
+            continue
+        found[name] = json.loads(manifest.read_text(encoding="utf-8"))
+        wanted += found[name].get("dependencies", {})
+    for name, facts in sorted(found.items()):
+        if f"\n## {name} - " in listed:
+            continue
+        texts = sorted((WEB / "node_modules" / name).glob("[Ll][Ii][Cc][Ee][Nn][CcSs][Ee]*"))
+        words = texts[0].read_text(encoding="utf-8").strip() if texts else ""
+        yield f"\n## {name} - {facts['version']} ({facts.get('license', 'see below')})\n\n{words}\n"
 
 
 def _done(process: subprocess.CompletedProcess[str]) -> None:

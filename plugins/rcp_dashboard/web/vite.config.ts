@@ -22,7 +22,7 @@ export default defineConfig({
     assetsInlineLimit: 0, // nothing inline: the Content-Security-Policy allows only files
     modulePreload: { polyfill: false },
     license: { fileName: "licenses.md" }, // of what is bundled
-    chunkSizeWarningLimit: 900, // kB: three, which only the scene loads
+    chunkSizeWarningLimit: 1200, // kB: MapLibre and three, which only the map and the scene load
   },
   server: { proxy: { "/rcp": { target: "http://127.0.0.1:8080", ws: true }, "/dashboard": "http://127.0.0.1:8080" } },
 });

@@ -1,0 +1,88 @@
+"""Tiles of the map: an archive that is read in ranges, by whoever may load the pages."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from rcp_dashboard.tiles import Tiles
+from rcp_kernel.errors import ConfigError
+from transports.robot import site
+
+pytestmark = pytest.mark.anyio
+ARCHIVE = b"PMTiles\x03" + bytes(range(256)) * 1200  # more than one piece
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    """Make something that begins as an archive does."""
+    made = tmp_path / "field.pmtiles"
+    made.write_bytes(ARCHIVE)
+    return made
+
+
+@pytest.fixture
+async def stranger(static: object, archive: Path) -> AsyncGenerator[httpx.AsyncClient]:
+    """Ask without a key."""
+    more = f'[plugins.dashboard]\ntiles = "{archive}"\n'
+    async with site(more=more) as gateway, httpx.AsyncClient(base_url=gateway.url) as client:
+        yield client
+
+
+async def test_ranges_of_the_archive_are_served(stranger: httpx.AsyncClient) -> None:
+    assert (await stranger.get("/dashboard/map")).json() == {"tiles": True}
+    for wanted, start, stop in (
+        ("bytes=0-16383", 0, 16_384),
+        ("bytes=300000-", 300_000, len(ARCHIVE)),
+        ("bytes=-7", len(ARCHIVE) - 7, len(ARCHIVE)),
+        ("bytes=5-9999999", 5, len(ARCHIVE)),
+    ):
+        part = await stranger.get("/dashboard/map/tiles", headers={"range": wanted})
+        assert part.status_code == 206, wanted
+        place = f"bytes {start}-{stop - 1}/{len(ARCHIVE)}"
+        assert part.headers["content-range"] == place
+        assert part.content == ARCHIVE[start:stop]
+    whole = await stranger.get("/dashboard/map/tiles")
+    assert (whole.status_code, whole.content) == (200, ARCHIVE)
+    head = await stranger.head("/dashboard/map/tiles")
+    assert head.headers["content-length"] == str(len(ARCHIVE))
+    etag = whole.headers["etag"]
+    again = await stranger.get("/dashboard/map/tiles", headers={"if-none-match": etag})
+    assert again.status_code == 304
+    past = await stranger.get("/dashboard/map/tiles", headers={"range": "bytes=9999999-"})
+    assert past.status_code == 416
+    assert past.headers["content-range"] == f"bytes */{len(ARCHIVE)}"
+
+
+async def test_an_archive_may_be_replaced_and_be_missed(
+    stranger: httpx.AsyncClient, archive: Path
+) -> None:
+    etag = (await stranger.get("/dashboard/map/tiles")).headers["etag"]
+    await asyncio.to_thread(archive.write_bytes, ARCHIVE[:9000])
+    changed = {"range": "bytes=0-9", "if-range": etag}
+    other = await stranger.get("/dashboard/map/tiles", headers=changed)
+    assert (other.status_code, len(other.content)) == (200, 9000)
+    assert other.headers["etag"] != etag
+    await asyncio.to_thread(archive.unlink)
+    gone = await stranger.get("/dashboard/map/tiles")
+    assert (gone.status_code, gone.json()["error"]["code"]) == (404, "unknown_path")
+
+
+async def test_without_an_archive_the_map_knows_that_there_is_none(http: httpx.AsyncClient) -> None:
+    assert (await http.get("/dashboard/map")).json() == {"tiles": False}
+    missing = await http.get("/dashboard/map/tiles")
+    assert missing.status_code == 404
+    assert "[plugins.dashboard] tiles" in missing.json()["error"]["remedy"]
+
+
+def test_what_is_no_archive_is_refused_at_the_start(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read: No such file"):
+        Tiles(str(tmp_path / "nothing.pmtiles"))
+    other = tmp_path / "other"
+    other.write_bytes(b"PMTiles\x02")
+    with pytest.raises(ConfigError, match="no PMTiles archive of version 3"):
+        Tiles(str(other))
