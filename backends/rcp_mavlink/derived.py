@@ -10,10 +10,9 @@ import msgspec
 
 from rcp_kernel.clock import iso
 from rcp_kernel.types import PoseStamped
-from rcp_mavlink import enu, speed_controllers
+from rcp_mavlink import enu
 from rcp_mavlink.dialect import Dialect
 from rcp_mavlink.frames import Frame
-from rcp_mavlink.speed_controllers import SpeedController
 from rcp_profiles.messages import Attitude, BatteryState, GnssFix, TwistStamped
 
 __all__ = ["Derived", "DerivedFrame", "deriveds"]
@@ -38,8 +37,6 @@ class Derived(NamedTuple):
     make: Callable[[Frames, str | None], Any]
     live: bool = False
     """Whether the gateway itself needs the messages, so that they are always received."""
-    beside: tuple[str, ...] = ()
-    """Messages that are used if they have come; not every vehicle sends them."""
 
 
 class DerivedFrame:
@@ -50,7 +47,6 @@ class DerivedFrame:
     def __init__(self, derived: Derived, frames: Frames, at: int | None) -> None:
         self._make, self._at = derived.make, at
         self._frames = {name: frames[name] for name in derived.messages}
-        self._frames |= {name: frames[name] for name in derived.beside if name in frames}
         self.data = self._frames[derived.messages[0]].data
 
     def decode(self) -> Any:
@@ -58,7 +54,7 @@ class DerivedFrame:
         return self._make(self._frames, None if self._at is None else iso(self._at))
 
 
-def deriveds(dialect: Dialect, *, px4: bool) -> list[Derived]:
+def deriveds(dialect: Dialect) -> list[Derived]:
     """List the derived sensors that a dialect has the messages for."""
     battery = _beside(dialect, "BATTERY_STATUS", BatteryState)
     velocity = _beside(dialect, "VFR_HUD", TwistStamped)
@@ -71,9 +67,6 @@ def deriveds(dialect: Dialect, *, px4: bool) -> list[Derived]:
         found.append(Derived("sensor/velocity", "Velocity ahead, to the left and up, and turning rates, positive to the left; beside them ground speed, airspeed, climb rate, compass heading and throttle.", ("VFR_HUD", "GLOBAL_POSITION_INT", "ATTITUDE"), velocity, _velocity(velocity)))  # fmt: skip
     if battery is not None:
         found.append(Derived("sensor/battery", "Remaining charge, voltage and current; beside them the vehicle's own report: cells, consumption, state.", ("BATTERY_STATUS",), battery, _battery(battery)))  # fmt: skip
-    escs = speed_controllers.reported(dialect.by_name, px4=px4)
-    if escs:
-        found.append(Derived("sensor/escs", "Speed, voltage, current and temperature of each motor's speed controller that reports them.", escs[:1], list[SpeedController], speed_controllers.reports, beside=escs[1:]))  # fmt: skip
     return [one for one in found if all(name in dialect.by_name for name in one.messages)]
 
 

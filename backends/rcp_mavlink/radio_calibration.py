@@ -10,6 +10,7 @@ from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceRejected,
     PreconditionFailed,
+    RcpError,
     UnsupportedOperation,
 )
 from rcp_kernel.spi import Progress
@@ -26,10 +27,22 @@ _RATE = 20.0  # Hz
 _WAIT = 3.0  # s for the first message
 _LOWEST, _HIGHEST = 800, 2200  # µs: ArduPilot takes no other pulses
 _USED = 300  # µs by which a channel that is in use was moved at least
-_STICKS = ("RCMAP_ROLL", "RCMAP_PITCH", "RCMAP_THROTTLE", "RCMAP_YAW")
+_FLYING = ("RCMAP_ROLL", "RCMAP_PITCH", "RCMAP_THROTTLE", "RCMAP_YAW")
+_DRIVING = ("RCMAP_ROLL", "RCMAP_THROTTLE")
+"""The sticks that have to be moved: a rover or boat has a steering and a throttle."""
 _THROTTLE = "RCMAP_THROTTLE"
-_MIDDLE = "Put all sticks in the middle, the throttle too, and execute service/calibrate/continue."
-_ENDS = "Move all sticks and switches to all their ends, then execute service/calibrate/continue."
+_REVERSED = "THR_MIN"
+"""Negative: a plane with reverse thrust, whose throttle rests in the middle."""
+_MIDDLE = (
+    "Take the propellers off. Put all sticks in the middle, the throttle too, and execute"
+    " service/calibrate/continue."
+)
+_ARMED = "calibrate radio: the vehicle was armed meanwhile, and still is"
+_DISARM = "Stand back, and execute action/disarm before you try again."
+_ENDS = (
+    "Move all sticks and switches to all their ends, but the throttle never down while yaw is held"
+    " to the right, which arms it. Then execute service/calibrate/continue."
+)
 
 
 class RadioCalibration:
@@ -78,12 +91,13 @@ class RadioCalibration:
             with self._vehicle.listening(_CHANNELS, take):
                 await self._ask("ends", _ENDS, progress, 0.4)
         moved = [channel for channel in middle if high[channel] - low[channel] >= _USED]
+        await self._parameters.complete.wait()
         self._check(moved)
-        texts = [
-            await self._write(channel, low[channel], middle[channel], high[channel])
+        wanted = {
+            channel: self._wanted(channel, low[channel], middle[channel], high[channel])
             for channel in moved
-        ]
-        return m.Calibrated("radio", texts)
+        }
+        return m.Calibrated("radio", await self._write(wanted))
 
     @contextmanager
     def _pulses(self) -> Generator[None]:
@@ -114,31 +128,62 @@ class RadioCalibration:
         going_on = self._going_on
         await self._vehicle.until(lambda: going_on.is_set() or self._vehicle.armed)
         if self._vehicle.armed:
-            raise PreconditionFailed("calibrate radio: the vehicle was armed meanwhile")
+            raise PreconditionFailed(_ARMED, remedy=_DISARM)
 
     def _now(self) -> dict[int, int]:
         frame = self._vehicle.latest.get(_CHANNELS)
         return {} if frame is None else _pulses_of(frame)
 
     def _check(self, moved: list[int]) -> None:
+        """Refuse what was moved too little, or cannot be written, before anything is."""
         known = self._parameters.known
-        sticks = {name: round(known[name].value) for name in _STICKS if name in known}
+        names = _DRIVING if self._vehicle.family.drives else _FLYING
+        sticks = {name: round(known[name].value) for name in names if name in known}
         still = [name for name, channel in sticks.items() if channel not in moved]
         if still or not moved:
-            names = ", ".join(name.removeprefix("RCMAP_").lower() for name in still) or "no stick"
+            told = ", ".join(name.removeprefix("RCMAP_").lower() for name in still) or "no stick"
             raise DeviceRejected(
-                f"calibrate radio: not moved far enough: {names}; nothing was written",
+                f"calibrate radio: not moved far enough: {told}; nothing was written",
                 remedy="Repeat it, and move each stick to both of its ends.",
             )
+        missing = [name for channel in moved for name in _names(channel) if name not in known]
+        if missing:
+            raise DeviceRejected(
+                f"calibrate radio: the vehicle has no parameter {missing[0]}; nothing was written"
+            )
 
-    async def _write(self, channel: int, low: int, middle: int, high: int) -> str:
-        """Write one channel, whose throttle rests at its lower end."""
+    def _wanted(self, channel: int, low: int, middle: int, high: int) -> tuple[int, int, int]:
+        """Return the lower end, the upper end, and where the channel rests, us.
+
+        A throttle that only pushes rests at its lower end; one that also pulls, in the middle.
+        """
         known = self._parameters.known
         throttle = _THROTTLE in known and round(known[_THROTTLE].value) == channel
-        rest = low if throttle else middle
-        for name, value in (("MIN", low), ("MAX", high), ("TRIM", rest)):
-            await self._parameters.write(f"RC{channel}_{name}", value)
-        return f"channel {channel}: {low} to {high} us, rests at {rest} us"
+        pulls = _REVERSED in known and known[_REVERSED].value < 0
+        pushes = throttle and self._vehicle.family.flies and not pulls
+        return low, high, low if pushes else middle
+
+    async def _write(self, wanted: dict[int, tuple[int, int, int]]) -> list[str]:
+        """Write all channels while it is disarmed; return what was written.
+
+        :raises RcpError: with what was written so far in its details.
+        """
+        written: list[str] = []
+        for channel, values in wanted.items():
+            for name, value in zip(_names(channel), values, strict=True):
+                try:
+                    if self._vehicle.armed:
+                        raise PreconditionFailed(_ARMED, remedy=_DISARM)
+                    await self._parameters.write(name, value)
+                except RcpError as error:
+                    error.details = {**(error.details or {}), "written": written}
+                    raise
+                written.append(f"{name} = {value}")
+        return written
+
+
+def _names(channel: int) -> tuple[str, str, str]:
+    return f"RC{channel}_MIN", f"RC{channel}_MAX", f"RC{channel}_TRIM"
 
 
 def _pulses_of(frame: Frame) -> dict[int, int]:

@@ -34,6 +34,7 @@ from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
 from rcp_mavlink.sensors import Sensor
+from rcp_mavlink.speed_controllers import SpeedControllers
 from rcp_mavlink.traffic import Traffic
 from rcp_mavlink.vehicle import Vehicle
 from rcp_profiles import Offer
@@ -97,7 +98,7 @@ def resources(
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
     found += [*CameraControls.resources(), *CameraList.resources()]
-    found += Traffic.resources(hub.dialect)
+    found += Traffic.resources(hub.dialect) + SpeedControllers.resources(hub.dialect, family)
     found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()

@@ -54,6 +54,7 @@ from rcp_mavlink.resources import parameter, resources
 from rcp_mavlink.restart import watched
 from rcp_mavlink.sensors import BASE, ESTIMATOR
 from rcp_mavlink.setpoints import Setpoints
+from rcp_mavlink.speed_controllers import ESCS, SpeedControllers
 from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.stop import Stop
 from rcp_mavlink.stop_plan import GuardPlan
@@ -122,8 +123,10 @@ class Robot:
             hub, vehicle, self._publish, self._run_prearm_checks
         )
         self.traffic = Traffic(self._publish)
+        self.escs = SpeedControllers(vehicle, self.intervals, self._publish)
         self._heeded: dict[int, Callable[[Frame], None]] = {
             **dict.fromkeys(TelemetryEvents.heeded, self.telemetry_events.frame),
+            **dict.fromkeys(self.escs.heeded, self.escs.frame),
             **dict.fromkeys(Traffic.heeded, self.traffic.frame),
             **dict.fromkeys(TIMED, self.telemetry.timed),
             0: self._heartbeat,
@@ -461,6 +464,8 @@ class Robot:
             return self._value(own)
         if name == TRAFFIC:
             return self.traffic.value()
+        if name == ESCS:
+            return await self.escs.read()
         value = self.telemetry_events.value(name)
         if value is None:
             raise AdapterUnavailable(f"no value for '{name}' received yet")
@@ -520,7 +525,8 @@ class Robot:
         """Request a message at a rate while entered."""
         if name == FRAMES:
             return self._tapped()
-        return self.telemetry.watched(name, FASTEST if rate is None else min(rate, FASTEST))
+        rate = FASTEST if rate is None else min(rate, FASTEST)
+        return self.escs.watched(rate) if name == ESCS else self.telemetry.watched(name, rate)
 
     @asynccontextmanager
     async def _tapped(self) -> AsyncGenerator[None]:

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
+from rcp_kernel.errors import DeviceTimeout, RcpError
+from rcp_kernel.model import Resource
+from rcp_mavlink.dialect import Dialect
+from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.frames import Frame
+from rcp_mavlink.intervals import Intervals
+from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["SpeedController", "reported", "reports"]
+__all__ = ["ESCS", "SpeedControllers"]
 
+ESCS = "sensor/escs"
 _ARDUPILOT = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in range(1, 33, 4))
-_PX4 = ("ESC_STATUS", "ESC_INFO")
+_STATUS, _INFO = "ESC_STATUS", "ESC_INFO"
 _EACH = 4  # motors a message
+_TOLD = 8  # motors of which ESC_INFO tells whether they are there
 _RADIANS = math.tau / 60  # rad/s of one revolution per minute
 _UNKNOWN = 32767
+_RECENT = 2.0  # s after which a controller that is silent is left out
+_WITHIN = 0.5  # s for the other groups of motors, after the first one has come
 
 
 class SpeedController(Struct, frozen=True):
@@ -33,49 +45,135 @@ class SpeedController(Struct, frozen=True):
     """Number of errors since boot."""
 
 
-def reported(known: Mapping[str, Any], *, px4: bool) -> tuple[str, ...]:
-    """Return the messages that a dialect has of a family; the first of them brings a new value."""
-    return tuple(name for name in (_PX4 if px4 else _ARDUPILOT) if name in known)
+class SpeedControllers:
+    """Those of one vehicle, of which each message tells four."""
+
+    def __init__(
+        self, vehicle: Vehicle, intervals: Intervals, publish: Callable[[str, Any], None]
+    ) -> None:
+        self._vehicle, self._intervals, self._publish = vehicle, intervals, publish
+        self._messages = _messages(vehicle.dialect, vehicle.family)
+        self.heeded = frozenset(vehicle.dialect.by_name[name].id for name in self._messages)
+        """The messages handled here, by number."""
+        self._latest: dict[int, tuple[float, SpeedController]] = {}
+        """By motor: when it was told."""
+        self._infos: dict[int, dict[str, Any]] = {}
+        """ESC_INFO of a PX4, by the first motor in it."""
+        self._watchers = 0
+
+    @staticmethod
+    def resources(dialect: Dialect, family: Family) -> list[Resource]:
+        """List what it serves."""
+        messages = _messages(dialect, family)
+        if not messages:
+            return []
+        return [
+            Resource(name=ESCS, description="Speed, voltage, current and temperature of each motor's speed controller that has reported within two seconds.", value=list[SpeedController], native=messages[0], meta={"message": messages[0]}),
+        ]  # fmt: skip
+
+    def frame(self, frame: Frame) -> None:
+        """Take what four of them report."""
+        fields = frame.fields()
+        match frame.definition.name:
+            case "ESC_INFO":
+                self._infos[fields["index"]] = fields
+                return
+            case "ESC_STATUS":
+                self._forget(fields["index"])
+                found = _px4(fields, self._infos.get(fields["index"]))
+            case name:
+                found = _ardupilot(fields, _ARDUPILOT.index(name) * _EACH)
+        now = time.monotonic()
+        self._latest |= {one.motor: (now, one) for one in found}
+        if self._watchers:
+            self._publish(ESCS, self.value())
+
+    def _forget(self, first: int) -> None:
+        for motor in range(first + 1, first + 1 + _EACH):
+            self._latest.pop(motor, None)
+
+    def value(self) -> list[SpeedController]:
+        """Return those that have reported lately, by motor."""
+        end = time.monotonic() - _RECENT
+        return [one for _, (at, one) in sorted(self._latest.items()) if at >= end]
+
+    async def read(self) -> list[SpeedController]:
+        """Have all of them report now.
+
+        :raises RcpError: the vehicle reports none, for the reason that it gives.
+        :raises DeviceTimeout: no report comes.
+        """
+        since, received = time.monotonic(), self._vehicle.received_at
+        accepted = await self._requested()
+
+        def come(names: tuple[str, ...]) -> list[str]:
+            return [name for name in names if received.get(name, 0.0) >= since]
+
+        if not await self._vehicle.until(lambda: bool(come(accepted)), _RECENT):
+            raise DeviceTimeout("no speed controller has reported")
+        before = tuple(name for name in accepted if name in received)  # not all of them exist
+        await self._vehicle.until(lambda: len(come(before)) == len(before), _WITHIN)
+        return self.value()
+
+    async def _requested(self) -> tuple[str, ...]:
+        accepted: list[str] = []
+        refusal: RcpError | None = None
+        for name in self._messages:
+            try:
+                await self._intervals.request(name)
+            except RcpError as error:
+                self._vehicle.check()
+                refusal = error
+            else:
+                accepted.append(name)
+        if not accepted and refusal is not None:
+            raise refusal
+        return tuple(accepted)
+
+    @asynccontextmanager
+    async def watched(self, rate: float) -> AsyncGenerator[None]:
+        """Request the reports at a rate while entered."""
+        with ExitStack() as wishes:
+            for name in self._messages:
+                wishes.callback(self._intervals.want(name, rate))
+            self._watchers += 1
+            try:
+                yield
+            finally:
+                self._watchers -= 1
 
 
-def reports(frames: Mapping[str, Frame], _: str | None = None) -> list[SpeedController]:
-    """Return those that have reported: of ArduPilot all, of PX4 the four of the latest message."""
-    status = frames.get(_PX4[0])
-    found = _px4(status, frames.get(_PX4[1])) if status is not None else _ardupilot(frames)
-    return list(found)
+def _messages(dialect: Dialect, family: Family) -> tuple[str, ...]:
+    """Return the messages that a dialect has of a family."""
+    names = (_STATUS, _INFO) if family.px4 else _ARDUPILOT
+    return tuple(name for name in names if name in dialect.by_name)
 
 
-def _ardupilot(frames: Mapping[str, Frame]) -> Iterator[SpeedController]:
-    for at, name in enumerate(_ARDUPILOT):
-        frame = frames.get(name)
-        if frame is None:
+def _ardupilot(f: dict[str, Any], first: int) -> Iterator[SpeedController]:
+    for one in range(_EACH):
+        if not f["count"][one]:  # it has never reported
             continue
-        f = frame.fields()
-        for one in range(_EACH):
-            if not f["count"][one]:  # it has never reported
-                continue
-            yield SpeedController(
-                motor=at * _EACH + one + 1,
-                velocity=f["rpm"][one] * _RADIANS,
-                voltage=f["voltage"][one] / 100,
-                current=f["current"][one] / 100,
-                temperature=float(f["temperature"][one]),
-                consumed=f["totalcurrent"][one] / 1000,
-                errors=None,
-            )
+        yield SpeedController(
+            motor=first + one + 1,
+            velocity=f["rpm"][one] * _RADIANS,
+            voltage=f["voltage"][one] / 100,
+            current=f["current"][one] / 100,
+            temperature=float(f["temperature"][one]),
+            consumed=f["totalcurrent"][one] / 1000,
+            errors=None,
+        )
 
 
-def _px4(status: Frame, info: Frame | None) -> Iterator[SpeedController]:
-    f, more = status.fields(), None if info is None else info.fields()
-    if more is not None and more["index"] != f["index"]:
-        more = None
+def _px4(f: dict[str, Any], info: dict[str, Any] | None) -> Iterator[SpeedController]:
     for one in range(_EACH):
         at = f["index"] + one
-        if more is not None and not more["info"] & (1 << at):  # offline, or there is none
+        if info is None:
+            there = bool(f["voltage"][one])
+        else:  # of those beyond the eighth it does not say whether they are there
+            there = at < info["count"] and (at >= _TOLD or bool(info["info"] & (1 << at)))
+        if not there:
             continue
-        if more is None and not f["voltage"][one]:
-            continue
-        hundredths = _UNKNOWN if more is None else more["temperature"][one]
+        hundredths = _UNKNOWN if info is None else info["temperature"][one]
         yield SpeedController(
             motor=at + 1,
             velocity=f["rpm"][one] * _RADIANS,
@@ -83,5 +181,5 @@ def _px4(status: Frame, info: Frame | None) -> Iterator[SpeedController]:
             current=f["current"][one],
             temperature=None if hundredths == _UNKNOWN else hundredths / 100,
             consumed=None,
-            errors=None if more is None else more["error_count"][one],
+            errors=None if info is None else info["error_count"][one],
         )

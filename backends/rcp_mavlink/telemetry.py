@@ -45,7 +45,7 @@ class Telemetry:
         self._start = start
         found = sensors(hub.dialect, hub.config.messages, px4=vehicle.family.px4)
         self._sensors = {sensor.name: sensor for sensor in found}
-        self._deriveds = {one.name: one for one in deriveds(hub.dialect, px4=vehicle.family.px4)}
+        self._deriveds = {one.name: one for one in deriveds(hub.dialect)}
         self._watched: dict[str, int] = {}
         """Number of subscribers by message name."""
         self._paths: dict[int, list[tuple[str, bool]]] = {}
@@ -171,7 +171,7 @@ class Telemetry:
         if name in self._sensors:
             return (self._sensors[name].message,)
         derived = self._deriveds.get(name)
-        return () if derived is None else (*derived.messages, *derived.beside)
+        return () if derived is None else derived.messages
 
     async def first(self, message: str) -> None:
         """Request the first value at once, for messages that are rare."""

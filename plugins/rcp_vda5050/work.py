@@ -31,6 +31,8 @@ _HELD = frozenset({
     "adapter_unavailable", "mode_forbids", "fenced",
 })  # fmt: skip
 """Errors after which the order is paused, and goes on when the fleet manager says so (`stopPause`)."""
+_STOPPED = frozenset({"estop_active", "lease_lost", "cancelled", "fenced"})
+"""Those of an action that somebody stopped: the order is paused if something of it is left."""
 _GO_ON = "Send stopPause to go on, or cancelOrder."
 
 
@@ -144,7 +146,11 @@ class Work:
 
         :raises NotStoppedError: the robot does not confirm that it has stopped.
         """
-        if not self.busy or self._cancelling:
+        if self._cancelling:
+            return False
+        if not self.busy:
+            if self.halted is not None:  # a pause that outlasted its order
+                self.resume()
             return False
         self._cancelling = True
         try:
@@ -286,13 +292,18 @@ class Work:
             references = (("actionId", state.action.action_id), ("orderId", self.book.order_id))
             text = f"{state.action.action_type}: {error['message']}"
             self.refuse(Fault("work", text, references, error.get("remedy", "")))
-            if error["code"] in _HELD and state.action.action_id in self.states:
+            if error["code"] in _STOPPED and self._is_left(state):
                 # Before the next action begins: that an e-stop is the reason is told later.
                 self.pause(Fault("unavailable", text, references, _GO_ON))
         finally:
             if state.status == "RUNNING":
                 state.status = "FAILED"
             self._changed()
+
+    def _is_left(self, stopped: ActionState) -> bool:
+        """Tell whether an action is one of the order, and something follows it."""
+        waiting = any(state.status == "WAITING" for state in self.states.values())
+        return stopped.action.action_id in self.states and (waiting or bool(self.book.legs))
 
     async def do_now(self, state: ActionState) -> None:
         """Do an instant action that is none of the standard's own."""
