@@ -303,6 +303,23 @@ async def test_an_estop_during_an_action_leaves_the_rest_of_the_order_waiting(
         await it.master.until("r1", lambda s: statuses(s)["a2"] == "FINISHED")
 
 
+async def test_a_last_action_that_somebody_stops_holds_no_later_order_up(tmp_path: Path) -> None:
+    async with depot(tmp_path) as it:
+        given = near(order(count=2))
+        given["nodes"][1]["nodePosition"]["x"] = 0.9
+        given["nodes"][1]["actions"] = [action("a1", "dock")]
+        await it.master.send("r1", "order", **given)
+        await it.master.until("r1", lambda s: statuses(s) == {"a1": "RUNNING"})
+        await it.admin.request("cancel", "/tenant/r1/action/dock")
+        state = await it.master.until("r1", lambda s: statuses(s)["a1"] == "FAILED")
+        assert not state["paused"]
+        here = (await it.pose())[0]
+        later = near(order("o2", count=2))
+        later["nodes"][0]["nodePosition"]["x"], later["nodes"][1]["nodePosition"]["x"] = here, 0.3
+        await it.master.send("r1", "order", **later)
+        await it.master.until("r1", done("o2", "n1"))
+
+
 async def test_an_instant_action_without_an_order_gives_control_back(tmp_path: Path) -> None:
     async with depot(tmp_path) as it:
         id_ = await it.master.instant("r1", "tidy")
