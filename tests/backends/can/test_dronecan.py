@@ -405,7 +405,8 @@ def test_a_restart_shows_in_the_uptime(
     reports: list[tuple[int, float]], *, restarted: bool
 ) -> None:
     uptime = Uptime()
-    assert any([uptime.has_restarted(seconds, at) for seconds, at in reports]) is restarted
+    found = [uptime.has_restarted(seconds, at) for seconds, at in reports]
+    assert any(found) is restarted
 
 
 def test_transfers_without_an_end_or_a_beginning_are_dropped() -> None:
