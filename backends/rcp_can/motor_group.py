@@ -54,6 +54,8 @@ def make_axes(
         except (msgspec.ValidationError, ValueError) as error:
             raise ConfigError(f"motors.{name}.options: {error}") from error
         drive.watchdog, drive.rate = motor.watchdog or None, motor.rate
+        if motor.position and not drive.places:
+            raise ConfigError(f"motors.{name}.position: {motor.profile} reports no position")
         if motor.gravity:
             if not drive.offsets:
                 raise ConfigError(

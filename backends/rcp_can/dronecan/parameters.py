@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -59,7 +60,7 @@ class Parameters:
         found: dict[str, Parameter] = {}
         for index in range(_MOST):
             parameter = _decoded(await self._ask(f"parameter {index}", index=index))
-            if parameter is None:
+            if parameter is None or parameter.name in found:  # it does not heed the number
                 break
             found[parameter.name] = parameter
         return list(found.values())
@@ -105,16 +106,18 @@ def _decoded(response: Any) -> Parameter | None:
     name, (kind, value) = text_of(response.name), _value(response.value)
     if not name or value is None:
         return None
+    low, high = _bounds(kind, value, response)
+    return Parameter(name, kind, value, _value(response.default_value)[1], low, high)
+
+
+def _bounds(kind: Kind, value: Any, response: Any) -> tuple[float | None, float | None]:
+    """Return the bounds of a number; none if they contradict its value or each other."""
     low, high = (_value(bound)[1] for bound in (response.min_value, response.max_value))
-    bounded = kind in ("integer_value", "real_value")
-    return Parameter(
-        name,
-        kind,
-        value,
-        _value(response.default_value)[1],
-        low if bounded else None,
-        high if bounded else None,
-    )
+    if kind not in ("integer_value", "real_value"):
+        return None, None
+    given = [bound for bound in (low, value, high) if bound is not None]
+    sound = all(map(math.isfinite, given)) and given == sorted(given) and low != high
+    return (low, high) if sound and (low, high) != (None, None) else (None, None)
 
 
 def _value(union: Any) -> tuple[Any, Any]:

@@ -43,6 +43,7 @@ class EscDrive(Drive):
     """
 
     holds = True
+    places = False
     modes = frozenset[Mode](("velocity",))
 
     def __init__(self, node: int, options: EscOptions, bus: Bus) -> None:

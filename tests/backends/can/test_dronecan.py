@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import time
 from collections import deque
 from collections.abc import AsyncGenerator, Callable
@@ -22,11 +23,13 @@ from backends.can.rig import Node, Rig, channel, motor, opened
 from rcp_can import CanConfig
 from rcp_can.dronecan.library import make
 from rcp_can.dronecan.node_status import Uptime
+from rcp_can.dronecan.parameters import Parameters, parameter_type
 from rcp_can.dronecan.transfers import Assembler, Received, Service, encode
 from rcp_can.sim import Bench
 from rcp_can.sim.dronecan import DronecanTwin
 from rcp_kernel.errors import (
     AdapterUnavailable,
+    ConfigError,
     DeviceRejected,
     DeviceTimeout,
     ModeForbids,
@@ -476,6 +479,57 @@ def test_a_configuration_that_cannot_work_is_refused(tables: dict[str, Any], tex
     with pytest.raises(msgspec.ValidationError) as caught:
         msgspec.convert({"buses": {"can0": bus}, **tables}, CanConfig)
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("tables", "text"),
+    [
+        (
+            {"motors": {"m": esc(20, 0, position=[-1.0, 1.0])}},
+            "motors.m.position: dronecan reports",
+        ),
+        (
+            {
+                "motors": {"l": esc(20, 0), "r": esc(21, 1)},
+                "diff_drives": {"b": {"left": "l", "right": "r", "track": 1.0, "radius": 0.1}},
+            },
+            "diff_drives.b: motor 'l' \\(dronecan\\) reports no position",
+        ),
+    ],
+)
+async def test_what_needs_a_position_is_refused(tables: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        async with field(**tables):
+            pass
+
+
+BOUNDS: list[tuple[Any, Any, tuple[Any, Any]]] = [
+    (0, 19, (0, 19)),
+    (None, 19, (None, 19)),
+    (0, 0, (None, None)),  # of firmware that has none
+    (10, 19, (None, None)),  # the value is 4
+    (math.nan, 19.0, (None, None)),
+]
+
+
+@pytest.mark.parametrize(("low", "high", "kept"), BOUNDS)
+async def test_bounds_that_cannot_be_are_not_offered(
+    low: Any, high: Any, kept: tuple[Any, Any]
+) -> None:
+    class Port:
+        async def request(self, _node: int, request: Any, _what: str) -> Any:
+            answer = make("protocol.param.GetSet.Response", name="X")  # whatever the number
+            answer.value = make("protocol.param.Value", integer_value=4)
+            for field_, bound in (("min_value", low), ("max_value", high)):
+                if bound is not None:
+                    kind = "integer_value" if isinstance(bound, int) else "real_value"
+                    setattr(answer, field_, make("protocol.param.NumericValue", **{kind: bound}))
+            return answer
+
+    (parameter,) = await Parameters(Port(), 20).list()  # type: ignore[arg-type]
+    assert (parameter.low, parameter.high) == kept
+    schema = msgspec.json.schema(parameter_type(parameter))
+    assert (schema.get("minimum"), schema.get("maximum")) == kept
 
 
 async def test_a_simulated_bus_has_all_of_them() -> None:

@@ -21,7 +21,12 @@ from rcp_can.profiles import profile
 FOLDER = Path(rcp_can.__file__).parent
 README = (FOLDER / "README.md").read_text(encoding="utf-8")
 TABLES = (CanConfig, BusConfig, MotorConfig, DeviceConfig, NodeConfig)
-TABLES += (DronecanConfig, DiffDriveConfig, JointGroupConfig, *(profile(name).options for name in BUILTIN_PROFILES))
+TABLES += (
+    DronecanConfig,
+    DiffDriveConfig,
+    JointGroupConfig,
+    *(profile(name).options for name in BUILTIN_PROFILES),
+)
 
 
 @pytest.mark.parametrize("table", dict.fromkeys(TABLES), ids=lambda table: table.__name__)
