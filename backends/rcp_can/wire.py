@@ -7,6 +7,7 @@ busy, frames accumulate.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import threading
 import time
 from collections import Counter, deque
@@ -46,9 +47,10 @@ class Wire:
         self._received, self._lost = received, lost
         self._loop = asyncio.get_running_loop()
         self._inbox: deque[can.Message] = deque()
-        self._outbox: deque[tuple[Sequence[can.Message], float, float, Hashable]] = deque()
+        self._outbox: deque[tuple[Sequence[can.Message], float, int, Hashable]] = deque()
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
-        self._barriers: dict[Hashable, float] = {}
+        self._numbers = itertools.count(1)
+        self._barriers: dict[Hashable, int] = {}
         self._moving = 0.0
         self._sending = False
         self._wake = threading.Event()
@@ -107,19 +109,20 @@ class Wire:
         if not self._outbox and not self._sending:
             self._moving = now
         expires = now + lifetime if lifetime is not None else 0.0
+        number = next(self._numbers)
         if urgent:
-            self._barriers[sender] = now
+            self._barriers[sender] = number
             if len(self._outbox) >= self._limit:
                 self._outbox.pop()
                 self.expired += 1
-            self._outbox.appendleft((messages, expires, now, sender))
+            self._outbox.appendleft((messages, expires, number, sender))
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames are already waiting: the bus accepts none",
                 remedy="Check sensor/can/<bus>/state, and that another node acknowledges frames.",
             )
         else:
-            self._outbox.append((messages, expires, now, sender))
+            self._outbox.append((messages, expires, number, sender))
         self._wake.set()
 
     async def close(self) -> None:
@@ -168,9 +171,8 @@ class Wire:
             self._wake.wait()
             self._wake.clear()
             while self._outbox:
-                messages, expires, queued, sender = self._outbox.popleft()
-                barrier = self._barriers.get(sender, 0.0)
-                if expires and queued <= barrier:
+                messages, expires, number, sender = self._outbox.popleft()
+                if expires and number < self._barriers.get(sender, 0):
                     continue
                 if expires and time.monotonic() > expires:
                     self.expired += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Literal, NamedTuple
 
@@ -20,6 +20,7 @@ __all__ = ["EscCommands"]
 
 log = structlog.get_logger("rcp.can")
 _LIFETIME = 0.05  # s: a set-point older than this is not worth sending
+_ZEROS = 1.0  # s: of a message that stops all
 _COMMAND, _STOP = 8, 0  # priorities
 _ARMING = 0.5  # s between two announcements
 _ARMED, _DISARMED = 255, 0
@@ -82,7 +83,7 @@ class EscCommands:
 
     def zeros(self) -> object:
         """Return the message that stops all controllers in use."""
-        return self._message(lambda _: 0)
+        return self._message([0] * (max(self.places) + 1))
 
     async def run(self) -> None:
         """Announce whether the system is armed until cancelled."""
@@ -119,16 +120,18 @@ class EscCommands:
             point = self._set.get(index)
             return point.value if point is not None and now <= point.until else 0
 
+        values = [value(index) for index in range(max(self.places) + 1)]
+        # A stop has what is in force for the others, which must not follow their own stop: each
+        # stop drops the one before, because both have a lifetime.
         self._port.broadcast(
-            self._message(value),
+            self._message(values),
             priority=_STOP if urgent else _COMMAND,
-            lifetime=None if urgent else _LIFETIME,
+            lifetime=_LIFETIME if any(values) or not urgent else _ZEROS,
             urgent=urgent,
             sender=self,
         )
 
-    def _message(self, value: Callable[[int], int]) -> object:
-        values = [value(index) for index in range(max(self.places) + 1)]
+    def _message(self, values: Sequence[int]) -> object:
         if self._control == "rpm":
             return make("equipment.esc.RPMCommand", rpm=values)
         return make("equipment.esc.RawCommand", cmd=values)

@@ -32,6 +32,7 @@ _FULL = 8191  # throttle of a command
 _PERIODS = 2.5  # of the motor's rate, for which a set-point is repeated with those of others
 _ZERO_CELSIUS = 273.15  # K
 _WORDS = 3  # reports that must follow a zero until the motor counts as switched off
+_WAITS = 1.0  # s for those, at least
 _AGAIN = 0.05  # s between two zeros meanwhile
 _GUARD = range(0, TRANSFER_IDS, 8)  # a receiver drops a transfer with the number of the one before
 
@@ -138,6 +139,7 @@ class EscDrive(Drive):
         await self.until(
             lambda: self.status.counts["enabled"] >= enough and self.status.enabled is False,
             "heard",
+            seconds=max(_WAITS, 2 * _WORDS * self.options.status_period),
             again=self.stop,
             every=_AGAIN,
             faults=False,

@@ -104,6 +104,10 @@ class DronecanTwin(Twin):
         self._boots_until = time.monotonic() + _BOOTS
         self._begin()
 
+    def age(self, seconds: float) -> None:
+        """Let it have been up for longer."""
+        self._node.start_time_monotonic -= seconds
+
     def break_down(self) -> None:
         """Report an error, and turn nothing until it restarts."""
         super().break_down()
