@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import can
 
 import rcp_can
-from backends.can.rig import USUAL, Node, channel
+from backends.can.rig import MOTORS, OTHERS, Node, channel
 from rcp_can.dronecan.library import make
 from rcp_can.dronecan.transfers import encode
 from rcp_can.sim import Bench, make_twin
@@ -29,7 +29,7 @@ class CanRig(StopRig):
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Bench]:
-        self.channel, table = channel(), USUAL[self.profile]
+        self.channel, table = channel(), (MOTORS | OTHERS)[self.profile]
         protocol = can.CanProtocol.CAN_FD if self.profile == "moteus" else can.CanProtocol.CAN_20
         line = can.Bus(self.channel, "virtual", protocol=protocol, ignore_config=True)
         twin = make_twin(self.profile, table["node"], **table.get("options", {}))
@@ -39,7 +39,12 @@ class CanRig(StopRig):
     def table(self) -> Mapping[str, Any]:
         bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
         bus["fd"] = self.profile == "moteus"
-        motor = {"bus": "can0", "profile": self.profile, "velocity": 4.0, **USUAL[self.profile]}
+        motor = {
+            "bus": "can0",
+            "profile": self.profile,
+            "velocity": 4.0,
+            **(MOTORS | OTHERS)[self.profile],
+        }
         return {
             "buses": {"can0": bus},
             "motors": {"m": {**motor, "timeout": 1.0, "feedback_timeout": 1.0, "valid_for": 5.0}},
