@@ -132,9 +132,14 @@ class Axis(AxisState):
         self.drive.wake_waiters()
         if status.moved != old[0]:
             self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
-            if self.configured and status.position is not None:
-                self.first.set()
+            self._meet()
         self.show()
+
+    def _meet(self) -> None:
+        """Note that the drive is there, once it has reported where the joint is, if it ever does."""
+        placed = "position" not in self.signals or self.status.position is not None
+        if self.configured and placed:
+            self.first.set()
 
     def rests_since(self, moment: float) -> bool:
         """Return whether enough reports received after a monotonic time show standstill."""
@@ -170,8 +175,7 @@ class Axis(AxisState):
                     self.faults.clear("configuration")
                     self._health.report(self.name, None)
                 self.configured, self.configured_at = True, time.monotonic()
-                if self.status.position is not None:
-                    self.first.set()
+                self._meet()
                 self._report_protection()
                 self._facts.report(self.name, self.drive.identity)
                 self.show()

@@ -76,6 +76,13 @@ class AxisState:
         return None if raw is None else raw / self.ratio
 
     @property
+    def velocities(self) -> tuple[float, float]:
+        """The lowest and the highest velocity that can be commanded, rad/s."""
+        if self.drive.reverses:
+            return -self.velocity_limit, self.velocity_limit
+        return (0.0, self.velocity_limit) if self.ratio > 0 else (-self.velocity_limit, 0.0)
+
+    @property
     def state(self) -> m.State:
         """The state as the wire reports it."""
         if not self.online:

@@ -18,6 +18,7 @@ from rcp_can.config import CanConfig
 from rcp_can.device import DevicePart
 from rcp_can.dictionary import DictionaryPart
 from rcp_can.diff_drive import DiffDrivePart
+from rcp_can.dronecan_parts import dronecan_parts, dronecan_services
 from rcp_can.eds_node import EdsPart
 from rcp_can.excitation import excitations
 from rcp_can.facts import Facts
@@ -47,6 +48,7 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.model import Resource
 from rcp_kernel.spi import (
     BaseBackend,
     Host,
@@ -75,13 +77,24 @@ class CanBackend(BaseBackend):
 
         :raises ConfigError: another part has that name.
         """
-        found = part.resources()
-        for resource in found:
-            if resource.name in self._owner:
+        self._parts.append(part)
+        self.declare(part, part.resources())
+
+    def declare(
+        self, part: Part, resources: Sequence[Resource], withdrawn: Sequence[str] = ()
+    ) -> None:
+        """Declare resources of a part, in place of some that it no longer has.
+
+        :raises ConfigError: another part has that name.
+        """
+        self._host.withdraw(*withdrawn)
+        for name in withdrawn:
+            del self._owner[name]
+        for resource in resources:
+            if self._owner.get(resource.name, part) is not part:
                 raise ConfigError(f"{resource.name} is defined twice: rename one")
             self._owner[resource.name] = part
-        self._parts.append(part)
-        self._host.declare(*found)
+        self._host.declare(*resources)
 
     def _part(self, name: str) -> Part:
         if name not in self._owner:
@@ -220,6 +233,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         JointGroupPart(name, group, [axes[joint] for joint in group.joints], host)
         for name, group in config.joint_groups.items()
     ]
+    dronecan = dronecan_parts(config, buses, axes.values(), host, health)
     powers = group_powers(config, drives, groups)
     motors = [MotorPart(axis, shared_modes(axis, axes.values())) for axis in axes.values()]
     commissioned = [
@@ -235,6 +249,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         *commissioned,
         *devices,
         *nodes,
+        *dronecan,
         *dictionaries,
         *drives,
         *groups,
@@ -249,6 +264,10 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
                     tasks.start_soon(run_axes, group)
                 for node in nodes:
                     node.watched.start()
+                for service in dronecan_services(config, buses):
+                    tasks.start_soon(service)
+                for part in dronecan:
+                    part.start(backend.declare)
                 plans = stop_plans(config, axes.values(), devices)
                 for bus, plan in plans.items():
                     host.guard(f"can/{bus}", plan)
@@ -260,7 +279,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
                         host.guard(f"can/{bus}", None)
                     for node in nodes:
                         node.watched.stop()
-                    for closing in (*lines, *axes.values()):
+                    for closing in (*dronecan, *lines, *axes.values()):
                         await closing.close()
                     tasks.cancel_scope.cancel()
     except ExceptionGroup as group:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Hashable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
 
 import anyio
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import can
 
 __all__ = ["Bus", "Listener", "Route"]
+
+_T = TypeVar("_T")
 
 _LONGEST = 5.0  # s between two attempts to restart
 _WELL = 10.0  # s of operation after which the restart delay begins anew
@@ -60,7 +62,7 @@ class Bus:
         """Called with each change: the old state, the new state."""
         self.taps: list[Callable[[can.Message], None]] = []
         """Called with every frame, including error frames and our own."""
-        self._host, self._health = host, health
+        self._host, self.health = host, health
         self._prefix = f"can/{name}"
         self.wire: Wire | None = None
         """The open interface, while there is one."""
@@ -75,6 +77,13 @@ class Bus:
         self._message: Any = None
         self._done: dict[str, float] = {}
         self._counters: tuple[int | None, int | None] = (None, None)
+        self._shared: dict[type, object] = {}
+
+    def shared(self, kind: type[_T], make: Callable[[Bus], _T]) -> _T:
+        """Return the one object of a kind that all devices of this bus share."""
+        if kind not in self._shared:
+            self._shared[kind] = make(self)
+        return cast("_T", self._shared[kind])
 
     def listen(self, listener: Listener, *routes: Route) -> None:
         """Call `listener` with every frame that matches one of the routes."""
@@ -126,9 +135,7 @@ class Bus:
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: the send queue is full.
         """
-        wire = self.wire
-        if wire is None or self.state == "bus_off":
-            raise AdapterUnavailable(f"CAN bus '{self.name}' is {self.state}: {self._reason}")
+        wire = self._open_wire()
         message = self._message(
             arbitration_id=identifier,
             data=None if remote else data,
@@ -139,14 +146,48 @@ class Bus:
             bitrate_switch=switched,
             is_rx=False,
         )
+        self._queue(wire, (message,), lifetime=lifetime, urgent=urgent, sender=sender)
+
+    def send_together(
+        self,
+        frames: Iterable[tuple[int, bytes]],
+        *,
+        lifetime: float | None = None,
+        urgent: bool = False,
+        sender: Hashable = None,
+    ) -> None:
+        """Queue extended frames one after the other, all or none; otherwise as `send`."""
+        wire = self._open_wire()
+        messages = [
+            self._message(arbitration_id=identifier, data=data, is_extended_id=True, is_rx=False)
+            for identifier, data in frames
+        ]
+        self._queue(wire, messages, lifetime=lifetime, urgent=urgent, sender=sender)
+
+    def _queue(
+        self,
+        wire: Wire,
+        messages: Sequence[can.Message],
+        *,
+        lifetime: float | None,
+        urgent: bool,
+        sender: Hashable,
+    ) -> None:
         try:
-            wire.send(message, lifetime=lifetime, urgent=urgent, sender=sender)
+            wire.send_together(messages, lifetime=lifetime, urgent=urgent, sender=sender)
         except QueueFull:
             self.refused += 1
             raise
-        self._busy += self.duration(message)
-        for tap in self.taps:
-            tap(message)
+        for message in messages:
+            self._busy += self.duration(message)
+            for tap in self.taps:
+                tap(message)
+
+    def _open_wire(self) -> Wire:
+        wire = self.wire
+        if wire is None or self.state == "bus_off":
+            raise AdapterUnavailable(f"CAN bus '{self.name}' is {self.state}: {self._reason}")
+        return wire
 
     def paced(self, what: str, period: float) -> bool:
         """Return whether a periodic frame of the whole bus is due, and mark it as sent."""
@@ -223,7 +264,7 @@ class Bus:
         event = m.BusEvent(was=was, now=state, text=text)
         self._host.publish(f"event/{self._prefix}/state", event)
         bad = state in ("bus_off", "down")
-        self._health.report(
+        self.health.report(
             self._prefix, f"CAN bus '{self.name}' is {state}: {text}" if bad else None
         )
         for callback in self.on_state:

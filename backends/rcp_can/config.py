@@ -8,6 +8,7 @@ from msgspec import Meta, Struct
 
 from rcp_can.config_device import DeviceConfig
 from rcp_can.config_diff_drive import DiffDriveConfig
+from rcp_can.config_dronecan import DronecanConfig, check_dronecan
 from rcp_can.config_joints import JointGroupConfig
 from rcp_can.config_motor import MotorConfig
 from rcp_can.config_names import BusName, IdRange, Name, Seconds, id_ranges
@@ -43,8 +44,11 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Offer `actuator/can/<bus>/frame`, which sends any frame."""
     log_directory: str | None = None
     """Offer recording, into this directory."""
+    dronecan_node: Annotated[int, Meta(ge=1, le=127)] = 126
+    """The gateway's own node id, on a bus with DroneCAN nodes."""
     simulate: bool = False
-    """Run a simulated drive for every motor of this bus, on the `virtual` interface."""
+    """Run a simulated drive for every motor of this bus, and a DroneCAN node for every other, on the
+    `virtual` interface."""
 
     def __post_init__(self) -> None:
         if self.simulate and self.interface != "virtual":
@@ -63,6 +67,7 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     motors: dict[Name, MotorConfig] = {}
     devices: dict[Name, DeviceConfig] = {}
     nodes: dict[Name, NodeConfig] = {}
+    dronecan: dict[Name, DronecanConfig] = {}
     diff_drives: dict[Name, DiffDriveConfig] = {}
     joint_groups: dict[Name, JointGroupConfig] = {}
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 1.0
@@ -85,14 +90,24 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                     "other into a backend of its own"
                 )
         known = ", ".join(self.buses)
-        for table in ("motors", "devices", "nodes"):
+        for table in ("motors", "devices", "nodes", "dronecan"):
             for name, on in getattr(self, table).items():
                 if on.bus not in self.buses:
                     raise ValueError(
                         f"{table}.{name}.bus: there is no bus {on.bus!r}, only {known}"
                     )
+        check_dronecan(self.buses, self.motors, self.dronecan)
         taken: dict[tuple[str, str, int], str] = {}
         for name, motor in self.motors.items():
+            if motor.profile == "dronecan":
+                continue  # several controllers may be one node
             other = taken.setdefault((motor.bus, motor.profile, motor.node), name)
             if other != name:
                 raise ValueError(f"motors.{name}.node: {motor.node} is already used by {other}")
+
+    @property
+    def dronecan_buses(self) -> list[str]:
+        """The names of the buses with DroneCAN nodes."""
+        motors = {motor.bus for motor in self.motors.values() if motor.profile == "dronecan"}
+        named = motors | {node.bus for node in self.dronecan.values()}
+        return [name for name in self.buses if name in named]

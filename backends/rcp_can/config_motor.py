@@ -10,7 +10,9 @@ from rcp_can.config_names import BusName, Seconds
 
 __all__ = ["BUILTIN_PROFILES", "MotorConfig"]
 
-BUILTIN_PROFILES = "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"
+BUILTIN_PROFILES = (
+    "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear", "dronecan"
+)  # fmt: skip
 """Profiles that come with the backend."""
 _PERIODS_PER_WATCHDOG = 3  # set-points per watchdog period, because some may be lost
 Positive = Annotated[float, Meta(gt=0, le=1e6)]

@@ -17,7 +17,7 @@ from rcp_can.motor import released
 from rcp_can.odometry import Odometry
 from rcp_can.preconditions import check_feedback, check_link, ready
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import AdapterUnavailable, InvalidValue, ModeForbids, RcpError
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, ModeForbids, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress, check_fence
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Point, PoseStamped, Quaternion, Twist
@@ -35,6 +35,16 @@ class DiffDrivePart(Part):
     def __init__(
         self, name: str, config: DiffDriveConfig, left: Axis, right: Axis, host: Host
     ) -> None:
+        """Create the drive.
+
+        :raises ConfigError: a motor reports no position, of which the odometry is made.
+        """
+        for wheel in (left, right):
+            if not wheel.drive.places:
+                raise ConfigError(
+                    f"diff_drives.{name}: motor '{wheel.name}' ({wheel.config.profile}) reports no "
+                    "position, which odometry needs"
+                )
         self._config, self._host = config, host
         self._place = None if config.as_robot else name
         self._names = BaseNames.make(self._place)

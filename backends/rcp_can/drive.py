@@ -78,6 +78,10 @@ class Drive(ABC):
     holds = False
     """Whether set-points must be sent from the moment it is enabled."""
 
+    places = True
+    """Whether it reports the position of its shaft."""
+    reverses = True
+    """Whether its shaft can be commanded to turn backwards."""
     sags = False
     """Whether a joint under load sinks at velocity zero, so that only its position holds it."""
     offsets = False

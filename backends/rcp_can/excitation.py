@@ -37,7 +37,7 @@ _NEEDED = "position", "velocity"
 def excitations(axis: Axis) -> list[Procedure]:
     """List the measurements of a motor."""
     known = [mode for mode in _NEEDED if mode in axis.drive.modes]
-    if not known:
+    if not known or not axis.drive.places:  # a response has both
         return []
     small = {"velocity": round(0.1 * axis.velocity_limit, 4)}
     runs = _Excitations(axis)

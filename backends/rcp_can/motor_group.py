@@ -54,6 +54,8 @@ def make_axes(
         except (msgspec.ValidationError, ValueError) as error:
             raise ConfigError(f"motors.{name}.options: {error}") from error
         drive.watchdog, drive.rate = motor.watchdog or None, motor.rate
+        if motor.position and not drive.places:
+            raise ConfigError(f"motors.{name}.position: {motor.profile} reports no position")
         if motor.gravity:
             if not drive.offsets:
                 raise ConfigError(
@@ -139,7 +141,7 @@ async def wait_for_motors(axes: Iterable[Axis], grace: float, health: Health) ->
 
 @contextmanager
 def simulated(config: CanConfig) -> Generator[None]:
-    """Run a twin for each motor on a bus with `simulate`."""
+    """Run a twin for each motor and each DroneCAN node on a bus with `simulate`."""
     import can
 
     from rcp_can.sim import Bench, make_twin
@@ -147,9 +149,16 @@ def simulated(config: CanConfig) -> Generator[None]:
     with ExitStack() as stack:
         for name, bus in config.buses.items():
             motors = [motor for motor in config.motors.values() if motor.bus == name]
-            if not bus.simulate or not motors:
+            driven = {motor.node for motor in motors if motor.profile == "dronecan"}
+            nodes = [node for node in config.dronecan.values() if node.bus == name]
+            if not bus.simulate or not (motors or nodes):
                 continue
             twins = [make_twin(m.profile, m.node, **m.options) for m in motors]
+            twins += [
+                make_twin("dronecan", node.node, sensors=node.sensors)
+                for node in nodes
+                if node.node not in driven
+            ]
             protocol = can.CanProtocol.CAN_FD if bus.fd else can.CanProtocol.CAN_20
             line = can.Bus(bus.channel, "virtual", ignore_config=True, protocol=protocol)
             stack.enter_context(Bench(line, twins))

@@ -80,7 +80,8 @@ def _set_points(axis: Axis, shared: Container[str]) -> list[Resource]:
         offer("position", "rad", axis.low, axis.high)
     dead_man = {"valid_for": valid_for, "safe": 0.0}
     if "velocity" in modes:
-        offer("velocity", "rad/s", -axis.velocity_limit, axis.velocity_limit, **dead_man)
+        low, high = axis.velocities
+        offer("velocity", "rad/s", low, high, **dead_man)
     if "torque" in modes:
         offer("torque", "N.m", -axis.torque_limit, axis.torque_limit, **dead_man)
     return found

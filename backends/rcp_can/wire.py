@@ -7,10 +7,11 @@ busy, frames accumulate.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -46,9 +47,10 @@ class Wire:
         self._received, self._lost = received, lost
         self._loop = asyncio.get_running_loop()
         self._inbox: deque[can.Message] = deque()
-        self._outbox: deque[tuple[can.Message, float, float, Hashable]] = deque()
+        self._outbox: deque[tuple[Sequence[can.Message], float, int, Hashable]] = deque()
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
-        self._barriers: dict[Hashable, float] = {}
+        self._numbers = itertools.count(1)
+        self._barriers: dict[Hashable, int] = {}
         self._moving = 0.0
         self._sending = False
         self._wake = threading.Event()
@@ -63,7 +65,7 @@ class Wire:
 
     @property
     def waiting(self) -> int:
-        """The number of frames that wait to be sent."""
+        """The number of entries that wait to be sent."""
         return len(self._outbox)
 
     @property
@@ -79,7 +81,20 @@ class Wire:
         urgent: bool,
         sender: Hashable = None,
     ) -> None:
-        """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent frames go first.
+        """Queue a frame, as `send_together`."""
+        self.send_together((message,), lifetime=lifetime, urgent=urgent, sender=sender)
+
+    def send_together(
+        self,
+        messages: Sequence[can.Message],
+        *,
+        lifetime: float | None,
+        urgent: bool,
+        sender: Hashable = None,
+    ) -> None:
+        """Queue frames one after the other: all of them are sent, or none.
+
+        `lifetime` is how long (s) they are worth sending; urgent frames go first.
 
         An urgent frame brings something to rest, so queued frames with a lifetime from the same
         sender are dropped. Those of other senders stay: stopping one motor must not silence its
@@ -94,19 +109,20 @@ class Wire:
         if not self._outbox and not self._sending:
             self._moving = now
         expires = now + lifetime if lifetime is not None else 0.0
+        number = next(self._numbers)
         if urgent:
-            self._barriers[sender] = now
+            self._barriers[sender] = number
             if len(self._outbox) >= self._limit:
                 self._outbox.pop()
                 self.expired += 1
-            self._outbox.appendleft((message, expires, now, sender))
+            self._outbox.appendleft((messages, expires, number, sender))
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames are already waiting: the bus accepts none",
                 remedy="Check sensor/can/<bus>/state, and that another node acknowledges frames.",
             )
         else:
-            self._outbox.append((message, expires, now, sender))
+            self._outbox.append((messages, expires, number, sender))
         self._wake.set()
 
     async def close(self) -> None:
@@ -155,19 +171,19 @@ class Wire:
             self._wake.wait()
             self._wake.clear()
             while self._outbox:
-                message, expires, queued, sender = self._outbox.popleft()
-                barrier = self._barriers.get(sender, 0.0)
-                if expires and queued <= barrier:
+                messages, expires, number, sender = self._outbox.popleft()
+                if expires and number < self._barriers.get(sender, 0):
                     continue
                 if expires and time.monotonic() > expires:
                     self.expired += 1
                     continue
                 self._sending = True
                 try:
-                    self._note(message)
-                    self.interface.send(message, timeout=_SEND)
-                    self.tx, failures = self.tx + 1, 0
-                    self._moving = time.monotonic()
+                    for message in messages:
+                        self._note(message)
+                        self.interface.send(message, timeout=_SEND)
+                        self.tx, failures = self.tx + 1, 0
+                        self._moving = time.monotonic()
                 except Exception as error:
                     self.failed += 1
                     failures += 1

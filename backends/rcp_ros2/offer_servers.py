@@ -267,7 +267,7 @@ class ActionServer:
         """Set the state of a goal; return its result."""
         value, error = outcome
         try:
-            result = self._make(value)
+            result = self._type.Result() if value is None else self._make(value)
         except (msgspec.ValidationError, ValueError, TypeError) as wrong:
             result = self._type.Result()
             error = f"the client's result is not one of {self._name}: {wrong}"

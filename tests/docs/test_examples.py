@@ -53,10 +53,17 @@ def test_an_example_configuration_is_good(
     assert ": good" in run([str(BIN / "rcpd"), "check", str(path)])
 
 
+ELSEWHERE = {"moveit_arm": "backends/ros2/test_moveit_arm.py"}
+"""Programs that need more than the demo, and the tests that run them."""
+
+
 def test_every_program_is_proved() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
     for path in EXAMPLES.glob("*.py"):
-        assert f'example("{path.stem}"' in text
+        if (test := ELSEWHERE.get(path.stem)) is not None:
+            assert path.stem in (ROOT / "tests" / test).read_text(encoding="utf-8")
+        else:
+            assert f'example("{path.stem}"' in text
 
 
 def test_tiles_of_an_invented_place_are_made_where_they_are_wanted(tmp_path: Path) -> None:

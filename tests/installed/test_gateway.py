@@ -18,7 +18,7 @@ from installed.fresh import importable, said, venv, wheels
 
 pytestmark = pytest.mark.timeout(900)
 
-OF_EXTRAS = "a2a starlette mcp pymavlink fastcrc can canopen cantools simplejpeg mujoco numpy rclpy zenoh mcap"
+OF_EXTRAS = "a2a starlette mcp pymavlink fastcrc can canopen cantools dronecan simplejpeg mujoco numpy rclpy zenoh mcap"
 
 ADAPTERS = """
 [transports.asgi]

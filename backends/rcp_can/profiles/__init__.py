@@ -18,6 +18,7 @@ PROFILES = {
     "moteus": "moteus:PROFILE",
     "vesc": "vesc:PROFILE",
     "cybergear": "cybergear:PROFILE",
+    "dronecan": "dronecan:PROFILE",
 }
 """Module and name of each profile, below this package; imported when a motor uses it."""
 

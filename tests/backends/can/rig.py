@@ -204,9 +204,15 @@ MOTORS: dict[str, dict[str, Any]] = {
 """A motor of each profile, as its table of the configuration."""
 
 
+OTHERS: dict[str, dict[str, Any]] = {
+    "dronecan": {"node": 20, "options": {"index": 1, "command_timeout": 0.5}}
+}
+"""What tests of all motors leave out, because it drives as VESCs do."""
+
+
 def with_keys(profile: str, keys: dict[str, Any]) -> dict[str, Any]:
     """Return the table of a profile's motor with more keys, and with options beside its own."""
-    usual = MOTORS[profile]
+    usual = (MOTORS | OTHERS)[profile]
     options = {**usual.get("options", {}), **keys.get("options", {})}
     return {**usual, **keys, **({"options": options} if options else {})}
 

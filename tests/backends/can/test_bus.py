@@ -268,6 +268,21 @@ async def test_a_stop_outdates_what_its_own_sender_has_waiting_and_nothing_else(
     assert wire.expired == 0  # nobody misses them
 
 
+async def test_a_stop_of_several_frames_is_sent_in_order_and_replaces_the_one_before() -> None:
+    bus: Any = StuckBus()
+    wire = Wire(bus, name="x", queue=9, echoes=False, received=lambda _: None, lost=lambda _: None)
+    wire.send(can.Message(arbitration_id=0), lifetime=None, urgent=False)
+    with anyio.fail_after(20):
+        await bus.held.wait()
+    for first in (10, 20):
+        frames = [can.Message(arbitration_id=first + part) for part in (0, 1)]
+        wire.send_together(frames, lifetime=60.0, urgent=True, sender="a")
+    wire.send(can.Message(arbitration_id=9), lifetime=None, urgent=False)
+    bus.gate.set()
+    await wire.close()
+    assert bus.sent == [0, 20, 21, 9]  # the first may have set-points of others
+
+
 async def test_an_unknown_interface_is_a_configuration_error_that_lists_those_there_are() -> None:
     with pytest.raises(ConfigError, match=r"buses\.can0\.interface.*slcan"):
         async with opened({"buses": {"can0": {"interface": "carrier-pigeon"}}}):

@@ -11,7 +11,9 @@ from typing import Any, ClassVar
 import can
 
 import rcp_can
-from backends.can.rig import MOTORS, Node, channel
+from backends.can.rig import MOTORS, OTHERS, Node, channel
+from rcp_can.dronecan.library import make
+from rcp_can.dronecan.transfers import encode
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_kernel.testing.backend import Robot
@@ -27,7 +29,7 @@ class CanRig(StopRig):
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Bench]:
-        self.channel, table = channel(), MOTORS[self.profile]
+        self.channel, table = channel(), (MOTORS | OTHERS)[self.profile]
         protocol = can.CanProtocol.CAN_FD if self.profile == "moteus" else can.CanProtocol.CAN_20
         line = can.Bus(self.channel, "virtual", protocol=protocol, ignore_config=True)
         twin = make_twin(self.profile, table["node"], **table.get("options", {}))
@@ -37,7 +39,12 @@ class CanRig(StopRig):
     def table(self) -> Mapping[str, Any]:
         bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
         bus["fd"] = self.profile == "moteus"
-        motor = {"bus": "can0", "profile": self.profile, "velocity": 4.0, **MOTORS[self.profile]}
+        motor = {
+            "bus": "can0",
+            "profile": self.profile,
+            "velocity": 4.0,
+            **(MOTORS | OTHERS)[self.profile],
+        }
         return {
             "buses": {"can0": bus},
             "motors": {"m": {**motor, "timeout": 1.0, "feedback_timeout": 1.0, "valid_for": 5.0}},
@@ -80,7 +87,7 @@ class CanRig(StopRig):
 
     def goals(self) -> Mapping[str, Goal]:
         found: dict[str, Goal] = {}
-        if self.profile != "vesc":
+        if self.profile not in ("vesc", "dronecan"):
             goal = Goal(good={"position": 0.5}, long={"position": 7.0})
             found["action/m/move_to"] = goal
         if self.profile in ("cia402", "odrive"):
@@ -131,6 +138,9 @@ class CanRig(StopRig):
 
 
 FOREIGN = {
+    "dronecan": encode(
+        make("equipment.esc.RPMCommand", rpm=[0, 40]), source=50, transfer_id=0, priority=8
+    ),
     "odrive": [(1 << 5 | 0x0D, struct.pack("<ff", 0.5, 0.0))],
     "cia402": [
         (0x305, struct.pack("<ih", 2000, 0)),
@@ -154,3 +164,11 @@ class TestOdriveStops(CanRig, StopSuite):
 
 class TestCia402Stops(CanRig, StopSuite):
     profile = "cia402"
+
+
+class TestDronecan(CanRig, BackendSuite):
+    profile = "dronecan"
+
+
+class TestDronecanStops(CanRig, StopSuite):
+    profile = "dronecan"

@@ -12,6 +12,7 @@ import rcp_can
 from rcp_can.config import BusConfig, CanConfig
 from rcp_can.config_device import DeviceConfig
 from rcp_can.config_diff_drive import DiffDriveConfig
+from rcp_can.config_dronecan import DronecanConfig
 from rcp_can.config_joints import JointGroupConfig
 from rcp_can.config_motor import BUILTIN_PROFILES, MotorConfig
 from rcp_can.config_node import NodeConfig
@@ -20,7 +21,12 @@ from rcp_can.profiles import profile
 FOLDER = Path(rcp_can.__file__).parent
 README = (FOLDER / "README.md").read_text(encoding="utf-8")
 TABLES = (CanConfig, BusConfig, MotorConfig, DeviceConfig, NodeConfig)
-TABLES += (DiffDriveConfig, JointGroupConfig, *(profile(name).options for name in BUILTIN_PROFILES))
+TABLES += (
+    DronecanConfig,
+    DiffDriveConfig,
+    JointGroupConfig,
+    *(profile(name).options for name in BUILTIN_PROFILES),
+)
 
 
 @pytest.mark.parametrize("table", dict.fromkeys(TABLES), ids=lambda table: table.__name__)
