@@ -54,7 +54,7 @@ class Corrections:
     def resources() -> list[Resource]:
         """List what it serves."""
         return [
-            Resource(name=CORRECTIONS, moves=False, description="Pass a message of RTCM 3 on to the GNSS receiver, for positions by RTK; sensor/gnss tells what the receiver makes of them.", value=Correction, max_age=2.0),
+            Resource(name=CORRECTIONS, moves=False, description="Pass a message of RTCM 3 on to the GNSS receiver, for positions by RTK; sensor/gnss tells what the receiver makes of them.", value=Correction, examples=({"data": "0wAGPs0AAAAA"},), max_age=2.0),
         ]  # fmt: skip
 
     async def write(self, value: Correction) -> None:

@@ -123,7 +123,7 @@ class Robot:
             hub, vehicle, self._publish, self._run_prearm_checks
         )
         self.traffic = Traffic(self._publish)
-        self.escs = SpeedControllers(vehicle, self.intervals, self._publish)
+        self.escs = SpeedControllers(vehicle, self.intervals, self._publish, config.timeout)
         self._heeded: dict[int, Callable[[Frame], None]] = {
             **dict.fromkeys(TelemetryEvents.heeded, self.telemetry_events.frame),
             **dict.fromkeys(self.escs.heeded, self.escs.frame),
@@ -225,6 +225,7 @@ class Robot:
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telemetry_events.text)
         self.telemetry_events.begin()
+        self.traffic.poll()
         self.intervals.begin()
         self.telemetry.request_time()
         self._request_once()

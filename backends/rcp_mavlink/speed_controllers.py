@@ -28,7 +28,6 @@ _TOLD = 8  # motors of which ESC_INFO tells whether they are there
 _RADIANS = math.tau / 60  # rad/s of one revolution per minute
 _UNKNOWN = 32767
 _RECENT = 2.0  # s after which a controller that is silent is left out
-_WITHIN = 0.5  # s for the other groups of motors, after the first one has come
 
 
 class SpeedController(Struct, frozen=True):
@@ -49,8 +48,13 @@ class SpeedControllers:
     """Those of one vehicle, of which each message tells four."""
 
     def __init__(
-        self, vehicle: Vehicle, intervals: Intervals, publish: Callable[[str, Any], None]
+        self,
+        vehicle: Vehicle,
+        intervals: Intervals,
+        publish: Callable[[str, Any], None],
+        wait: float,
     ) -> None:
+        """Wait so many seconds for a message that was requested."""
         self._vehicle, self._intervals, self._publish = vehicle, intervals, publish
         self._messages = _messages(vehicle.dialect, vehicle.family)
         self.heeded = frozenset(vehicle.dialect.by_name[name].id for name in self._messages)
@@ -60,6 +64,8 @@ class SpeedControllers:
         self._infos: dict[int, dict[str, Any]] = {}
         """ESC_INFO of a PX4, by the first motor in it."""
         self._watchers = 0
+        self._wait = wait
+        self._seen: set[str] = set()
 
     @staticmethod
     def resources(dialect: Dialect, family: Family) -> list[Resource]:
@@ -74,6 +80,7 @@ class SpeedControllers:
     def frame(self, frame: Frame) -> None:
         """Take what four of them report."""
         fields = frame.fields()
+        self._seen.add(frame.definition.name)
         match frame.definition.name:
             case "ESC_INFO":
                 self._infos[fields["index"]] = fields
@@ -103,32 +110,28 @@ class SpeedControllers:
         :raises RcpError: the vehicle reports none, for the reason that it gives.
         :raises DeviceTimeout: no report comes.
         """
-        since, received = time.monotonic(), self._vehicle.received_at
-        accepted = await self._requested()
-
-        def come(names: tuple[str, ...]) -> list[str]:
-            return [name for name in names if received.get(name, 0.0) >= since]
-
-        if not await self._vehicle.until(lambda: bool(come(accepted)), _RECENT):
-            raise DeviceTimeout("no speed controller has reported")
-        before = tuple(name for name in accepted if name in received)  # not all of them exist
-        await self._vehicle.until(lambda: len(come(before)) == len(before), _WITHIN)
-        return self.value()
-
-    async def _requested(self) -> tuple[str, ...]:
-        accepted: list[str] = []
-        refusal: RcpError | None = None
-        for name in self._messages:
+        since, refusal, known = time.monotonic(), None, self._known
+        for name in known or self._messages:
             try:
                 await self._intervals.request(name)
             except RcpError as error:
                 self._vehicle.check()
                 refusal = error
-            else:
-                accepted.append(name)
-        if not accepted and refusal is not None:
-            raise refusal
-        return tuple(accepted)
+                continue
+            came = await self._vehicle.until(lambda name=name: self._came(name, since), self._wait)
+            if came and not known:
+                break
+        if not any(self._came(name, since) for name in self._messages):
+            raise refusal or DeviceTimeout("no speed controller has reported")
+        return self.value()
+
+    @property
+    def _known(self) -> tuple[str, ...]:
+        """Those of its messages that it sends: a vehicle has a few of many groups of motors."""
+        return tuple(name for name in self._messages if name in self._seen)
+
+    def _came(self, name: str, since: float) -> bool:
+        return self._vehicle.received_at.get(name, 0.0) >= since
 
     @asynccontextmanager
     async def watched(self, rate: float) -> AsyncGenerator[None]:

@@ -69,7 +69,7 @@ class Traffic:
         self._publish = publish
         self._heard: dict[int, tuple[float, dict[str, Any]]] = {}
         """By ICAO address: when, and the fields of the message."""
-        self._told = False
+        self._told = True  # also that there is none, at first
 
     @staticmethod
     def resources(dialect: Dialect) -> list[Resource]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import math
 from typing import Any
 
 from rcp_protocol.plain import is_list, is_map
@@ -94,7 +96,8 @@ def _span(node: Schema) -> list[float]:
 
 def _texts(node: Schema) -> list[Any]:
     if node.get("contentEncoding") == "base64":
-        return ["", "AAEC"]
+        least = math.ceil(node.get("minLength", 0) * 3 / 4)
+        return [_encoded(bytes(least)), _encoded(bytes(range(max(3, min(least, 255)))))]
     if "pattern" in node:
         return list(node.get("examples", ()))
     return ["a" * node.get("minLength", 0), "b" * min(max(node.get("minLength", 1), 1), 8)]
@@ -163,4 +166,13 @@ def same(first: Any, second: Any, tolerance: float = 1e-6) -> bool:
         return len(first) == len(second) and all(same(a, b, tolerance) for a, b in pairs)
     if isinstance(first, (int, float)) and isinstance(second, (int, float)):
         return abs(first - second) <= tolerance * max(1.0, abs(first), abs(second))
-    return first == second
+    return _told(first) == _told(second)
+
+
+def _told(value: Any) -> Any:
+    """Return bytes as they are told in JSON."""
+    return _encoded(value) if isinstance(value, bytes) else value
+
+
+def _encoded(data: bytes) -> str:
+    return base64.b64encode(data).decode()

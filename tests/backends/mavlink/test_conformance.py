@@ -93,6 +93,8 @@ class MavlinkRig(Hurried, StopRig):
         if name.startswith("param/"):
             value = self.vehicle.params[name.removeprefix("param/")]
             return int(value) if name == "param/RTL_ALT" else value
+        if name == "actuator/gnss_corrections":
+            return {"data": self.vehicle.corrections.received[-1]}
         if name == "actuator/velocity":
             yaw, (vn, ve) = self.vehicle.body.yaw, pilot.velocity
             x, right = (
@@ -126,6 +128,7 @@ class MavlinkRig(Hurried, StopRig):
 
     def values(self, name: str) -> Sequence[Any]:
         return {
+            "actuator/gnss_corrections": ({"data": "0wAGPs0AAAAA"}, {"data": "0wAGPs0BAAAA"}),
             "param/WPNAV_SPEED": (500.0, 800.0),
             "param/RTL_ALT": (2000, 3000),
             "param/GUID_TIMEOUT": (2.0, 3.0),

@@ -86,6 +86,7 @@ async def test_an_aircraft_that_was_heard_long_ago_is_left_out() -> None:
 
 
 async def test_speed_controllers_tell_of_their_motors(pilot: Pilot) -> None:
+    pilot.vehicle.params.set("SIM_ESC_TELEM", 0)
     silent = await pilot.client.request("read", "/tenant/t/sensor/escs")
     assert error(silent) in ("device_rejected", "device_timeout")
     pilot.vehicle.params.set("SIM_ESC_TELEM", 1)
