@@ -7,7 +7,8 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
-use std::thread::{spawn, JoinHandle};
+use std::sync::{Arc, Mutex};
+use std::thread::{scope, spawn, JoinHandle};
 use std::time::{Duration, Instant};
 
 const BUSY: &str = r#"{"error": {"code": "rate_limited", "retryable": true}}"#;
@@ -34,7 +35,9 @@ fn received(stream: &TcpStream) -> String {
     let (mut request, mut line, mut size) = (String::new(), String::new(), 0);
     while line != "\r\n" {
         line.clear();
-        sent.read_line(&mut line).unwrap();
+        if sent.read_line(&mut line).unwrap() == 0 {
+            return String::new(); // hung up without a word
+        }
         if let Some(length) = line.strip_prefix("Content-Length: ") {
             size = length.trim().parse().unwrap();
         }
@@ -188,35 +191,96 @@ fn an_address_that_is_none_is_refused() {
     }
 }
 
-#[test]
-fn a_lease_that_cannot_be_renewed_is_lost_when_its_time_is_over_and_its_command_is_cancelled() {
-    let ended = r#"{"status": "completed", "body": {"status": "cancelled", "error": {"code": "cancelled"}}}"#;
+const ENDED: &str = r#"{"status": "completed", "body": {"status": "cancelled", "error": {"code": "cancelled"}}}"#;
+const TTL: Duration = Duration::from_millis(600);
+
+/// Grant a lease and hang up on its renewals; answer the rest as told, up to the first GET. Returns the lines of the rest.
+fn unrenewed(told: fn(&str) -> &'static str) -> (rcp::Gateway, JoinHandle<Vec<String>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
     let served = spawn(move || {
-        let mut requests = Vec::new();
-        for body in [HELD, BEGUN] {
-            requests.push(one(&listener, &answer(body)));
-        }
-        loop {
+        let (mut lines, mut granted) = (Vec::<String>::new(), false);
+        while !lines.last().map_or(false, |line| line.starts_with("GET ")) {
             let (mut stream, _) = listener.accept().unwrap();
-            let word = received(&stream).split(' ').next().unwrap().to_string();
-            let answered = match &*word {
-                "POST" => continue, // a renewal: hung up on
-                "DELETE" => answer(BEGUN),
-                _ => answer(ended),
+            let line = received(&stream).lines().next().unwrap_or("").to_string();
+            let body = match line.contains("/system/leases") {
+                true if granted => "",
+                true => HELD,
+                false => told(&line),
             };
-            stream.write_all(answered.as_bytes()).unwrap();
-            requests.push(word.clone());
-            if word == "GET" {
-                return requests;
+            granted = true;
+            stream.write_all(answer(body).as_bytes()).unwrap();
+            if !line.contains("/system/leases") {
+                lines.push(line);
             }
         }
+        lines
     });
-    let gateway = rcp::Gateway::new(&url, "").unwrap();
-    let lease = gateway.lease("/tenant/alpha", Duration::from_millis(600)).unwrap();
+    (rcp::Gateway::new(&url, "").unwrap(), served)
+}
+
+fn words(lines: &[String]) -> Vec<&str> {
+    lines.iter().map(|line| line.split(' ').next().unwrap()).collect()
+}
+
+#[test]
+fn a_lease_that_cannot_be_renewed_is_lost_when_its_time_is_over_and_its_command_is_cancelled() {
+    let (gateway, served) = unrenewed(|line| if line.starts_with("GET ") { ENDED } else { BEGUN });
+    let lease = gateway.lease("/tenant/alpha", TTL).unwrap();
     let running = rcp::AlphaDrive.start(&lease, "order-1", &1.5).unwrap();
     assert_eq!(lease.wait_lost(Duration::from_secs(60)).unwrap().code, "lease_lost");
     assert_eq!(running.wait().err().unwrap().code, "cancelled");
-    assert_eq!(served.join().unwrap()[2..], ["DELETE", "GET"]);
+    assert_eq!(words(&served.join().unwrap()), ["POST", "DELETE", "GET"]);
+}
+
+#[test]
+fn nothing_begins_under_a_lease_that_is_lost_while_no_answer_comes_and_what_had_begun_is_cancelled() {
+    let (gateway, served) = unrenewed(|line| match line.split(' ').next().unwrap() {
+        "POST" if !line.contains("?deadline=0.001 ") => "",
+        "GET" => ENDED,
+        _ => BEGUN,
+    });
+    let lease = gateway.lease("/tenant/alpha", TTL).unwrap();
+    let lost = rcp::AlphaDrive.start(&lease, "order-1", &1.5).err().unwrap();
+    assert_eq!((&*lost.code, &*lost.command), ("lease_lost", "cmd-1"));
+    assert!(lost.message.contains("cancelled"), "{}", lost);
+    let sent = served.join().unwrap();
+    let posts = sent.len() - 2;
+    assert!(posts > 1, "{:?}", sent);
+    assert!(sent[..posts - 1].iter().all(|line| line.starts_with("POST ") && !line.contains("deadline")));
+    assert_eq!(words(&sent[posts - 1..]), ["POST", "DELETE", "GET"]);
+}
+
+#[test]
+fn what_connects_only_after_its_lease_is_lost_is_not_sent() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let sent = spawn(move || {
+        one(&listener, &answer(HELD));
+        loop {
+            let (stream, _) = listener.accept().unwrap();
+            let request = received(&stream);
+            if !request.is_empty() && !request.contains("/system/leases") {
+                return request;
+            }
+        }
+    });
+    let gate = Arc::new(Mutex::new(()));
+    let passed = gate.clone();
+    let gateway = rcp::Gateway::over("http://robots.example", "", move |target| {
+        drop(passed.lock());
+        Ok(Box::new(rcp::Target { host: "127.0.0.1".into(), port, silence: target.silence }.tcp()?))
+    });
+    let lease = gateway.unwrap().lease("/tenant/alpha", TTL).unwrap();
+    let shut = gate.lock().unwrap();
+    scope(|threads| {
+        let started = threads.spawn(|| rcp::AlphaDrive.start(&lease, "order-1", &1.5).err().unwrap());
+        let written = threads.spawn(|| rcp::AlphaTicks.set.write(&lease, &5, None).err().unwrap());
+        lease.wait_lost(Duration::from_secs(60)).unwrap();
+        drop(shut);
+        for refused in [started.join().unwrap(), written.join().unwrap()] {
+            assert_eq!((&*refused.code, &*refused.command), ("lease_lost", ""));
+        }
+    });
+    assert!(!sent.is_finished());
 }

@@ -69,7 +69,10 @@ fn a_lease_keeps_others_out_is_renewed_and_given_back_when_it_is_dropped() {
     assert!(lease.lost().is_none());
     assert!(lease.wait_lost(Duration::from_millis(1)).is_none());
     assert_eq!(write(&other).err().unwrap().code, "lease_held");
+    let copy = lease.clone();
     drop(lease);
+    assert_eq!(write(&copy).err().unwrap().code, "lease_lost");
+    rcp::AlphaSpeedLimit.get.read(&copy).unwrap();
     write(&other).unwrap();
     mine.lease("/tenant/alpha", TTL).unwrap().release().unwrap();
     write(&other).unwrap();

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { afterEach, test } from "node:test";
 
-import { Client, ConnectionLost, RcpError, type Step, type Update } from "../src/index.ts";
+import { Client, ConnectionLost, Lease, RcpError, type Step, type Update } from "../src/index.ts";
 import { msgpack } from "../src/msgpack.ts";
 
 const url = process.env["RCP_URL"] as string;
@@ -298,6 +298,69 @@ test("a lease is handed over, and the heir goes on with it", async () => {
   await (await heir.lease(scope)).release();
   await mine.write("/actuator/cmd_vel", drive);
   assert.equal(lost, 0);
+});
+
+test("a release that failed is asked for again, and one that had arrived is none too few", async () => {
+  const [mine, other] = [await connected(), await connected({ token: admin, tenant: "alpha" })];
+  const [scope, drive] = ["/tenant/alpha/actuator", { linear: { x: 0 }, angular: { z: 0 } }];
+  for (const arrived of [false, true]) {
+    const lease = await mine.lease(scope, { ttl: 60 });
+    const id = lease.state.lease;
+    const failed = new Promise<RcpError>((resolve) => {
+      const stop = mine.onChange(() => mine.state === "waiting" && (stop(), resolve(refusal(lease.release()))));
+    });
+    mine.session.cut();
+    assert.equal((await failed).code, "connection_lost");
+    assert.equal(lease.held, false);
+    mine.session.hurry();
+    await until(() => mine.state === "open", "the connection");
+    assert.equal((await refusal(other.write("/actuator/cmd_vel", drive))).code, "lease_held");
+    if (arrived) await mine.execute("/system/leases", { do: "release", lease: id }).result;
+    await lease.release();
+    await other.write("/actuator/cmd_vel", drive);
+    await lease.release(); // nothing is owed any more
+  }
+});
+
+const soon = (): Promise<unknown> => new Promise((resolve) => setImmediate(() => resolve(undefined)));
+
+test("a lease is renewed while it is handed over and after it was refused, once in a third of its time", async (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const state = { lease: "lease-1" } as Lease["state"];
+  const gone = new RcpError({ code: "lease_required", message: "no lease" });
+  const asked: { what: unknown; grant: (state: Lease["state"]) => void; refuse: (error: RcpError) => void }[] = [];
+  const ask = ({ do: what }: Record<string, unknown>): Promise<Lease["state"]> =>
+    new Promise((grant, refuse) => asked.push({ what, grant, refuse }));
+  let lost = 0;
+  const lease = new Lease(state, 3, ask, { ended: () => undefined, lost: () => (lost += 1) });
+  const count = (what: string): number => asked.filter((one) => one.what === what).length;
+  t.mock.timers.tick(1000); // a renewal is under way
+  const first = lease.handOver("nobody");
+  asked[0]?.grant(state);
+  await soon();
+  t.mock.timers.tick(1000);
+  assert.equal(count("renew"), 2);
+  asked[1]?.refuse(new RcpError({ code: "unknown_path", message: "nobody" }));
+  assert.equal((await refusal(first)).code, "unknown_path");
+  asked[2]?.grant(state);
+  await soon();
+  for (const passed of [3, 4, 5]) {
+    t.mock.timers.tick(1000);
+    assert.equal(count("renew"), passed);
+    asked.at(-1)?.grant(state);
+    await soon();
+  }
+  const second = lease.handOver("heir");
+  t.mock.timers.tick(1000);
+  asked.at(-1)?.refuse(gone); // it is the heir's already
+  await soon();
+  assert.ok(lease.held);
+  asked.at(-2)?.grant({ ...state, holder: "heir" });
+  assert.equal((await second).holder, "heir");
+  t.mock.timers.tick(60_000);
+  assert.equal(count("renew"), 6);
+  assert.equal(lost, 0);
+  assert.equal(lease.held, false);
 });
 
 const move = (x: number, how: { speed?: number } = {}): Step => ({

@@ -56,6 +56,10 @@ HOSTILE = [
     odd("/tenant/2nd/param/cast", value={"type": ["integer", "null"]}),
     odd("/tenant/Client/param/_", value={"type": "array", "items": {"$ref": "#/$defs/gone"}}),
     odd("/tenant/client/param/map", value={"type": "object", "additionalProperties": {}}),
+    odd(
+        "/tenant/client/param/wide",
+        value={"anyOf": [{"type": "integer"}, {"type": "string", "pattern": "^[0-9]{1,20}$"}]},
+    ),
 ]
 
 
@@ -202,6 +206,7 @@ _TYPED = """
 import { Client } from "rcp-client";
 
 import type { Gateway } from "./generated.ts";
+import type { Values, Writes } from "./hostile.ts";
 
 declare const robot: Client<Gateway>;
 const limit: number | string = (await robot.read("/tenant/alpha/param/limit")).value;
@@ -221,6 +226,12 @@ const states: string[] = (await robot.plan([{ do: "read", path: "/sensor/point" 
 robot.plan([{ do: "jump", path: states[0] }]);
 // @ts-expect-error a wait has to end
 robot.plan([{ do: "wait", until: "true" }]);
+const wide = (n: Values["/tenant/client/param/wide"]): Writes["/tenant/client/param/wide"] => `${BigInt(n) + 1n}`;
+console.log(wide("18446744073709551614"), wide(5));
+// @ts-expect-error no digits
+wide("many");
+// @ts-expect-error a wide one is no number
+const narrow: number = wide(5);
 """
 _OPTIONS = {
     "target": "ES2022",

@@ -22,14 +22,14 @@ _WORDS = {
     "null": "null",
     "bool": "boolean",
     "int": "number",
-    "long": "number",
-    "ulong": "number",
+    "long": "Integer",
+    "ulong": "Integer",
     "float": "Float",
     "str": "string",
     "bytes": "Base64",
 }
 _RESERVED = ("Values", "Writes", "Commands", "Gateway", "Update", "Reply", "Rcp", "RcpError", "Float",
-             "Base64", "Record", "Promise", "Array", "AsyncGenerator", "Error")  # fmt: skip
+             "Integer", "Base64", "Record", "Promise", "Array", "AsyncGenerator", "Error")  # fmt: skip
 
 
 def write_typescript(resources: list[ResourceInfo], url: str) -> str:

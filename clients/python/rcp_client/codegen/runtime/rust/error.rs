@@ -5,7 +5,7 @@ pub struct Error {
     pub message: String,
     pub remedy: String,
     pub retryable: bool,
-    /// The command that has ended with it; empty where none had begun.
+    /// The command that it is about; empty where none is known to have begun.
     pub command: String,
 }
 

@@ -46,7 +46,12 @@ impl Gateway {
         })
     }
 
-    fn open(&self, method: &str, path: &str, body: Option<&Json>, header: &str, silence: Duration) -> Result<Reply, Error> {
+    fn connect(&self, silence: Duration) -> Result<Box<dyn Stream>, Error> {
+        let target = Target { host: self.host.clone(), port: self.port, silence };
+        (self.connector)(&target).map_err(unsent)
+    }
+
+    fn exchange(&self, mut stream: Box<dyn Stream>, method: &str, path: &str, body: Option<&Json>, header: &str) -> Result<Reply, Error> {
         let body = body.map_or(String::new(), |body| body.to_string());
         let mut head = format!("{} {}/rcp/v1{} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n{}", method, self.prefix, path, self.authority, header);
         if !self.token.is_empty() {
@@ -55,11 +60,8 @@ impl Gateway {
         if !body.is_empty() {
             head += &format!("Content-Type: application/json\r\nContent-Length: {}\r\n", body.len());
         }
-        let target = Target { host: self.host.clone(), port: self.port, silence };
-        let stream = self.send(&target, &format!("{}\r\n{}", head, body)).map_err(|error| match error.kind() {
-            io::ErrorKind::InvalidData => Error::local("untrusted", error.to_string()),
-            _ => error.into(),
-        })?;
+        let request = format!("{}\r\n{}", head, body);
+        stream.write_all(request.as_bytes()).and_then(|()| stream.flush()).map_err(unsent)?;
         let mut lines = BufReader::new(stream);
         let mut line = String::new();
         lines.read_line(&mut line)?;
@@ -88,37 +90,42 @@ impl Gateway {
         Ok(Reply { status, body: BufReader::new(body) })
     }
 
-    fn send(&self, target: &Target, request: &str) -> io::Result<Box<dyn Stream>> {
-        let mut stream = (self.connector)(target)?;
-        stream.write_all(request.as_bytes())?;
-        stream.flush()?;
-        Ok(stream)
+    fn open(&self, method: &str, path: &str, body: Option<&Json>, header: &str, silence: Duration) -> Result<Reply, Error> {
+        self.exchange(self.connect(silence)?, method, path, body, header)
     }
 
-    fn ask(&self, method: &str, path: &str, body: Option<&Json>, header: &str) -> Result<Json, Error> {
-        decoded(self.open(method, path, body, header, ATTEMPT)?)
+    /// Ask again while no answer comes; `begun` as for `insist`.
+    fn inquire(&self, method: &str, path: &str, begun: bool) -> Result<Json, Error> {
+        insist(begun, || decoded(self.open(method, path, None, "", ATTEMPT)?))
     }
+}
 
-    /// Ask again while no answer comes. What may have begun is not refused by a refusal that passes: `begun` says that
-    /// it may have before, and each request that is lost says so too.
-    fn insist(&self, method: &str, path: &str, body: Option<&Json>, header: &str, begun: bool) -> Result<Json, Error> {
-        let (end, mut lost) = (Instant::now() + PATIENCE, None);
-        loop {
-            match self.ask(method, path, body, header) {
-                Err(error) if error.code == "connection_lost" => lost = Some(error),
-                Err(error) if error.code == "untrusted" && (begun || lost.is_some()) => lost = Some(error),
-                Err(error) if error.retryable && error.command.is_empty() && (begun || lost.is_some()) => {
-                    if Instant::now() >= end {
-                        return Err(lost.unwrap_or(error));
-                    }
+/// Ask again while no answer comes. What may have begun is not refused by a refusal that passes: `begun` says that
+/// it may have before, and each request that is lost says so too.
+fn insist(begun: bool, mut ask: impl FnMut() -> Result<Json, Error>) -> Result<Json, Error> {
+    let (end, mut lost) = (Instant::now() + PATIENCE, None);
+    loop {
+        match ask() {
+            Err(error) if error.code == "connection_lost" => lost = Some(error),
+            Err(error) if error.code == "untrusted" && (begun || lost.is_some()) => lost = Some(error),
+            Err(error) if error.retryable && error.command.is_empty() && (begun || lost.is_some()) => {
+                if Instant::now() >= end {
+                    return Err(lost.unwrap_or(error));
                 }
-                outcome => return outcome,
             }
-            match lost {
-                Some(error) if Instant::now() >= end => return Err(error),
-                _ => sleep(POLL),
-            }
+            outcome => return outcome,
         }
+        match lost {
+            Some(error) if Instant::now() >= end => return Err(error),
+            _ => sleep(POLL),
+        }
+    }
+}
+
+fn unsent(error: io::Error) -> Error {
+    match error.kind() {
+        io::ErrorKind::InvalidData => Error::local("untrusted", error.to_string()),
+        _ => error.into(),
     }
 }
 

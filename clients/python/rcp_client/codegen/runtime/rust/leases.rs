@@ -1,8 +1,9 @@
 /// Exclusive control of a part of the tree, renewed by a thread until it is released, dropped or lost. It holds for
 /// everything that is sent with the same token.
 ///
-/// What takes a gateway takes a lease too. Once it is lost, nothing is begun and written under it any more, and `wait`
-/// cancels a command that was begun under it.
+/// What takes a gateway takes a lease too. Once it is lost or given back, nothing is begun and written under it any more,
+/// by its clones either. A command that was begun under it is cancelled by `wait` when it is lost, and goes on when it is
+/// given back.
 pub struct Lease {
     gateway: Gateway,
     id: String,
@@ -35,6 +36,15 @@ impl HoldState {
 impl Hold {
     fn lost(&self) -> Option<Error> {
         self.state.lock().unwrap().judge()
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        let mut state = self.state.lock().unwrap();
+        match state.judge() {
+            Some(error) => Err(error),
+            None if state.released => Err(Error::local("lease_lost", "the lease was given back".into())),
+            None => Ok(()),
+        }
     }
 
     /// Wait for the next renewal; return until when it has to have succeeded, or nothing if none is due any more.
@@ -117,9 +127,9 @@ impl Gateway {
         decoded(reply).map(|reply| reply.get("body").clone())
     }
 
-    /// Refuse what would act under a lease that is lost.
+    /// Refuse what would act under a lease that is lost or was given back.
     fn check(&self) -> Result<(), Error> {
-        self.lost().map_or(Ok(()), Err)
+        self.held.as_ref().map_or(Ok(()), |held| held.check())
     }
 
     fn lost(&self) -> Option<Error> {
