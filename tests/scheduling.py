@@ -8,8 +8,8 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 
 __all__ = ["PROCESSES", "Scheduling"]
 
-PROCESSES = 3
-"""For each core: with two, a core was idle for a third of the time, because half of the tests wait for robots."""
+PROCESSES = 2
+"""For each core, of which about half wait for robots; with three, those that are late fail on a busy machine."""
 _LEAST = 2  # tests that a process has to know of
 _TOGETHER = {
     "tests/browser/": "browser",
