@@ -17,7 +17,7 @@ from collections.abc import (
     Mapping,
     MutableMapping,
 )
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -473,17 +473,17 @@ class ClientApi:
         """Count a request that the transport had to refuse before it was an envelope."""
         self._parts.counts.count(self.name, type_, code)
 
-    def check_attempts(self, peer: Peer) -> None:
-        """Check that a client may try to prove itself in a way of the transport's own.
+    def attempt(self, peer: Peer) -> AbstractContextManager[None]:
+        """Let a client try to prove itself in a way of the transport's own.
+
+        It counts as a failed login while it lasts, and for good if it ends with `Unauthenticated`.
 
         :raises RateLimited: it has failed too often.
         """
-        self._parts.identities.check_attempts(peer)
+        return self._parts.identities.attempt(peer)
 
     def turned_away(self, peer: Peer, error: RcpError) -> None:
         """Report a client that could not prove who it is in such a way, or has no role."""
-        if isinstance(error, Unauthenticated):
-            self._parts.identities.failed(peer)
         self._parts.events.stranger(self.name, peer, error)
 
     def ready(self) -> tuple[bool, dict[str, str]]:

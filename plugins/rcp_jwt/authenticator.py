@@ -19,6 +19,7 @@ from rcp_store.plugin_store import PluginStore
 __all__ = ["JwtAuthenticator"]
 
 _START = 3.0  # s that the start may wait for issuers
+_LOOK = 60.0  # s between looks for what has expired
 
 
 class JwtAuthenticator(Authenticator):
@@ -44,12 +45,19 @@ class JwtAuthenticator(Authenticator):
         """Fetch the issuers' keys while entered."""
         self._running = True
         self._issuers.start(self._changed)
+        looking = asyncio.create_task(self._look(), name="jwt proofs")
         try:
             await self._wait_for_keys(self._proofs.load())
             yield
         finally:
+            looking.cancel()
             self._running = False
             self._issuers.stop()
+
+    async def _look(self) -> None:
+        while True:
+            await asyncio.sleep(_LOOK)
+            self._proofs.drop_expired()
 
     async def _wait_for_keys(self, names: set[str]) -> None:
         """Wait for the keys of issuers with logins: before they are there, these logins do not count."""
@@ -98,6 +106,10 @@ class JwtAuthenticator(Authenticator):
     def proves(self, digest: str) -> Principal | None:
         """Return the principal of a verified token, if its key is still valid."""
         return self._issuers.kept(digest)
+
+    def release(self, credential: str) -> None:
+        """Forget what a person has logged in with."""
+        self._proofs.forget(credential)
 
     def renewed(self, principal: Principal) -> Principal | None:
         """Return a principal with its rights under the current tables and keys."""

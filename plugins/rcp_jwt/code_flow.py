@@ -1,7 +1,8 @@
 """The authorization code flow with PKCE: people log in at an issuer, in their browsers.
 
 OpenID Connect Core 3.1, RFC 7636 and RFC 9700. The gateway keeps nothing of a login under way: all of it is
-in a sealed cookie of the browser, so that nobody can fill the memory by beginning logins.
+in a sealed cookie of the browser, so that nobody can fill the memory by beginning logins. Of one that was
+used it keeps the state, so that it is good once.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import base64
 import hashlib
 import hmac
 import secrets
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import quote_plus, urlencode
 
@@ -22,6 +25,7 @@ from rcp_jwt.issuers import Issuer
 from rcp_jwt.login_config import LoginConfig
 from rcp_jwt.provider import Provider
 from rcp_jwt.seal import Pending, Seal
+from rcp_jwt.spent import SpentStates
 from rcp_jwt.urls import host_of, shown_url
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
@@ -34,6 +38,7 @@ from rcp_kernel.errors import (
 )
 from rcp_protocol.plain import is_map
 from rcp_web.oidc import Begun, IssuerLink, Parameters, Returned, Started
+from rcp_web.own_page import is_same_origin
 
 __all__ = ["CodeFlow"]
 
@@ -42,6 +47,8 @@ _LIFETIME = 600  # s that a person has for the issuer's page
 _S = 1_000_000_000  # ns
 _LONGEST = 2000  # characters of a code or a page: a cookie has at most 4096
 _AT_ONCE = 8  # codes that are exchanged at the same time
+_QUEUED = 10.0  # s that one more may wait
+_OWN_FAULT = ("invalid_client", "unauthorized_client")  # of the gateway's table, not of the code
 _AGAIN = "Log in again."
 _REFUSED = {
     "access_denied": "the login was refused or cancelled at {name}",
@@ -58,6 +65,7 @@ class CodeFlow:
         self._now = clock.now
         self._seal = Seal()
         self._exchanges = asyncio.Semaphore(_AT_ONCE)
+        self._spent = SpentStates(_LIFETIME * _S)
 
     @property
     def issuers(self) -> list[IssuerLink]:
@@ -71,6 +79,14 @@ class CodeFlow:
     def root(self, id_: str) -> str:
         """Return the address of the gateway in browsers."""
         return self._find(id_)[1].root
+
+    def is_on_tls(self, host: bytes) -> bool:
+        """Return whether `host` is the address of the gateway in browsers, over TLS."""
+        return any(is_same_origin(login.origin, host, secure=True) for _, login in self._logins())
+
+    def release(self, credential: str) -> None:
+        """Forget what a person has logged in with."""
+        self._authenticator.release(credential)
 
     def log_out(self, principal: Principal) -> IssuerLink | None:
         """Return where a person logs out of the issuer too."""
@@ -128,7 +144,7 @@ class CodeFlow:
         if not 0 < len(code) <= _LONGEST:
             raise Forbidden(f"the answer of {name} has no code", remedy=_AGAIN)
         started = Started(pending.next, pending.remember, pending.former)
-        return Returned(started, pending.nonce, pending.verifier, code)
+        return Returned(started, pending.state, pending.nonce, pending.verifier, code)
 
     def _check_issuer(self, issuer: Issuer, given: Parameters) -> None:
         """Refuse an answer of another issuer (RFC 9207)."""
@@ -139,30 +155,54 @@ class CodeFlow:
 
     async def finish(self, id_: str, returned: Returned) -> Principal:
         """Return who has logged in."""
+        if not self._spent.use(returned.state, self._now()):
+            raise Forbidden("this login was used already", remedy=_AGAIN)
         issuer, login = self._find(id_)
+        name = _name(issuer, login)
+        token = await self._exchange(issuer, login, returned)
+        current, wanted = self._find(id_)  # the tables may have been changed meanwhile
+        if (current.config.issuer, wanted) != (issuer.config.issuer, login):
+            raise Forbidden("this login was changed on the gateway meanwhile", remedy=_AGAIN)
+        issuers = self._authenticator.current
+        try:
+            return await issuers.log_in(current, wanted, token, returned.nonce)
+        except (Unauthenticated, TokenExpired) as error:
+            shown = shown_url(issuer.config.issuer)
+            log.warning("oidc_token_refused", issuer=shown, reason=error.message)
+            raise Unauthenticated(
+                f"the answer of {name} was not accepted: {error.message}",
+                remedy=f"{_AGAIN} If it persists, ask the operator to check `[jwt.login]`.",
+            ) from None
+
+    async def _exchange(self, issuer: Issuer, login: LoginConfig, returned: Returned) -> str:
+        """Return the ID token for a code."""
         name = _name(issuer, login)
         provider = await _provider(issuer)
         if provider.token is None:
             raise _unavailable(name, "it does not offer the login of people")
-        shown = shown_url(issuer.config.issuer)
         form, headers = _request(login, returned, posts_secret=provider.posts_secret)
         try:
-            async with self._exchanges:
+            async with self._turn(name):
                 answer = await post(provider.token, form, headers)
         except Unreachable as error:
             log.warning(
                 "oidc_unreachable", issuer=shown_url(issuer.config.issuer), reason=str(error)
             )
             raise _unavailable(name, "it does not answer") from None
-        token = _id_token(issuer, name, answer)
+        return _id_token(issuer, name, answer)
+
+    @asynccontextmanager
+    async def _turn(self, name: str) -> AsyncGenerator[None]:
+        """Wait until few enough codes are being exchanged."""
         try:
-            return await self._authenticator.current.log_in(issuer, login, token, returned.nonce)
-        except (Unauthenticated, TokenExpired) as error:
-            log.warning("oidc_token_refused", issuer=shown, reason=error.message)
-            raise Unauthenticated(
-                f"the answer of {name} was not accepted: {error.message}",
-                remedy=f"{_AGAIN} If it persists, ask the operator to check `[jwt.login]`.",
-            ) from None
+            async with asyncio.timeout(_QUEUED):
+                await self._exchanges.acquire()
+        except TimeoutError:
+            raise _unavailable(name, "too many people log in at once") from None
+        try:
+            yield
+        finally:
+            self._exchanges.release()
 
     def _logins(self) -> list[tuple[Issuer, LoginConfig]]:
         issuers = self._authenticator.current.issuers.values()
@@ -257,8 +297,13 @@ def _id_token(issuer: Issuer, name: str, answer: Answer) -> str:
             f"{name} did not accept the code of this login: it was used already, or is too old",
             remedy=_AGAIN,
         )
-    if error in ("invalid_client", "unauthorized_client"):
+    if error in _OWN_FAULT:
         raise _unavailable(
             name, "it does not accept `client_id` or `client_secret` of this gateway"
+        )
+    if 400 <= answer.status < 500:  # whatever it is called: it counts as a wrong code
+        raise Unauthenticated(
+            f"{name} did not accept the code of this login",
+            remedy=f"{_AGAIN} If it persists, ask the operator to read the gateway's log.",
         )
     raise _unavailable(name, "its answer is not the one expected")

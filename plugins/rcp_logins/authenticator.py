@@ -17,6 +17,7 @@ from rcp_kernel.features import FeatureHost
 from rcp_logins.config import LoginsConfig
 from rcp_logins.login import Login
 from rcp_web.logins import NewLogin
+from rcp_web.oidc import OIDC
 
 __all__ = ["PATH", "LoginAuthenticator"]
 
@@ -196,6 +197,9 @@ class LoginAuthenticator(Authenticator):
         del self._logins[login.digest], self._ids[login.id]
         self._noted.pop(login.id, None)
         self._kept.put(login.digest, None)
+        oidc = self._host.service(OIDC)
+        if oidc is not None and login.credential is not None:
+            oidc.release(login.credential)
         self._note(login, why)
         for changed in self.on_change:
             changed()

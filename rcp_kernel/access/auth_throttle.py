@@ -73,6 +73,17 @@ class AuthThrottle:
         self._spent[network] = (spent, moment)
         self._next[network] = moment + _SIGNED
 
+    def forgive(self, address: str | None) -> None:
+        """Take back one failure."""
+        network = None if address is None else _network(address)
+        if network is None or network not in self._spent:
+            return
+        left = self._left(network) - 1
+        if left > 0:
+            self._spent[network] = (left, self._clock())
+        elif network in self._spent:
+            self._forget(network)
+
     def succeeded(self, digest: str) -> None:
         """Keep in mind that a credential is good."""
         if digest not in self._good:

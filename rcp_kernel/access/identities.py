@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -205,16 +205,25 @@ class Identities:
         assert found is not None
         return found
 
-    def check_attempts(self, peer: Peer) -> None:
-        """Check that a peer may try to prove itself in a way that asks somebody else.
+    @contextmanager
+    def attempt(self, peer: Peer) -> Generator[None]:
+        """Let a peer try to prove itself in a way that asks somebody else.
+
+        It counts as failed while it lasts, so that many at once get no further than one by one,
+        and for good if it ends with `Unauthenticated`.
 
         :raises RateLimited: it has failed too often.
         """
         self._attempts.check(peer.address, "")
-
-    def failed(self, peer: Peer) -> None:
-        """Count a failure of such an attempt."""
         self._attempts.failed(peer.address, "")
+        try:
+            yield
+        except Unauthenticated:
+            raise
+        except BaseException:
+            self._attempts.forgive(peer.address)
+            raise
+        self._attempts.forgive(peer.address)
 
     def _look(self, token: str | None, peer: Peer, *, fetched: bool = False) -> Principal | None:
         certified = None

@@ -89,6 +89,19 @@ async def test_whoever_turns_back_is_told_so_and_may_try_again(page: Page, gatew
     await expect(page.get_by_role("heading", name="Log in required")).to_be_visible()
 
 
+async def test_a_login_at_the_provider_counts_although_the_browser_has_kept_a_key(
+    page: Page, gateway: Site
+) -> None:
+    await page.goto(gateway.url)
+    await page.evaluate("localStorage.setItem('rcp.token', 'a key that was taken back')")
+    await page.reload()
+    await expect(page.get_by_role("banner")).to_contain_text("Refused")
+    await to_the_provider(page)
+    await named(page, "ann")
+    await expect(page.get_by_test_id("principal")).to_have_text("ann")
+    assert await page.evaluate("localStorage.getItem('rcp.token')") is None
+
+
 async def test_over_tls_the_login_is_the_hosts_alone(
     browser: Browser, provider: Provider, tmp_path: Path
 ) -> None:

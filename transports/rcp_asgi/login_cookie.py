@@ -5,7 +5,8 @@ from __future__ import annotations
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import Forbidden
 from rcp_web.asgi import Scope, header
-from rcp_web.logins import LOGINS, shown_login
+from rcp_web.logins import LOGINS
+from rcp_web.oidc import OIDC, login_at
 from rcp_web.own_page import own_origin
 
 __all__ = ["apply_login"]
@@ -25,7 +26,7 @@ def apply_login(client_api: ClientApi, scope: Scope) -> None:
     if header(scope, b"cookie") is None or header(scope, b"authorization") is not None:
         return
     logins = client_api.service(LOGINS)
-    secret = None if logins is None else shown_login(scope)
+    secret = None if logins is None else login_at(scope, client_api.service(OIDC))
     if logins is None or secret is None or logins.find(secret) is None:
         return
     site = header(scope, b"sec-fetch-site")

@@ -18,8 +18,8 @@ from rcp_kernel.errors import BadRequest, Forbidden, UnknownPath
 from rcp_web.application import Asked, response, scope_of
 from rcp_web.asgi import Headers, Scope, peer_of, read_body
 from rcp_web.calls import call as declared
-from rcp_web.logins import LOGINS, LoginService, login_cookie, no_cookie, shown_login
-from rcp_web.oidc import OIDC
+from rcp_web.logins import LOGINS, LoginService, login_cookie, no_cookie
+from rcp_web.oidc import OIDC, login_at
 from rcp_web.own_page import own_origin
 
 __all__ = ["Login"]
@@ -88,7 +88,8 @@ class Login(Controller):
     )
     def state(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
         """Answer with the principal of the cookie, if there is one."""
-        logins, secret = _service(client_api), shown_login(scope_of(request))
+        logins = _service(client_api)
+        secret = login_at(scope_of(request), client_api.service(OIDC))
         return _state(client_api, logins, None if secret is None else logins.find(secret))
 
     @post(
@@ -109,7 +110,7 @@ class Login(Controller):
         principal = await client_api.identify(wanted.token, peer)
         client_api.charge(client_api.session(principal, None, peer))
         made = logins.begin(principal, peer.address, remember=wanted.remember)
-        former = shown_login(scope)
+        former = login_at(scope, client_api.service(OIDC))
         if former is not None:
             logins.end(former)
         cookie = login_cookie(origin, made.secret, made.lifetime if wanted.remember else None)
@@ -124,7 +125,7 @@ class Login(Controller):
         """End the login, here and in the browser."""
         scope, logins = scope_of(request), _service(client_api)
         origin = _page(scope)
-        secret = shown_login(scope)
+        secret = login_at(scope, client_api.service(OIDC))
         ended = None if secret is None else logins.find(secret)
         if secret is not None:
             logins.end(secret)

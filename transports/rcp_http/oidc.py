@@ -48,6 +48,11 @@ class _Place(NamedTuple):
     origin: str
     """Of the gateway's pages."""
 
+    @property
+    def secure(self) -> bool:
+        """Whether these are on TLS, whoever adds it: only the cookies of TLS count then."""
+        return self.origin.startswith("https:")
+
 
 class OidcLogin(Controller):
     """The login of a person at an issuer."""
@@ -70,9 +75,8 @@ class OidcLogin(Controller):
                 raise Forbidden(
                     "another page has led here", remedy="To log in, choose it here yourself."
                 )
-            wanted = Started(
-                given.get("next", "/"), given.get("remember") == "true", shown_login(scope)
-            )
+            former = shown_login(scope, secure=place.secure)
+            wanted = Started(given.get("next", "/"), given.get("remember") == "true", former)
             begun = await place.oidc.begin(id, wanted)
         except Exception as error:
             return _refused(client_api, scope, id, to_internal_error(error, path=scope["path"]))
@@ -90,7 +94,8 @@ class OidcLogin(Controller):
         cookies: Headers = []
         try:
             place = _place(client_api, scope, id)
-            returned = place.oidc.returned(id, shown_start(scope), _parameters(scope))
+            started = shown_start(scope, secure=place.secure)
+            returned = place.oidc.returned(id, started, _parameters(scope))
             cookies.append(start_cookie(place.origin, "", 0))  # it was good for one answer
             cookies.append(await _log_in(client_api, scope, place, returned))
         except Exception as error:
@@ -105,11 +110,15 @@ async def _log_in(
 ) -> tuple[bytes, bytes]:
     """Begin a login; return its cookie."""
     peer = peer_of(scope)
-    client_api.check_attempts(peer)  # each one asks the issuer
-    principal = await place.oidc.finish(place.id, returned)
-    client_api.charge(client_api.session(principal, None, peer))
+    with client_api.attempt(peer):  # each one asks the issuer
+        principal = await place.oidc.finish(place.id, returned)
     remember, former = returned.started.remember, returned.started.former
-    made = place.logins.begin(principal, peer.address, remember=remember)
+    try:
+        client_api.charge(client_api.session(principal, None, peer))
+        made = place.logins.begin(principal, peer.address, remember=remember)
+    except BaseException:
+        place.oidc.release(principal.credential or "")
+        raise
     if former is not None:
         place.logins.end(former)
     return login_cookie(place.origin, made.secret, made.lifetime if remember else None)

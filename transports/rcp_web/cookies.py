@@ -1,7 +1,9 @@
 """Cookies of the gateway's own pages.
 
-On TLS a cookie has the prefix `__Host-`: only the gateway's own answers over TLS can set it. Cookies are not
-separated by port, so the name has the port.
+On TLS a cookie has the prefix `__Host-`: only the gateway's own answers over TLS can set it. Others, also of
+neighbouring hosts and of whoever is on the way, can plant the plain one, so it counts only where the gateway
+sets it: at this machine's own addresses, and not where they have TLS. Cookies are not separated by port, so the
+name has the port.
 """
 
 from __future__ import annotations
@@ -49,11 +51,13 @@ class CookieKind(NamedTuple):
         return ("__Host-" if secure else "") + self.name + (f"_{port}" if port else "")
 
 
-def shown_cookie(scope: Scope, kind: CookieKind) -> str | None:
-    """Return the value in the cookie of a request; None if there is none, or more than one."""
-    secure = scope["scheme"] in _SECURE
+def shown_cookie(scope: Scope, kind: CookieKind, *, secure: bool) -> str | None:
+    """Return the value in the cookie of a request; None if there is none, or more than one.
+
+    `secure` means that the configuration says that browsers use this address over TLS.
+    """
     found = _values(scope, kind)
-    for one in (True,) if secure else (True, False):
+    for one in (True,) if secure or not _may_be_plain(scope) else (True, False):
         if one in found:
             return found[one][0] if len(found[one]) == 1 else None
     return None
@@ -62,6 +66,17 @@ def shown_cookie(scope: Scope, kind: CookieKind) -> str | None:
 def shows_secure(scope: Scope, kind: CookieKind) -> bool:
     """Tell whether a request has the cookie that browsers send over TLS alone."""
     return True in _values(scope, kind)
+
+
+def _may_be_plain(scope: Scope) -> bool:
+    """Tell whether the gateway may have given the browser of a request a cookie without TLS."""
+    if scope["scheme"] in _SECURE or (header(scope, b"origin") or b"").startswith(b"https:"):
+        return False
+    try:
+        host = urlsplit("//" + (header(scope, b"host") or b"").decode("latin-1")).hostname
+    except ValueError:
+        return False
+    return _is_here(host or "")
 
 
 def _values(scope: Scope, kind: CookieKind) -> dict[bool, list[str]]:

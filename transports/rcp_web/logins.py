@@ -60,9 +60,12 @@ class LoginService(Protocol):
 LOGINS: ServiceKey[LoginService] = ServiceKey("logins")
 
 
-def shown_login(scope: Scope) -> str | None:
-    """Return the secret in the cookie of a request; None if there is none, or more than one."""
-    return shown_cookie(scope, _COOKIE)
+def shown_login(scope: Scope, *, secure: bool = False) -> str | None:
+    """Return the secret in the cookie of a request; None if there is none, or more than one.
+
+    `secure` means that the configuration says that browsers use this address over TLS.
+    """
+    return shown_cookie(scope, _COOKIE, secure=secure)
 
 
 def shows_tls_cookie(scope: Scope) -> bool:

@@ -6,8 +6,9 @@ from typing import NamedTuple, Protocol
 
 from rcp_kernel.api import Principal
 from rcp_kernel.features import ServiceKey
-from rcp_web.asgi import Scope
+from rcp_web.asgi import Scope, header
 from rcp_web.cookies import CookieKind, shown_cookie
+from rcp_web.logins import shown_login
 
 __all__ = [
     "OIDC",
@@ -17,6 +18,7 @@ __all__ = [
     "Parameters",
     "Returned",
     "Started",
+    "login_at",
     "shown_start",
     "start_cookie",
 ]
@@ -59,6 +61,7 @@ class Returned(NamedTuple):
     """A browser that has come back from the issuer, with what it began with."""
 
     started: Started
+    state: str
     nonce: str
     verifier: str
     code: str
@@ -86,6 +89,10 @@ class OidcService(Protocol):
         """Return the address of the gateway in browsers, without a slash at its end."""
         ...
 
+    def is_on_tls(self, host: bytes) -> bool:
+        """Return whether `host` is the address of the gateway in browsers, over TLS."""
+        ...
+
     async def begin(self, id_: str, started: Started) -> Begun:
         """Begin a login.
 
@@ -101,12 +108,16 @@ class OidcService(Protocol):
         ...
 
     async def finish(self, id_: str, returned: Returned) -> Principal:
-        """Return who has logged in.
+        """Return who has logged in; each login under way counts once.
 
         :raises Unauthenticated: the issuer's answer does not prove it.
         :raises Forbidden: they have no role on this gateway.
         :raises AdapterUnavailable: the issuer does not answer, or not as it should.
         """
+        ...
+
+    def release(self, credential: str) -> None:
+        """Forget what a person has logged in with: the login has ended, or did not begin."""
         ...
 
     def log_out(self, principal: Principal) -> IssuerLink | None:
@@ -122,6 +133,15 @@ def start_cookie(origin: str, sealed: str, age: int) -> tuple[bytes, bytes]:
     return _COOKIE.header(origin, sealed, age)
 
 
-def shown_start(scope: Scope) -> str | None:
-    """Return the login under way in the cookie of a request."""
-    return shown_cookie(scope, _COOKIE)
+def shown_start(scope: Scope, *, secure: bool) -> str | None:
+    """Return the login under way in the cookie of a request; `secure`: the gateway's pages are on TLS."""
+    return shown_cookie(scope, _COOKIE, secure=secure)
+
+
+def login_at(scope: Scope, oidc: OidcService | None) -> str | None:
+    """Return the secret of the login in the cookie of a request.
+
+    At an address that people use over TLS, by the configuration, only the cookie of TLS counts.
+    """
+    host = header(scope, b"host") or b""
+    return shown_login(scope, secure=oidc is not None and oidc.is_on_tls(host))

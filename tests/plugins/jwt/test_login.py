@@ -118,7 +118,8 @@ async def test_a_token_that_the_issuer_did_not_sign_logs_nobody_in(
     [
         (b"400 Bad Request", b'{"error": "invalid_grant"}', 401, "used already, or is too old"),
         (b"401 Unauthorized", b'{"error": "invalid_client"}', 503, "does not accept `client_id`"),
-        (b"400 Bad Request", b'{"error": "<b>"}', 503, "not the one expected"),
+        (b"400 Bad Request", b'{"error": "<b>"}', 401, "did not accept the code"),
+        (b"429 Too Many", b"", 401, "did not accept the code"),
         (b"500 No", b"<html>", 503, "not the one expected"),
         (b"302 Found", b"", 503, "not the one expected"),
         (b"200 OK", b"{}", 503, "not the one expected"),

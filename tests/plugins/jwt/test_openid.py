@@ -129,8 +129,8 @@ async def test_a_code_is_good_once(browser: httpx.AsyncClient) -> None:
     assert "This browser has begun no login" in again.text
     # Not even for somebody who had the cookie too.
     thief = await browser.get(back, headers={"cookie": _cookies(started)})
-    assert thief.status_code == 401
-    assert "it was used already" in thief.text
+    assert thief.status_code == 403
+    assert "This login was used already" in thief.text
 
 
 def _cookies(found: dict[str, str]) -> str:

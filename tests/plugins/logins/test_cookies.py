@@ -394,8 +394,8 @@ async def test_a_page_that_came_in_plain_text_from_afar_gets_no_cookie() -> None
 @pytest.mark.parametrize(
     ("host", "names"),
     [
-        (b"robot:8080", ["__Host-rcp_login_8080", "rcp_login_8080"]),
-        (b"robot", ["__Host-rcp_login", "rcp_login"]),
+        (b"localhost:8080", ["__Host-rcp_login_8080", "rcp_login_8080"]),
+        (b"127.0.0.1", ["__Host-rcp_login", "rcp_login"]),
         (b"[::1]:81", ["__Host-rcp_login_81", "rcp_login_81"]),
         (b"[::1]", ["__Host-rcp_login", "rcp_login"]),
     ],
@@ -406,9 +406,30 @@ def test_gateways_on_other_ports_of_a_machine_have_cookies_of_their_own(
     for name in names:
         headers = [(b"host", host), (b"cookie", f"a=b; {name}=s; c".encode())]
         assert shown_login({"scheme": "http", "headers": headers}) == "s"
+        secure = shown_login({"scheme": "http", "headers": headers}, secure=True)
+        assert secure == ("s" if name == names[0] else None)
     both = "; ".join(f"{name}={name}" for name in reversed(names)).encode()
     found = shown_login({"scheme": "http", "headers": [(b"host", host), (b"cookie", both)]})
     assert found == names[0]  # that which only the gateway can have set
+
+
+@pytest.mark.parametrize(
+    ("host", "origin"),
+    [
+        (b"robot.example", None),
+        (b"localhost.example:81", None),
+        (b"[", None),
+        (b"localhost", b"https://localhost"),
+    ],
+)
+def test_a_plain_cookie_counts_only_where_the_gateway_gives_one(
+    host: bytes, origin: bytes | None
+) -> None:
+    """Behind a proxy that adds TLS, anybody on the way or at a neighbouring host can plant one."""
+    headers = [(b"host", host), (b"cookie", b"rcp_login=s; rcp_login_81=s")]
+    if origin is not None:
+        headers.append((b"origin", origin))
+    assert shown_login({"scheme": "http", "headers": headers}) is None
 
 
 def test_only_this_machine_gets_a_cookie_without_tls() -> None:

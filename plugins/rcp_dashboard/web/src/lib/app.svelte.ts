@@ -4,7 +4,7 @@ import type { Approval } from "./approvals.ts";
 import { msgpack } from "rcp-client/msgpack";
 
 import { forget, keep, kept } from "./kept.ts";
-import { beginLogin, endLogin, type IssuerLink, isLoggedIn } from "./login.ts";
+import { beginLogin, endLogin, type IssuerLink, isLoggedIn, loginAt } from "./login.ts";
 import { robotsOf } from "./robots.ts";
 import { latchedOf } from "./stops.ts";
 import { Tabs } from "./tabs.ts";
@@ -241,6 +241,12 @@ class App {
   async logIn(token: string, remember: boolean): Promise<void> {
     const cookie = await beginLogin(BASE, token, remember);
     this.#change(cookie ? undefined : token, remember, cookie);
+  }
+
+  /** Go to log in at an issuer. A token that is kept would go before the cookie with which the browser comes back. */
+  goTo(issuer: IssuerLink, remember: boolean): void {
+    forget(TOKEN);
+    location.assign(loginAt(issuer, location.hash, remember));
   }
 
   /** Log out, in all tabs: of the token, and of the cookie, which another tab may have got unknown to this one. */
