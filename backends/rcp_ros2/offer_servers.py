@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import structlog
@@ -60,6 +61,18 @@ def _maker(cls: Any) -> Callable[[Any], Any]:
     return lambda value: fill(msgspec.convert(value or {}, type_))
 
 
+class _Server(Protocol):
+    """What is served; both are called in the thread of its callbacks, or once that has ended."""
+
+    def create(self, node: Any) -> None:
+        """Create the server on a node."""
+        ...
+
+    def destroy(self, node: Any) -> None:
+        """Destroy it."""
+        ...
+
+
 class OfferNode:
     """A node with a thread for the callbacks of servers, while there are servers."""
 
@@ -68,30 +81,32 @@ class OfferNode:
         self._node: Any = None
         self._executor: Any = None
         self._thread: threading.Thread
-        self._users = 0
+        self._servers: set[_Server] = set()
+        self._left: deque[_Server] = deque()
+        """Those to be destroyed."""
 
-    def create(self, make: Callable[[Any], None]) -> None:
-        """Have `make` create a server on the node, which `leave` destroys; in the ROS thread.
+    def add(self, server: _Server) -> None:
+        """Have a server created; in the ROS thread.
 
         It is created in the thread of its callbacks: none is called before it is complete.
         """
         if self._node is None:
             self._open()
-        self._users += 1
-        made: Future[None] = Future()
+        created: Future[None] = Future()
         node = self._node
 
         def run() -> None:
             try:
-                made.set_result(make(node))
+                created.set_result(server.create(node))
             except Exception as error:
-                made.set_exception(error)
+                created.set_exception(error)
 
+        self._servers.add(server)
         self._executor.create_task(run)
         try:
-            made.result(_MAKE)
+            created.result(_MAKE)
         except BaseException:
-            self.leave(lambda _node: None)
+            self.remove(server)
             raise
 
     def _open(self) -> None:
@@ -114,20 +129,36 @@ class OfferNode:
 
     def run(self, function: Callable[..., Any], *args: Any) -> None:
         """Run a function in the thread of the callbacks soon; its errors are logged."""
-        if self._executor is not None:
-            self._executor.create_task(contained(function, *args))
+        executor = self._executor
+        if executor is not None:
+            executor.create_task(contained(function, *args))
 
-    def leave(self, destroy: Callable[[Any], None]) -> None:
-        """Destroy a server, and end the thread after the last one; in the ROS thread."""
-        self._users -= 1
-        if self._users:
-            self.run(destroy, self._node)  # not while the thread uses it
+    def remove(self, server: _Server) -> None:
+        """Have a server destroyed, and end the thread after the last one; in the ROS thread."""
+        if server not in self._servers:
+            return
+        if len(self._servers) == 1:
+            self.close()
+            return
+        self._servers.discard(server)
+        self._left.append(server)
+        self.run(self._destroy_left)  # not while the thread uses it
+
+    def close(self) -> None:
+        """End the thread, and destroy the servers and the node; in the ROS thread."""
+        if self._node is None:
             return
         self._executor.shutdown(timeout_sec=_END)
         self._thread.join(_END)
-        contained(destroy, self._node)()
+        self._left.extend(self._servers)
+        self._servers.clear()
+        self._destroy_left()  # also what the thread has not come to
         self._node.destroy_node()
         self._node = self._executor = None
+
+    def _destroy_left(self) -> None:
+        while self._left:
+            contained(self._left.popleft().destroy, self._node)()
 
 
 def _spin(executor: Any) -> None:
@@ -166,9 +197,10 @@ class ServiceServer:
     def open(self) -> None:
         """Create the server; in the ROS thread."""
         self._read, self._make = _reader(self._type.Request), _maker(self._type.Response)
-        self._node.create(self._create)
+        self._node.add(self)
 
-    def _create(self, node: Any) -> None:
+    def create(self, node: Any) -> None:
+        """Create it on a node; in the thread of its callbacks."""
         server = node.create_service(self._type, self._name, self._called)
         self._send = server.send_response
         server.send_response = self._answer
@@ -229,12 +261,13 @@ class ServiceServer:
 
     def close(self) -> None:
         """Destroy the server, when the responses that are ready have been sent."""
-        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._drop)
+        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._node.remove, self)
 
-    def _drop(self) -> None:
-        if self._server is not None:
-            server, self._server = self._server, None
-            self._node.leave(lambda node: node.destroy_service(server))
+    def destroy(self, node: Any) -> None:
+        """Destroy it, if it was created."""
+        server, self._server = self._server, None
+        if server is not None:
+            node.destroy_service(server)
 
 
 class ActionServer:
@@ -255,9 +288,10 @@ class ActionServer:
         """Create the server; in the ROS thread."""
         self._read, self._make = _reader(self._type.Goal), _maker(self._type.Result)
         self._feed = _maker(self._type.Feedback)
-        self._node.create(self._create)
+        self._node.add(self)
 
-    def _create(self, node: Any) -> None:
+    def create(self, node: Any) -> None:
+        """Create it on a node; in the thread of its callbacks."""
         from rclpy.action.server import ActionServer as RosActionServer
         from rclpy.action.server import CancelResponse
 
@@ -330,12 +364,14 @@ class ActionServer:
 
     def close(self) -> None:
         """Destroy the server, when the results that are ready have been sent."""
-        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._drop)
+        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._node.remove, self)
 
-    def _drop(self) -> None:
-        if self._server is not None:
-            server, self._server = self._server, None
-            self._node.leave(lambda _node: server.destroy())
+    def destroy(self, node: Any) -> None:
+        """Destroy it, if it was created."""
+        del node
+        server, self._server = self._server, None
+        if server is not None:
+            server.destroy()
 
 
 def _no_report(feedback: Any = None, *, fraction: float | None = None) -> None:

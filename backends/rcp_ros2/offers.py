@@ -25,6 +25,7 @@ class GraphOffers:
         self._link = link
         self._offers = Offers(most=_MOST, most_of_one=_MOST_OF_ONE, waiting=_WAITING)
         self._node = OfferNode(link)
+        link.ros.on_close.append(self._node.close)
         resources = control_resources(_PLACE, None, {"offers": "graph"})
         self._names = frozenset(resource.name for resource in resources)
         link.host.declare(*resources)
