@@ -135,11 +135,9 @@ class Run(Binding):
     def is_ready(self) -> bool:
         """Return whether a server is available; called in the ROS thread."""
         if self.client is None:
-            from rclpy.action.client import ActionClient
-
-            self.client = ActionClient(self.shared.ros.node, self.action, self.mapping.target)
+            self.client = self.shared.action_clients.of(self.action, self.mapping.target)
         self.servers()
-        return self.client.server_is_ready()
+        return self.client is not None and self.client.server_is_ready()
 
     def servers(self) -> frozenset[bytes]:
         """Return the publishers of the action's status: a new one means a restarted server."""
@@ -163,13 +161,12 @@ class Run(Binding):
         await asyncio.gather(*(goal.stop() for goal in list(self._goals)))
 
     def close(self) -> None:
-        """Destroy the client."""
+        """Monitor its server no more."""
         self.shared.ros.post(self._drop)
 
     def _drop(self) -> None:
         if self.client is not None:
             self.shared.pulses.want(f"action {self.mapping.target}", ())
-            self.client.destroy()
             self.client = None
 
 

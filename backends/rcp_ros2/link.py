@@ -9,6 +9,7 @@ from typing import Any
 
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.spi import Host
+from rcp_ros2.action_clients import ActionClients
 from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Qos, Ros2Config
 from rcp_ros2.graph import Graph
@@ -44,6 +45,8 @@ class RosLink:
         self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
         ros.on_close.append(self.subscriptions.release)
         self.pulses = Pulses(ros, self.complain)
+        self.action_clients = ActionClients(ros)
+        ros.on_close.append(self.action_clients.release)
         self.ticks = Ticks()
         """The times of `/clock`, if it is used."""
         self.on_poll: list[Callable[[], None]] = []

@@ -4,15 +4,21 @@ A call is carried out by a task on the event loop, and nothing of rclpy waits me
 executed when its result is known, and the response of a service is sent then. Coroutines keep an
 executor of rclpy busy while they wait, and end the process in the events executor; threads that
 wait are all taken by the one client that does not respond.
+
+The servers have a node and a thread of their own, with an executor that waits. The events executor
+ends the process when a server of an action is destroyed just as something arrives for it: it then
+releases Python objects without Python's lock.
 """
 
 from __future__ import annotations
 
 import asyncio
 import threading
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import structlog
@@ -23,14 +29,16 @@ from rcp_ros2.cdr import Codec
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
 from rcp_ros2.link import RosLink
+from rcp_ros2.ros import contained
 
-__all__ = ["ActionServer", "ServiceNode", "ServiceServer"]
+__all__ = ["ActionServer", "OfferNode", "ServiceServer"]
 
 log = structlog.get_logger("rcp.ros2")
 _CANCELLED = "cancelled"
 _PATIENCE = 10.0  # s for the response of a service
 _LAST = 0.5  # s for the last responses to be sent
 _END = 1.0  # s for the thread to end
+_MAKE = 4.0  # s for the thread to create a server
 Outcome = tuple[Any, str | None]
 """A result, and why there is none."""
 
@@ -53,44 +61,104 @@ def _maker(cls: Any) -> Callable[[Any], Any]:
     return lambda value: fill(msgspec.convert(value or {}, type_))
 
 
-class ServiceNode:
-    """A node with a thread for the callbacks of services, while there are services."""
+class _Server(Protocol):
+    """What is served; both are called in the thread of its callbacks, or once that has ended."""
+
+    def create(self, node: Any) -> None:
+        """Create the server on a node."""
+        ...
+
+    def destroy(self, node: Any) -> None:
+        """Destroy it."""
+        ...
+
+
+class OfferNode:
+    """A node with a thread for the callbacks of servers, while there are servers."""
 
     def __init__(self, link: RosLink) -> None:
         self._link = link
         self._node: Any = None
         self._executor: Any = None
-        self._users = 0
+        self._thread: threading.Thread
+        self._servers: set[_Server] = set()
+        self._left: deque[_Server] = deque()
+        """Those to be destroyed."""
 
-    def use(self) -> Any:
-        """Return the node, which `leave` gives back; in the ROS thread."""
-        self._users += 1
+    def add(self, server: _Server) -> None:
+        """Have a server created; in the ROS thread.
+
+        It is created in the thread of its callbacks: none is called before it is complete.
+        """
         if self._node is None:
-            import rclpy
-            from rclpy.executors import SingleThreadedExecutor
+            self._open()
+        created: Future[None] = Future()
+        node = self._node
 
-            node = self._link.ros.node
-            self._node = rclpy.create_node(
-                f"{node.get_name()}_offers",
-                context=node.context,
-                namespace=node.get_namespace(),
-                use_global_arguments=False,
-                enable_rosout=False,
-                start_parameter_services=False,
-            )
-            self._executor = SingleThreadedExecutor(context=node.context)
-            self._executor.add_node(self._node)
-            threading.Thread(target=_spin, args=(self._executor,), daemon=True).start()
-        return self._node
+        def run() -> None:
+            try:
+                created.set_result(server.create(node))
+            except Exception as error:
+                created.set_exception(error)
 
-    def leave(self, server: Any) -> None:
-        """Destroy a server, and end the thread after the last one; in the ROS thread."""
-        self._node.destroy_service(server)  # which wakes the executor: it leaves the graph at once
-        self._users -= 1
-        if not self._users:
-            self._executor.shutdown(timeout_sec=_END)
-            self._node.destroy_node()
-            self._node = self._executor = None
+        self._servers.add(server)
+        self._executor.create_task(run)
+        try:
+            created.result(_MAKE)
+        except BaseException:
+            self.remove(server)
+            raise
+
+    def _open(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        node = self._link.ros.node
+        self._node = rclpy.create_node(
+            f"{node.get_name()}_offers",
+            context=node.context,
+            namespace=node.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=_spin, args=(self._executor,), daemon=True)
+        self._thread.start()
+
+    def run(self, function: Callable[..., Any], *args: Any) -> None:
+        """Run a function in the thread of the callbacks soon; its errors are logged."""
+        executor = self._executor
+        if executor is not None:
+            executor.create_task(contained(function, *args))
+
+    def remove(self, server: _Server) -> None:
+        """Have a server destroyed, and end the thread after the last one; in the ROS thread."""
+        if server not in self._servers:
+            return
+        if len(self._servers) == 1:
+            self.close()
+            return
+        self._servers.discard(server)
+        self._left.append(server)
+        self.run(self._destroy_left)  # not while the thread uses it
+
+    def close(self) -> None:
+        """End the thread, and destroy the servers and the node; in the ROS thread."""
+        if self._node is None:
+            return
+        self._executor.shutdown(timeout_sec=_END)
+        self._thread.join(_END)
+        self._left.extend(self._servers)
+        self._servers.clear()
+        self._destroy_left()  # also what the thread has not come to
+        self._node.destroy_node()
+        self._node = self._executor = None
+
+    def _destroy_left(self) -> None:
+        while self._left:
+            contained(self._left.popleft().destroy, self._node)()
 
 
 def _spin(executor: Any) -> None:
@@ -115,7 +183,7 @@ class ServiceServer:
     """A server of a service. At most as many of its calls wait as its offer lets."""
 
     def __init__(
-        self, link: RosLink, type_: Any, name: str, offered: Offered, node: ServiceNode
+        self, link: RosLink, type_: Any, name: str, offered: Offered, node: OfferNode
     ) -> None:
         self._link = link
         self._type = type_
@@ -129,11 +197,14 @@ class ServiceServer:
     def open(self) -> None:
         """Create the server; in the ROS thread."""
         self._read, self._make = _reader(self._type.Request), _maker(self._type.Response)
-        server = self._server = self._node.use().create_service(
-            self._type, self._name, self._called
-        )
+        self._node.add(self)
+
+    def create(self, node: Any) -> None:
+        """Create it on a node; in the thread of its callbacks."""
+        server = node.create_service(self._type, self._name, self._called)
         self._send = server.send_response
         server.send_response = self._answer
+        self._server = server
 
     def _called(self, request: Any, _response: Any) -> Any:
         try:
@@ -190,39 +261,46 @@ class ServiceServer:
 
     def close(self) -> None:
         """Destroy the server, when the responses that are ready have been sent."""
-        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._drop)
+        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._node.remove, self)
 
-    def _drop(self) -> None:
-        if self._server is not None:
-            self._node.leave(self._server)
-            self._server = None
+    def destroy(self, node: Any) -> None:
+        """Destroy it, if it was created."""
+        server, self._server = self._server, None
+        if server is not None:
+            node.destroy_service(server)
 
 
 class ActionServer:
     """A server of an action."""
 
-    def __init__(self, link: RosLink, type_: Any, name: str, offered: Offered) -> None:
+    def __init__(
+        self, link: RosLink, type_: Any, name: str, offered: Offered, node: OfferNode
+    ) -> None:
         self._link = link
         self._type = type_
         self._name = name
         self._offered = offered
+        self._node = node
         self._server: Any = None
         self._goals: dict[bytes, asyncio.Task[None]] = {}
 
     def open(self) -> None:
         """Create the server; in the ROS thread."""
-        from rclpy.action.server import ActionServer as RosActionServer
-        from rclpy.action.server import CancelResponse
-
         self._read, self._make = _reader(self._type.Goal), _maker(self._type.Result)
         self._feed = _maker(self._type.Feedback)
+        self._node.add(self)
+
+    def create(self, node: Any) -> None:
+        """Create it on a node; in the thread of its callbacks."""
+        from rclpy.action.server import ActionServer as RosActionServer
+        from rclpy.action.server import CancelResponse
 
         def cancel(goal: Any) -> Any:
             self._link.host.call_soon(self._cancel, bytes(goal.goal_id.uuid))
             return CancelResponse.ACCEPT
 
         self._server = RosActionServer(
-            self._link.ros.node,
+            node,
             self._type,
             self._name,
             execute_callback=lambda _goal: self._type.Result(),
@@ -248,7 +326,7 @@ class ActionServer:
         def report(feedback: Any = None, *, fraction: float | None = None) -> None:
             del fraction  # for which ROS has no place
             if feedback is not None:
-                self._link.ros.post(self._publish, goal, feedback)
+                self._node.run(self._publish, goal, feedback)
 
         outcome: Outcome
         try:
@@ -257,11 +335,15 @@ class ActionServer:
             outcome = None, _CANCELLED
         except RcpError as error:
             outcome = (error.details or {}).get("output"), error.message
-        self._link.ros.post(goal.execute, lambda one: self._end(one, outcome))
+        self._node.run(self._execute, goal, outcome)
 
     def _publish(self, goal: Any, feedback: Any) -> None:
         if goal.is_active:
             goal.publish_feedback(self._feed(feedback))
+
+    def _execute(self, goal: Any, outcome: Outcome) -> None:
+        if self._server is not None:
+            goal.execute(lambda one: self._end(one, outcome))
 
     def _end(self, goal: Any, outcome: Outcome) -> Any:
         """Set the state of a goal; return its result."""
@@ -281,13 +363,15 @@ class ActionServer:
         return result
 
     def close(self) -> None:
-        """Destroy the server."""
-        self._link.ros.post(self._drop)
+        """Destroy the server, when the results that are ready have been sent."""
+        asyncio.get_running_loop().call_later(_LAST, self._link.ros.post, self._node.remove, self)
 
-    def _drop(self) -> None:
-        if self._server is not None:
-            self._server.destroy()
-            self._server = None
+    def destroy(self, node: Any) -> None:
+        """Destroy it, if it was created."""
+        del node
+        server, self._server = self._server, None
+        if server is not None:
+            server.destroy()
 
 
 def _no_report(feedback: Any = None, *, fraction: float | None = None) -> None:

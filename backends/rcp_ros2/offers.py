@@ -10,7 +10,7 @@ from rcp_kernel.spi import Progress, caller
 from rcp_offers import OFFER, RESPOND, TAKE, Answer, Offer, Offers, Take, Waiting, control_resources
 from rcp_ros2.idl import MissingType, load
 from rcp_ros2.link import RosLink
-from rcp_ros2.offer_servers import ActionServer, ServiceNode, ServiceServer
+from rcp_ros2.offer_servers import ActionServer, OfferNode, ServiceServer
 
 __all__ = ["GraphOffers"]
 
@@ -24,7 +24,8 @@ class GraphOffers:
     def __init__(self, link: RosLink) -> None:
         self._link = link
         self._offers = Offers(most=_MOST, most_of_one=_MOST_OF_ONE, waiting=_WAITING)
-        self._node = ServiceNode(link)
+        self._node = OfferNode(link)
+        link.ros.on_close.append(self._node.close)
         resources = control_resources(_PLACE, None, {"offers": "graph"})
         self._names = frozenset(resource.name for resource in resources)
         link.host.declare(*resources)
@@ -71,7 +72,7 @@ class GraphOffers:
             if offer.kind == "service":
                 server = ServiceServer(self._link, type_, name, offered, self._node)
             else:
-                server = ActionServer(self._link, type_, name, offered)
+                server = ActionServer(self._link, type_, name, offered, self._node)
             try:
                 await self._link.ros.call(server.open)
                 progress(Waiting())  # it can be called from now on

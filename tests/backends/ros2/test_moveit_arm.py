@@ -73,9 +73,6 @@ class MoveIt:
         self.thread = threading.Thread(target=self.executor.spin, daemon=True)
         self.thread.start()
 
-    async def is_alone(self) -> bool:
-        return not self.client.server_is_ready()
-
     def close(self) -> None:
         self.executor.shutdown()
         self.thread.join(10)
@@ -149,11 +146,10 @@ async def bridged() -> AsyncIterator[tuple[MoveIt, rcp_client.Client]]:
             try:
                 yield moveit, client
             finally:
+                moveit.close()
                 for task in tasks:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
-                await eventually(moveit.is_alone, "the offer ends with the program")
-                moveit.close()
 
 
 async def done(client: rcp_client.Client, path: str) -> bool:
