@@ -3,6 +3,8 @@ import { type Command, RcpError } from "rcp-client";
 import { app } from "./app.svelte.ts";
 import { past } from "./past.svelte.ts";
 
+type Completed = () => Promise<void> | void;
+
 /** One errand at a time that a page has sent a robot on, with how it stands. */
 export class Going {
   path = $state("");
@@ -16,15 +18,21 @@ export class Going {
   /** Whether it is under way, or may be as soon as it is approved. */
   stands = $derived(this.path !== "" && (!this.done || this.approval !== undefined));
   #command: Command | undefined;
+  #completed: Completed | undefined;
 
-  /** Send it, and return when it has ended, well or not. */
-  async go(path: string, input: unknown, approval?: string): Promise<void> {
+  /**
+   * Send it, and return when it has ended, well or not.
+   *
+   * What `completed` does follows its completion, also where it had to be approved and sent again.
+   */
+  async go(path: string, input: unknown, { approval, completed }: { approval?: string | undefined; completed?: Completed | undefined } = {}): Promise<void> {
     if (past.active) return this.refuse("this page shows the past", "Press Back to live, then send it again.");
     const command = app.client.execute(path, input, { ...(approval && { approval }) });
     this.#command = command;
     this.error = undefined;
     this.path = path;
     this.input = input;
+    this.#completed = completed;
     const told = (): void => {
       if (this.#command !== command) return;
       this.status = command.status;
@@ -37,13 +45,15 @@ export class Going {
       await command.result;
     } catch (error) {
       if (this.#command === command) this.error = error as RcpError;
+      return told();
     }
     told();
+    await completed?.();
   }
 
   /** Send what a person has approved: the same as before. */
   async again(): Promise<void> {
-    await this.go(this.path, this.input, this.approval);
+    await this.go(this.path, this.input, { approval: this.approval, completed: this.#completed });
   }
 
   /** Tell why nothing was sent. */
