@@ -243,6 +243,12 @@ async def test_a_fence_is_drawn_with_its_faults_told_and_uploaded(
         items = [{"command": "NAV_WAYPOINT", "latitude": -35.363, "longitude": 149.1653}]
         await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
         await expect(page.get_by_test_id("onboard")).to_contain_text("1 item.")
+        # What is not shown is not run: the vehicle tells only how many items it has.
+        items = [{**items[0], "altitude": 30}]
+        await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
+        async with held(page.get_by_role("button", name="Run the mission")):
+            await expect(page.get_by_test_id("refusal")).to_contain_text("than was shown")
+        await expect(page.get_by_label("Altitude of item 1")).to_have_value("30")
         await execute(drone, f"{DRONE}/service/mission/clear")
         await expect(page.get_by_test_id("onboard")).to_contain_text("no mission")
 
@@ -349,7 +355,9 @@ async def test_heights_are_asked_of_whoever_may_not_take_off_and_an_approved_upl
         await page.get_by_role("button", name="Ask for approval").click()
         await expect(page.get_by_test_id("onboard")).to_contain_text("no mission. Changed")
         ada = {"authorization": f"Bearer {key_of('ada')}"}
-        [waiting] = (await drone.get("/rcp/v1/context/system/approvals", headers=ada)).json()["body"]
+        [waiting] = (await drone.get("/rcp/v1/context/system/approvals", headers=ada)).json()[
+            "body"
+        ]
         decision = {"id": waiting["approval"], "decision": "approve"}
         await drone.post("/rcp/v1/context/system/approvals", json=decision, headers=ada)
         await expect(page.get_by_test_id("onboard")).to_have_text("On the vehicle: 1 item.")

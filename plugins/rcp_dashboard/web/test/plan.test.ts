@@ -138,6 +138,17 @@ describe("what is drawn", () => {
     expect(plan.draft.mission).toHaveLength(1);
   });
 
+  it("is given up for a file where that has changed what the vehicle has, and kept elsewhere", async () => {
+    const [plan, vehicle] = known();
+    await plan.read(OFFERS);
+    plan.begin("mission");
+    plan.begin("fence");
+    const loaded = plan.loading(OFFERS);
+    vehicle.has["mission"] = mission(7);
+    await loaded();
+    expect([plan.draft.mission, plan.draft.fence]).toEqual([undefined, circle(50)]);
+  });
+
   it("is compared as vehicles round", () => {
     const close = { latitude: HOME.latitude + 4e-8, longitude: HOME.longitude };
     expect(sameItems([waypoint(HOME, 5)], [waypoint(close, 5.000_001)])).toBe(true);

@@ -174,6 +174,19 @@ export class Plan {
     return undefined;
   }
 
+  /** Note what there is before a file is loaded; returns what reads it again then, and draws no more of what has changed. */
+  loading(offers: Offers): () => Promise<void> {
+    const drawn = this.draft;
+    const had = { mission: JSON.stringify(this.mission), fence: JSON.stringify(this.fence) };
+    return async () => {
+      await this.readAnew(offers);
+      for (const what of ["mission", "fence"] as const) {
+        const changed = this[what] && JSON.stringify(this[what]) !== had[what];
+        if (changed && this.draft[what] && this.draft[what] === drawn[what]) this.discard(what);
+      }
+    };
+  }
+
   /** Read the mission that is to be run; returns why it is not the one that was shown. */
   async verify(offers: Offers): Promise<RcpError | undefined> {
     const shown = JSON.stringify(this.mission);
