@@ -85,6 +85,7 @@ describe("what a vehicle has", () => {
     const [plan, vehicle] = known();
     await plan.read(OFFERS);
     expect(await plan.verify(OFFERS)).toBeUndefined();
+    expect((await plan.verify(OFFERS, mission(4)))?.message).toContain("another mission than was shown");
     vehicle.has["mission"] = mission(6);
     expect((await plan.verify(OFFERS))?.message).toContain("another mission than was shown");
     expect(plan.mission).toEqual(mission(6));

@@ -187,12 +187,11 @@ export class Plan {
     };
   }
 
-  /** Read the mission that is to be run; returns why it is not the one that was shown. */
-  async verify(offers: Offers): Promise<RcpError | undefined> {
-    const shown = JSON.stringify(this.mission);
+  /** Read the mission that is to be run; returns why it is not the one that is meant. */
+  async verify(offers: Offers, meant = this.mission): Promise<RcpError | undefined> {
     await this.readAnew(offers);
     if (this.errors.mission) return this.errors.mission;
-    if (!this.mission || JSON.stringify(this.mission) !== shown) return new RcpError({ code: "not_sent", message: "the vehicle has another mission than was shown", remedy: "Look at the mission that is shown now, then run it." });
+    if (!this.mission || JSON.stringify(this.mission) !== JSON.stringify(meant)) return new RcpError({ code: "not_sent", message: "the vehicle has another mission than was shown", remedy: "Look at the mission that is shown now, then run it." });
     return this.draft.mission && new RcpError({ code: "not_sent", message: "the mission was changed here and not uploaded", remedy: "Upload or discard it, then run it." });
   }
 
