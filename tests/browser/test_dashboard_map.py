@@ -249,6 +249,13 @@ async def test_a_fence_is_drawn_with_its_faults_told_and_uploaded(
         async with held(page.get_by_role("button", name="Run the mission")):
             await expect(page.get_by_test_id("refusal")).to_contain_text("than was shown")
         await expect(page.get_by_label("Altitude of item 1")).to_have_value("30")
+        # Nor is it remembered from an earlier look.
+        await tab.open("log")
+        items = [{**items[0], "altitude": 40}]
+        await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
+        await tab.open("map")
+        await page.get_by_test_id("plan").click()
+        await expect(page.get_by_label("Altitude of item 1")).to_have_value("40")
         await execute(drone, f"{DRONE}/service/mission/clear")
         await expect(page.get_by_test_id("onboard")).to_contain_text("no mission")
 

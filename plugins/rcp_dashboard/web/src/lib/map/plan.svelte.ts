@@ -59,6 +59,7 @@ export interface Report {
   fence_id?: number;
 }
 
+const NONE: Item[] = [];
 const NO_MISSION = 65_535; // of `total`; 0: it tells none
 
 export type Handle = { what: "mission"; item: number } | { what: "fence"; area: number; corner: number };
@@ -89,10 +90,7 @@ export class Plan {
   /** What was reported of the plan that was read, or is being read. */
   #reported: string | undefined;
   selected = $state.raw<Handle>();
-  shownMission = $derived(this.draft.mission ?? this.mission ?? []);
-  shownFence = $derived(this.draft.fence ?? this.fence ?? EMPTY);
   #before = $state.raw<Draft[]>([]);
-  mayUndo = $derived(this.#before.length > 0);
   /** What stood before a handle was dragged. */
   #dragged: Draft | undefined;
 
@@ -100,6 +98,17 @@ export class Plan {
   constructor(robot: string, ask: Ask) {
     this.robot = robot;
     this.#ask = ask;
+  }
+
+  // No deriveds: these would end with the component that made the plan first, and the plan outlives it.
+  get shownMission(): Item[] {
+    return this.draft.mission ?? this.mission ?? NONE;
+  }
+  get shownFence(): Fence {
+    return this.draft.fence ?? this.fence ?? EMPTY;
+  }
+  get mayUndo(): boolean {
+    return this.#before.length > 0;
   }
 
   /** Know nothing of what the robot has, until it is read; what is drawn stays. */
