@@ -79,6 +79,9 @@ describe("what a vehicle has", () => {
     await plan.read(OFFERS);
     expect(await began({ total: 1, mission_id: 7 })).toBe(false);
     expect(await began({ total: 65_535 })).toBe(true);
+    plan.forget();
+    await plan.read(OFFERS);
+    expect(await began({ total: 0, mission_state: "MISSION_STATE_NO_MISSION" })).toBe(true);
   });
 
   it("is not run where it is another mission than is shown", async () => {

@@ -55,6 +55,7 @@ export function plannable(robot: Robot): boolean {
 /** What a vehicle reports of the plan that it has (MISSION_CURRENT). */
 export interface Report {
   total?: number;
+  mission_state?: string | number;
   mission_id?: number;
   fence_id?: number;
 }
@@ -156,12 +157,13 @@ export class Plan {
 
   /** Read again where a report tells of another plan than the one that was read. */
   heed(report: Report, offers: Offers): void {
-    const { total = 0, mission_id = 0, fence_id = 0 } = report;
+    const { total = 0, mission_state, mission_id = 0, fence_id = 0 } = report;
     const told = `${total} ${mission_id} ${fence_id}`;
     if (told === this.#reported || (this.#reported === undefined && this.reading)) return;
     const first = this.#reported === undefined;
     this.#reported = told;
-    const count = total === NO_MISSION ? 0 : total || this.mission?.length;
+    const none = total === NO_MISSION || /no_mission/i.test(String(mission_state));
+    const count = none ? 0 : total || this.mission?.length;
     if (!first || (this.mission && count !== this.mission.length)) void this.readAnew(offers);
   }
 
