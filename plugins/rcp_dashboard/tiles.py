@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncGenerator
-from contextlib import aclosing
+from contextlib import ExitStack, aclosing
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -58,54 +59,85 @@ class Tiles:
         if self._archive is None:
             raise _nothing("no tiles are configured")
         try:
-            there = await asyncio.to_thread(os.stat, self._archive)
+            file = await _open(self._archive)
         except OSError as error:
             raise _nothing(f"the archive of tiles cannot be read: {error.strerror}") from error
-        etag = b'"%x-%x"' % (there.st_mtime_ns, there.st_size)
-        headers: Headers = [
-            (b"accept-ranges", b"bytes"),
-            (b"cache-control", b"no-cache"),
-            (b"etag", etag),
-        ]
-        if etag in (header(scope, b"if-none-match") or b""):
-            return response(304, headers=headers)
-        start, stop, status = 0, there.st_size, 200
-        wanted = header(scope, b"range")
-        if wanted is not None and (header(scope, b"if-range") or etag) == etag:
-            part = byte_range(wanted.decode("latin-1"), there.st_size)
-            if part is not None:
-                (start, stop), status = part, 206
-                place = b"bytes %d-%d/%d" % (start, stop - 1, there.st_size)
-                headers.append((b"content-range", place))
-        headers += [(b"content-type", _MEDIA), (b"content-length", b"%d" % (stop - start))]
-        if scope["method"] == "HEAD":
-            start = stop  # nothing is read for it
-        return _streamed(status, headers, self._archive, start, stop)
+        with ExitStack() as undo:
+            undo.callback(file.close)
+            answer = _answer(scope, file)
+            undo.pop_all()  # whoever answers closes it
+        return answer
 
 
-def _streamed(status: int, headers: Headers, archive: Path, start: int, stop: int) -> ASGIApp:
+def _answer(scope: Scope, file: FileIO) -> ASGIApp:
+    there = os.fstat(file.fileno())  # of what is read, whatever lies at its path by now
+    etag = b'"%x-%x"' % (there.st_mtime_ns, there.st_size)
+    headers: Headers = [
+        (b"accept-ranges", b"bytes"),
+        (b"cache-control", b"no-cache"),
+        (b"etag", etag),
+    ]
+    if etag in (header(scope, b"if-none-match") or b""):
+        file.close()
+        return response(304, headers=headers)
+    start, stop, status = 0, there.st_size, 200
+    wanted = header(scope, b"range")
+    if wanted is not None and (header(scope, b"if-range") or etag) == etag:
+        part = byte_range(wanted.decode("latin-1"), there.st_size)
+        if part is not None:
+            (start, stop), status = part, 206
+            place = b"bytes %d-%d/%d" % (start, stop - 1, there.st_size)
+            headers.append((b"content-range", place))
+    headers += [(b"content-type", _MEDIA), (b"content-length", b"%d" % (stop - start))]
+    if scope["method"] == "HEAD":
+        start = stop  # nothing is read for it
+    return _streamed(status, headers, file, start, stop)
+
+
+def _streamed(status: int, headers: Headers, file: FileIO, start: int, stop: int) -> ASGIApp:
     async def send_it(_scope: Any, _receive: Any, send: Any) -> None:
-        async with aclosing(_pieces(archive, start, stop)) as pieces:
+        with file:
             await send({"type": "http.response.start", "status": status, "headers": headers})
-            async for piece in pieces:
-                async with asyncio.timeout(_STALLED):
-                    await send({"type": "http.response.body", "body": piece, "more_body": True})
+            async with aclosing(_pieces(file, start, stop)) as pieces:
+                async for piece in pieces:
+                    async with asyncio.timeout(_STALLED):
+                        await send({"type": "http.response.body", "body": piece, "more_body": True})
         await send({"type": "http.response.body", "body": b""})
 
     return send_it
 
 
-async def _pieces(archive: Path, start: int, stop: int) -> AsyncGenerator[bytes]:
-    file = await asyncio.to_thread(os.open, archive, os.O_RDONLY)
+async def _pieces(file: FileIO, start: int, stop: int) -> AsyncGenerator[bytes]:
+    while start < stop:
+        piece = await _read(file, min(_PIECE, stop - start), start)
+        if not piece:  # it was cut short meanwhile: the client sees that the answer is too
+            return
+        start += len(piece)
+        yield piece
+
+
+async def _open(archive: Path) -> FileIO:
+    opening = asyncio.ensure_future(asyncio.to_thread(FileIO, archive))
     try:
-        while start < stop:
-            piece = await asyncio.to_thread(os.pread, file, min(_PIECE, stop - start), start)
-            if not piece:  # it was cut short meanwhile: the client sees that the answer is too
-                return
-            start += len(piece)
-            yield piece
-    finally:
-        os.close(file)
+        return await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_close)
+        raise
+
+
+def _close(opening: asyncio.Future[FileIO]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()
+
+
+async def _read(file: FileIO, size: int, start: int) -> bytes:
+    """Read in a thread, and wait for it when cancelled too: no file is closed that is read."""
+    reading = asyncio.ensure_future(asyncio.to_thread(os.pread, file.fileno(), size, start))
+    try:
+        return await asyncio.shield(reading)
+    except asyncio.CancelledError:
+        await asyncio.wait([reading])
+        raise
 
 
 def _check(archive: Path) -> None:

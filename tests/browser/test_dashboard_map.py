@@ -23,7 +23,7 @@ from browser.input_helpers import held, touching
 from browser.machines import key_of
 from browser.robots import until, value
 from browser.watched import Watched, signed_in
-from configuration import backend, key, listener, table
+from configuration import backend, key, listener, role, rule, table
 from rcp_kernel.config.file import parse
 from rcp_kernel.testing import serve
 
@@ -32,6 +32,8 @@ expect.set_options(timeout=60_000)  # ms
 MAKE = Path(__file__).parents[2] / "examples" / "tiles" / "make.py"
 DRONE = "/tenant/alpha"
 OWN = "/system/layouts"
+_PLANNED = [f"{DRONE}/action/mission/**", f"{DRONE}/service/**", f"{DRONE}/sensor/**"]
+_PLANNED += ["/system/approvals", "/system/status"]
 GRASS = (0xD5, 0xE5, 0xC8)
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 _BLIND = """
@@ -56,6 +58,9 @@ async def url(tmp_path_factory: pytest.TempPathFactory) -> AsyncGenerator[str]:
         + twin
         + backend("rover", "beta", use="sim")
         + key("otto", key_of("otto"), role="operator")
+        + key("ada", key_of("ada"), role="admin")
+        + key("lena", key_of("lena"), role="planner")
+        + role("planner", rule("*", *_PLANNED), approve=["/action/mission/*"])
     )
     kinds = [*rcp_mavlink.rcp_backends(), *rcp_sim.rcp_backends()]
     async with serve(parse(text, "test"), *kinds) as served:
@@ -71,9 +76,11 @@ async def drone(url: str) -> AsyncGenerator[httpx.AsyncClient]:
 
 
 @asynccontextmanager
-async def opened(browser: Browser, url: str, script: str = "") -> AsyncGenerator[Watched]:
+async def opened(
+    browser: Browser, url: str, script: str = "", name: str = "otto"
+) -> AsyncGenerator[Watched]:
     """Show the map, with the copter on it."""
-    async with signed_in(browser, url, key_of("otto"), "otto", script) as tab:
+    async with signed_in(browser, url, key_of(name), name, script) as tab:
         await tab.open("map")
         await expect(tab.page.get_by_test_id("map")).to_have_attribute("data-homes", "1")
         yield tab
@@ -236,6 +243,19 @@ async def test_a_fence_is_drawn_with_its_faults_told_and_uploaded(
         items = [{"command": "NAV_WAYPOINT", "latitude": -35.363, "longitude": 149.1653}]
         await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
         await expect(page.get_by_test_id("onboard")).to_contain_text("1 item.")
+        # What is not shown is not run: the vehicle tells only how many items it has.
+        items = [{**items[0], "altitude": 30}]
+        await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
+        async with held(page.get_by_role("button", name="Run the mission")):
+            await expect(page.get_by_test_id("refusal")).to_contain_text("than was shown")
+        await expect(page.get_by_label("Altitude of item 1")).to_have_value("30")
+        # Nor is it remembered from an earlier look.
+        await tab.open("log")
+        items = [{**items[0], "altitude": 40}]
+        await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
+        await tab.open("map")
+        await page.get_by_test_id("plan").click()
+        await expect(page.get_by_label("Altitude of item 1")).to_have_value("40")
         await execute(drone, f"{DRONE}/service/mission/clear")
         await expect(page.get_by_test_id("onboard")).to_contain_text("no mission")
 
@@ -318,6 +338,64 @@ async def test_a_mission_is_drawn_uploaded_flown_watched_and_ended(
         await expect(page.get_by_test_id("goal-status")).to_contain_text("completed")
         place = await value(drone, f"{DRONE}/sensor/position/global")
         assert abs(place["relative_alt"] - 9) < 1.5
+
+
+async def test_heights_are_asked_of_whoever_may_not_take_off_and_an_approved_upload_is_read_back(
+    browser: Browser, url: str, drone: httpx.AsyncClient
+) -> None:
+    await execute(drone, f"{DRONE}/service/mission/clear")
+    async with opened(browser, url, name="lena") as tab:
+        page = tab.page
+        drawn = await planning(page)
+        height = page.get_by_label("Height of new waypoints")
+        await height.fill("")
+        await drawn.click((100, 0))
+        findings, upload = page.get_by_test_id("findings"), page.get_by_test_id("upload")
+        await expect(findings).to_contain_text("1 (Waypoint) needs a place and a height")
+        await expect(upload).to_be_disabled()
+        await page.get_by_role("button", name="Undo").click()
+        await height.fill("6")
+        await drawn.click((100, 0))
+        await expect(page.get_by_label("Altitude of item 1")).to_have_value("6")
+        await upload.click()
+        await expect(page.get_by_test_id("kept")).to_contain_text("NAV_WAYPOINT")
+        await page.get_by_role("button", name="Ask for approval").click()
+        await expect(page.get_by_test_id("onboard")).to_contain_text("no mission. Changed")
+        await approved(drone)
+        await expect(page.get_by_test_id("onboard")).to_have_text("On the vehicle: 1 item.")
+        # What was approved is not run where the vehicle has another mission by then.
+        async with held(page.get_by_role("button", name="Run the mission")):
+            await expect(page.get_by_test_id("kept")).to_have_text("null")
+        await page.get_by_role("button", name="Ask for approval").click()
+        items = [{"command": "NAV_WAYPOINT", "latitude": -35.363, "longitude": 149.1653}]
+        await execute(drone, f"{DRONE}/action/mission/upload", {"items": items})
+        await approved(drone)
+        await expect(page.get_by_test_id("refusal")).to_contain_text("than was shown")
+    await execute(drone, f"{DRONE}/service/mission/clear")
+
+
+async def approved(robot: httpx.AsyncClient) -> None:
+    """Approve whatever waits."""
+    ada = {"authorization": f"Bearer {key_of('ada')}"}
+    asked = (await robot.get("/rcp/v1/context/system/approvals", headers=ada)).json()["body"]
+    [waiting] = [one["approval"] for one in asked if one["status"] == "pending"]
+    decision = {"id": waiting, "decision": "approve"}
+    await robot.post("/rcp/v1/context/system/approvals", json=decision, headers=ada)
+
+
+async def test_a_goal_is_not_sent_with_an_altitude_that_is_no_number(
+    browser: Browser, url: str
+) -> None:
+    async with opened(browser, url) as tab:
+        page = tab.page
+        height = page.get_by_label("Altitude of the goal")
+        await height.press_sequentially("-")
+        await expect(height).to_have_attribute("aria-invalid", "true")
+        await page.get_by_test_id("aim").click()
+        await page.get_by_test_id("map").focus()
+        await page.keyboard.press("Enter")
+        await expect(page.get_by_test_id("refusal")).to_contain_text("altitude of the goal is no")
+        await expect(page.get_by_test_id("goal-status")).to_have_text("Not sent")
 
 
 async def test_a_mission_is_made_without_a_pointer_and_suits_those_who_see_otherwise(

@@ -9,7 +9,8 @@ from rcp_web.asgi import Headers
 
 __all__ = ["byte_range", "range_headers"]
 
-_RANGE = re.compile(r"bytes=(\d*)-(\d*)\Z")
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})\Z")
+"""Of numbers as long as a size may be: longer ones are no range."""
 
 
 class NotSatisfiable(BadRequest):

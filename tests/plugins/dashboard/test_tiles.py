@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncGenerator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -40,6 +42,7 @@ async def test_ranges_of_the_archive_are_served(stranger: httpx.AsyncClient) -> 
         ("bytes=300000-", 300_000, len(ARCHIVE)),
         ("bytes=-7", len(ARCHIVE) - 7, len(ARCHIVE)),
         ("bytes=5-9999999", 5, len(ARCHIVE)),
+        ("bytes=5-" + 18 * "9", 5, len(ARCHIVE)),
     ):
         part = await stranger.get("/dashboard/map/tiles", headers={"range": wanted})
         assert part.status_code == 206, wanted
@@ -56,6 +59,9 @@ async def test_ranges_of_the_archive_are_served(stranger: httpx.AsyncClient) -> 
     past = await stranger.get("/dashboard/map/tiles", headers={"range": "bytes=9999999-"})
     assert past.status_code == 416
     assert past.headers["content-range"] == f"bytes */{len(ARCHIVE)}"
+    for long in ("bytes=0-" + 5000 * "9", "bytes=" + 5000 * "9" + "-", "bytes=-" + 5000 * "9"):
+        odd = await stranger.get("/dashboard/map/tiles", headers={"range": long})
+        assert (odd.status_code, odd.content) == (200, ARCHIVE)
 
 
 async def test_an_archive_may_be_replaced_and_be_missed(
@@ -70,6 +76,79 @@ async def test_an_archive_may_be_replaced_and_be_missed(
     await asyncio.to_thread(archive.unlink)
     gone = await stranger.get("/dashboard/map/tiles")
     assert (gone.status_code, gone.json()["error"]["code"]) == (404, "unknown_path")
+
+
+async def test_what_is_sent_is_of_one_archive_though_it_is_replaced_meanwhile(
+    archive: Path, tmp_path: Path
+) -> None:
+    tiles = Tiles(str(archive))
+    sent: list[Any] = []
+
+    async def send(message: Any) -> None:
+        if not sent:  # the headers are made: another archive of the same size takes its place
+            other = tmp_path / "other"
+            await asyncio.to_thread(other.write_bytes, ARCHIVE[:8] + bytes(len(ARCHIVE) - 8))
+            await asyncio.to_thread(other.replace, archive)
+        sent.append(message)
+
+    await asked(tiles, send)
+    assert sent[0]["status"] == 200
+    whole = b"".join(one.get("body", b"") for one in sent) == ARCHIVE
+    assert whole  # pytest would compare them byte by byte
+
+
+async def test_no_archive_is_left_open_by_whoever_goes(archive: Path) -> None:
+    tiles = Tiles(str(archive))
+    began = asyncio.Event()
+
+    async def stall(message: Any) -> None:
+        if message["type"] == "http.response.body":
+            began.set()
+            await asyncio.Event().wait()
+
+    going = asyncio.ensure_future(asked(tiles, stall))
+    async with asyncio.timeout(60):
+        await began.wait()
+    assert held(archive) == 1
+    going.cancel()
+    await asyncio.wait([going])
+    assert held(archive) == 0
+    going = asyncio.ensure_future(asked(tiles, stall))
+    for _ in range(3):  # until it is being opened
+        await asyncio.sleep(0)
+    going.cancel()
+    await asyncio.wait([going])
+    await asyncio.get_running_loop().shutdown_default_executor()
+    assert held(archive) == 0
+
+
+def held(archive: Path) -> int:
+    """Count the descriptors of this process that lead to a file."""
+    links = Path("/proc/self/fd").iterdir()
+    return sum(os.path.realpath(one) == str(archive) for one in links)
+
+
+async def asked(tiles: Tiles, send: Any) -> None:
+    """Ask the page's application for the archive, past the listener."""
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": "/dashboard/map/tiles",
+        "raw_path": b"/dashboard/map/tiles",
+        "query_string": b"",
+        "headers": [],
+        "client": None,
+        "server": None,
+        "scheme": "http",
+        "http_version": "1.1",
+        "root_path": "",
+        "state": {},
+    }
+
+    async def receive() -> Any:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    await tiles.app(scope, receive, send)
 
 
 async def test_without_an_archive_the_map_knows_that_there_is_none(http: httpx.AsyncClient) -> None:

@@ -2,6 +2,7 @@ import { describe, expect, it } from "vitest";
 
 import { type Geo, toGeo } from "../src/lib/geo.ts";
 import { checkFence, checkMission, crossed, lengthOf, outside, within } from "../src/lib/map/check.ts";
+import { drives, heightFor, numberIn } from "../src/lib/map/kinds.ts";
 import { type Area, EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placeFor, sideFor, waypoint, wayOf, whole } from "../src/lib/map/items.ts";
 import { Plane } from "../src/lib/map/plane.ts";
 import { styleOf, wordsOf } from "../src/lib/map/style.ts";
@@ -11,7 +12,7 @@ const at = (x: number, y: number): Geo => toGeo(x, y, HOME);
 const flight = (...spots: [number, number][]): Item[] => [{ ...whole({ command: "NAV_TAKEOFF" }), altitude: 20 }, ...spots.map(([x, y]) => waypoint(at(x, y), 20))];
 const square = (half: number, inside = true, x = 0, y = 0): Area => ({ inside, corners: [at(x - half, y - half), at(x + half, y - half), at(x + half, y + half), at(x - half, y + half)] });
 const fence = (...areas: Area[]): Fence => ({ areas, rest: [] });
-const told = (items: Item[], of: Fence = EMPTY, flies = true): string[] => checkMission(items, of, flies).map((one) => `${one.wrong ? "✕" : "▲"} ${one.text}`);
+const told = (items: Item[], of: Fence | undefined = EMPTY, kind: string | undefined = "copter"): string[] => checkMission(items, of, kind).map((one) => `${one.wrong ? "✕" : "▲"} ${one.text}`);
 
 function plane(): Plane {
   const made = new Plane();
@@ -128,7 +129,22 @@ describe("checks", () => {
     expect(told([...flight(), waypoint(HOME, 500)])[0]).toContain("500 m above home");
     expect(told([...flight(), waypoint({ ...HOME, latitude: NaN }, 5)])[0]).toBe("✕ 2 (Waypoint) needs a place and a height.");
     expect(told(flight([0, 0], [0, 90_000]))[0]).toContain("90 km from");
-    expect(told([waypoint(HOME, 0)], EMPTY, false)).toEqual([]);
+    expect(told([waypoint(HOME, 0)], EMPTY, "rover")).toEqual([]);
+  });
+
+  it("heed heights unless a vehicle is known to heed none", () => {
+    expect(checkMission([...flight(), waypoint(HOME, 0)], EMPTY, undefined)[0]!.text).toContain("on the ground of home");
+    expect(told([waypoint(HOME, -5), waypoint(HOME, 20)], EMPTY, "sub")).toEqual(["▲ 2 (Waypoint) is 20 m above home: out of the water."]);
+    expect(told([waypoint(HOME, heightFor("copter", null))])[0]).toBe("✕ 1 (Waypoint) needs a place and a height.");
+    expect([heightFor(undefined, 7), heightFor("boat", 7), heightFor("boat", null), heightFor("sub", -3)]).toEqual([7, 0, 0, -3]);
+    expect(["rover", "boat", "sub", "copter", undefined].map(drives)).toEqual([true, true, false, false, false]);
+    const box = (value: string, badInput: boolean): number | null => numberIn({ value, validity: { badInput } });
+    expect([box("", false), box("", true), box("-2.5", false)]).toEqual([null, NaN, -2.5]);
+  });
+
+  it("tell of a fence that is empty or not known", () => {
+    expect(checkFence(EMPTY)).toEqual([{ wrong: false, text: "The fence is empty: the vehicle will have none." }]);
+    expect(checkMission(flight([50, 0]), undefined, "copter")).toEqual([{ wrong: false, text: "The vehicle's fence is not known: nothing was checked against it." }]);
   });
 
   it("find fences that are none", () => {

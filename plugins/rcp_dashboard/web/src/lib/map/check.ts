@@ -1,6 +1,7 @@
 /** What is wrong with a mission or a fence, before a vehicle is asked. */
 import { type Geo, toMetres } from "../geo.ts";
-import { type Area, type Fence, high, type Item, itemWord, placed } from "./items.ts";
+import { type Area, EMPTY, type Fence, high, type Item, itemWord, placed } from "./items.ts";
+import { mayFly } from "./kinds.ts";
 
 export interface Finding {
   /** Whether it must not be uploaded so. */
@@ -79,6 +80,7 @@ export function outside(fence: Fence, at: Geo): string | undefined {
 
 /** What is wrong with a fence; `vehicles` are places that have to be within it. */
 export function checkFence(fence: Fence, vehicles: { name: string; at: Geo }[] = []): Finding[] {
+  if (fence.areas.length + fence.rest.length === 0) return [odd("The fence is empty: the vehicle will have none.")];
   const found: Finding[] = [];
   fence.areas.forEach((area, place) => {
     const name = `Area ${place + 1}`;
@@ -95,20 +97,23 @@ export function checkFence(fence: Fence, vehicles: { name: string; at: Geo }[] =
   return found;
 }
 
-/** What is wrong with a mission that is flown within a fence. */
-export function checkMission(items: Item[], fence: Fence, flies: boolean): Finding[] {
+/** What is wrong with a mission of a vehicle of a kind within its fence; either is undefined where it is not known. */
+export function checkMission(items: Item[], known: Fence | undefined, kind: string | undefined): Finding[] {
   if (items.length === 0) return [odd("The mission is empty: the vehicle will have none.")];
   const found: Finding[] = [];
+  const fence = known ?? EMPTY;
   const usable = checkFence(fence).every((one) => !one.wrong);
+  if (!known) found.push(odd("The vehicle's fence is not known: nothing was checked against it."));
   let last: { at: Item; name: string } | undefined;
   items.forEach((item, place) => {
     const name = `${place + 1} (${itemWord(item)})`;
     if (![item.latitude, item.longitude, item.altitude].every(Number.isFinite)) return void found.push(wrong(`${name} needs a place and a height.`));
     if (Math.abs(item.latitude) > 90 || Math.abs(item.longitude) > 180) return void found.push(wrong(`${name} is at no place on Earth.`));
-    if (flies && high(item) && item.frame === "relative" && !/LAND$/.test(item.command)) {
+    if (mayFly(kind) && high(item) && item.frame === "relative" && !/LAND$/.test(item.command)) {
       if (item.altitude <= 0) found.push(odd(`${name} is at ${item.altitude} m: on the ground of home, or below it.`));
       else if (item.altitude > HIGH) found.push(odd(`${name} is ${item.altitude} m above home.`));
     }
+    if (kind === "sub" && high(item) && item.frame === "relative" && item.altitude > 0) found.push(odd(`${name} is ${item.altitude} m above home: out of the water.`));
     if (!placed(item)) return;
     const why = usable ? outside(fence, item) : undefined;
     if (why) found.push(odd(`${name} is ${why}.`)); // whether the fence is enabled, the vehicle knows
@@ -120,7 +125,7 @@ export function checkMission(items: Item[], fence: Fence, flies: boolean): Findi
     }
     last = { at: item, name };
   });
-  if (flies && !/TAKEOFF$/.test(items[0]!.command)) found.push(odd("It does not begin with a take-off: the vehicle has to be in the air."));
+  if (mayFly(kind) && !/TAKEOFF$/.test(items[0]!.command)) found.push(odd("It does not begin with a take-off: the vehicle has to be in the air."));
   return found;
 }
 

@@ -53,3 +53,12 @@ export function followHome(home: Resource, told: (at: Geo) => void): () => void 
     if (at) told({ latitude: at.latitude, longitude: at.longitude });
   });
 }
+
+/** Tell of which kind a robot is; returns what ends it. */
+export function followKind(robot: Robot, told: (kind: string) => void): () => void {
+  const sensor = robot.resources.find((one) => one.kind === "sensor" && one.path.endsWith("/sensor/vehicle") && one.operations.includes("subscribe"));
+  if (!sensor) return () => undefined;
+  return watch(sensor.path, { rate: 1 }, ({ body }) => {
+    if (typeof body?.kind === "string") told(body.kind);
+  });
+}

@@ -118,6 +118,38 @@ export function itemsOf({ areas, rest }: Fence): Item[] {
   return [...made, ...rest];
 }
 
+const FINE = { degrees: 1e-6, metres: 0.02 }; // as vehicles round
+
+const nearby = (a: Geo, b: Geo): boolean => Math.abs(a.latitude - b.latitude) < FINE.degrees && Math.abs(a.longitude - b.longitude) < FINE.degrees;
+const alike = (a: number, b: number): boolean => Math.abs(a - b) < FINE.metres;
+
+/** Whether a vehicle has the items that were sent: it rounds, and keeps no parameters that it does not use. */
+export function sameItems(sent: Item[], read: Item[]): boolean {
+  return (
+    sent.length === read.length &&
+    sent.every((one, place) => {
+      const other = read[place]!;
+      if (one.command !== other.command) return false;
+      if (placed(one) && !(placed(other) && nearby(one, other))) return false;
+      return !high(one) || (one.frame === other.frame && alike(one.altitude, other.altitude));
+    })
+  );
+}
+
+/** Whether a vehicle has the fence that was sent. */
+export function sameFence(sent: Fence, read: Fence): boolean {
+  return (
+    sent.areas.length === read.areas.length &&
+    sent.areas.every((one, place) => {
+      const other = read.areas[place]!;
+      if (one.inside !== other.inside || one.corners.length !== other.corners.length) return false;
+      if ((one.radius === undefined) !== (other.radius === undefined) || !alike(one.radius ?? 0, other.radius ?? 0)) return false;
+      return one.corners.every((at, corner) => nearby(at, other.corners[corner]!));
+    }) &&
+    sameItems(sent.rest, read.rest)
+  );
+}
+
 /** The list with one item at another place. */
 export function moved<T>(list: readonly T[], from: number, to: number): T[] {
   const made = [...list];

@@ -1,10 +1,9 @@
 /** The mission and the fence of one robot: as it has them, and as they are being drawn. */
 import { type Resource, RcpError } from "rcp-client";
 
-import { app } from "../app.svelte.ts";
 import type { Geo } from "../geo.ts";
 import type { Robot } from "../robots.ts";
-import { EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placed, placeFor, sideFor, whole } from "./items.ts";
+import { EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placed, placeFor, sameFence, sameItems, sideFor, whole } from "./items.ts";
 import type { Plane } from "./plane.ts";
 
 const STEPS = 50; // that can be undone
@@ -53,9 +52,16 @@ export function plannable(robot: Robot): boolean {
   return [download, upload, downloadFence, uploadFence].some((one) => one !== undefined);
 }
 
-export function canFly(robot: Robot): boolean {
-  return robot.resources.some((one) => one.path.endsWith("/takeoff"));
+/** What a vehicle reports of the plan that it has (MISSION_CURRENT). */
+export interface Report {
+  total?: number;
+  mission_state?: string | number;
+  mission_id?: number;
+  fence_id?: number;
 }
+
+const NONE: Item[] = [];
+const NO_MISSION = 65_535; // of `total`; 0: it tells none
 
 export type Handle = { what: "mission"; item: number } | { what: "fence"; area: number; corner: number };
 
@@ -63,6 +69,9 @@ interface Draft {
   mission: Item[] | undefined;
   fence: Fence | undefined;
 }
+
+type What = keyof Draft;
+type Ask = (path: string) => Promise<unknown>;
 
 export class Plan {
   readonly robot: string;
@@ -72,19 +81,43 @@ export class Plan {
   /** As they are being drawn; undefined where nobody draws. */
   draft = $state.raw<Draft>({ mission: undefined, fence: undefined });
   reading = $state(false);
-  #pending: Promise<void> | undefined;
   /** Why they could not be read. */
-  error = $state.raw<RcpError>();
+  errors = $state.raw<Partial<Record<What, RcpError>>>({});
+  readonly #ask: Ask;
+  #pending: Promise<void> | undefined;
+  #next: Promise<void> | undefined;
+  /** Rises when what is being read is no longer to be taken. */
+  #turn = 0;
+  /** What was reported of the plan that was read, or is being read. */
+  #reported: string | undefined;
   selected = $state.raw<Handle>();
-  shownMission = $derived(this.draft.mission ?? this.mission ?? []);
-  shownFence = $derived(this.draft.fence ?? this.fence ?? EMPTY);
   #before = $state.raw<Draft[]>([]);
-  mayUndo = $derived(this.#before.length > 0);
   /** What stood before a handle was dragged. */
   #dragged: Draft | undefined;
 
-  constructor(robot: string) {
+  /** Take the robot's name, and what executes a service that only reads. */
+  constructor(robot: string, ask: Ask) {
     this.robot = robot;
+    this.#ask = ask;
+  }
+
+  // No deriveds: these would end with the component that made the plan first, and the plan outlives it.
+  get shownMission(): Item[] {
+    return this.draft.mission ?? this.mission ?? NONE;
+  }
+  get shownFence(): Fence {
+    return this.draft.fence ?? this.fence ?? EMPTY;
+  }
+  get mayUndo(): boolean {
+    return this.#before.length > 0;
+  }
+
+  /** Know nothing of what the robot has, until it is read; what is drawn stays. */
+  forget(): void {
+    this.#turn += 1;
+    this.mission = this.fence = undefined;
+    this.errors = {};
+    this.#reported = undefined;
   }
 
   /** Ask the robot for what it has; one that is being asked already is waited for. */
@@ -93,18 +126,84 @@ export class Plan {
     return this.#pending;
   }
 
-  async #read(offers: Offers): Promise<void> {
+  /** Ask the robot after this moment: what is being read may be of before it. */
+  readAnew(offers: Offers): Promise<void> {
+    if (!this.#pending) return this.read(offers);
+    this.#next ??= this.#pending.then(() => {
+      this.#next = undefined;
+      return this.read(offers);
+    });
+    return this.#next;
+  }
+
+  async #read({ download, downloadFence }: Offers): Promise<void> {
+    const turn = this.#turn;
     this.reading = true;
-    this.error = undefined;
-    try {
-      const get = async (one: Resource): Promise<Item[]> => ((await app.client.execute(one.path).result) as { items: Item[] }).items.map(whole);
-      if (offers.download) this.mission = await get(offers.download);
-      if (offers.downloadFence) this.fence = fenceOf(await get(offers.downloadFence));
-    } catch (error) {
-      this.error = error instanceof RcpError ? error : new RcpError({ code: "internal", message: String(error) });
-    } finally {
-      this.reading = false;
-    }
+    this.errors = {};
+    const get = async (what: What, one: Resource): Promise<Item[] | undefined> => {
+      try {
+        return ((await this.#ask(one.path)) as { items: Item[] }).items.map(whole);
+      } catch (error) {
+        if (turn === this.#turn) this.errors = { ...this.errors, [what]: error instanceof RcpError ? error : new RcpError({ code: "internal", message: String(error) }) };
+        return undefined;
+      }
+    };
+    const mission = download && (await get("mission", download));
+    if (turn === this.#turn) this.mission = mission;
+    const fence = downloadFence && (await get("fence", downloadFence));
+    if (turn === this.#turn) this.fence = fence && fenceOf(fence);
+    this.reading = false;
+  }
+
+  /** Read again where a report tells of another plan than the one that was read. */
+  heed(report: Report, offers: Offers): void {
+    const { total = 0, mission_state, mission_id = 0, fence_id = 0 } = report;
+    const told = `${total} ${mission_id} ${fence_id}`;
+    if (told === this.#reported || (this.#reported === undefined && this.reading)) return;
+    const first = this.#reported === undefined;
+    this.#reported = told;
+    const none = total === NO_MISSION || /no_mission/i.test(String(mission_state));
+    const count = none ? 0 : total || this.mission?.length;
+    if (!first || (this.mission && count !== this.mission.length)) void this.readAnew(offers);
+  }
+
+  /** Read what an upload has left, and draw no more if that is what was sent; returns why not. */
+  async confirm(what: What, sent: Draft, offers: Offers): Promise<RcpError | undefined> {
+    let turn: number;
+    do {
+      turn = this.#turn;
+      await this.readAnew(offers);
+    } while (turn !== this.#turn); // it was forgotten meanwhile
+    if (this.errors[what]) return undefined; // told of already
+    const readable = what === "mission" ? offers.download : offers.downloadFence;
+    const { mission, fence } = this;
+    const known = what === "mission" ? mission : fence;
+    const same = what === "mission" ? mission && sameItems(sent.mission ?? [], mission) : fence && sameFence(sent.fence ?? EMPTY, fence);
+    if (known && !same) return new RcpError({ code: "differs", message: `the vehicle has another ${what} than was uploaded`, remedy: "Upload it again, or press Discard to see what the vehicle has." });
+    // What was changed meanwhile is not on board.
+    if ((known || !readable) && this.draft[what] === sent[what]) this.discard(what);
+    return undefined;
+  }
+
+  /** Note what there is before a file is loaded; returns what reads it again then, and draws no more of what has changed. */
+  loading(offers: Offers): () => Promise<void> {
+    const drawn = this.draft;
+    const had = { mission: JSON.stringify(this.mission), fence: JSON.stringify(this.fence) };
+    return async () => {
+      await this.readAnew(offers);
+      for (const what of ["mission", "fence"] as const) {
+        const changed = this[what] && JSON.stringify(this[what]) !== had[what];
+        if (changed && this.draft[what] && this.draft[what] === drawn[what]) this.discard(what);
+      }
+    };
+  }
+
+  /** Read the mission that is to be run; returns why it is not the one that is meant. */
+  async verify(offers: Offers, meant = this.mission): Promise<RcpError | undefined> {
+    await this.readAnew(offers);
+    if (this.errors.mission) return this.errors.mission;
+    if (!this.mission || JSON.stringify(this.mission) !== JSON.stringify(meant)) return new RcpError({ code: "not_sent", message: "the vehicle has another mission than was shown", remedy: "Look at the mission that is shown now, then run it." });
+    return this.draft.mission && new RcpError({ code: "not_sent", message: "the mission was changed here and not uploaded", remedy: "Upload or discard it, then run it." });
   }
 
   #change(next: Partial<Draft>): void {
@@ -112,18 +211,28 @@ export class Plan {
     this.draft = { ...this.draft, ...next };
   }
 
-  /** Begin to draw, from what the robot has. */
-  begin(what: keyof Draft): void {
-    if (this.draft[what]) return;
-    this.#change(what === "mission" ? { mission: this.shownMission } : { fence: this.shownFence });
+  /** Whether there is something to draw on: nothing that is not known is drawn over. */
+  mayDraw(what: What): boolean {
+    return this.draft[what] !== undefined || this[what] !== undefined;
+  }
+
+  /** Begin to draw, from what the robot has; returns whether that is known. */
+  begin(what: What): boolean {
+    if (!this.draft[what] && this.mayDraw(what)) this.#change({ [what]: this[what] });
+    return this.mayDraw(what);
+  }
+
+  /** Begin to draw with nothing, in place of whatever the robot has. */
+  replace(what: What): void {
+    this.#change(what === "mission" ? { mission: [] } : { fence: EMPTY });
   }
 
   setMission(mission: Item[]): void {
-    this.#change({ mission });
+    if (this.mayDraw("mission")) this.#change({ mission });
   }
 
   setFence(fence: Fence): void {
-    this.#change({ fence });
+    if (this.mayDraw("fence")) this.#change({ fence });
   }
 
   undo(): void {
@@ -135,7 +244,7 @@ export class Plan {
   }
 
   /** Draw no more: what the robot has is shown again. */
-  discard(what: keyof Draft): void {
+  discard(what: What): void {
     this.draft = { ...this.draft, [what]: undefined };
     this.#before = [];
     this.selected = undefined;
@@ -207,13 +316,13 @@ export class Plan {
   }
 
   /** The handles of what is being drawn, with their places. */
-  *handles(what: keyof Draft): Generator<[Handle, Geo]> {
+  *handles(what: What): Generator<[Handle, Geo]> {
     if (what === "mission") for (const [item, one] of this.shownMission.entries()) if (placed(one)) yield [{ what, item }, one];
     if (what === "fence") for (const [area, { corners }] of this.shownFence.areas.entries()) for (const [corner, at] of corners.entries()) yield [{ what, area, corner }, at];
   }
 
   /** The handle that is nearest to a pixel, within reach of it. */
-  near(what: keyof Draft, plane: Plane, px: number, py: number, reach: number): Handle | undefined {
+  near(what: What, plane: Plane, px: number, py: number, reach: number): Handle | undefined {
     let best: { handle: Handle; far: number } | undefined;
     for (const [handle, at] of this.handles(what)) {
       const [x, y] = plane.toScreen(at);
@@ -248,19 +357,7 @@ export class Plan {
   }
 
   /** What is to be sent. */
-  items(what: keyof Draft): Item[] {
+  items(what: What): Item[] {
     return what === "mission" ? this.shownMission : itemsOf(this.shownFence);
   }
-}
-
-const plans = new Map<string, Plan>();
-let epoch: number | undefined;
-
-/** The plan of a robot, which outlives the page that shows it, and not the login: what was drawn is not lost by looking elsewhere. */
-export function planOf(robot: string): Plan {
-  if (epoch !== app.epoch) plans.clear();
-  epoch = app.epoch;
-  let found = plans.get(robot);
-  if (!found) plans.set(robot, (found = new Plan(robot)));
-  return found;
 }
