@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backends.can.rig import MOTORS
+from backends.can.rig import MOTORS, OTHERS
 from rcp_can.codec import Codec, Field, Layout, Packed, Span
+from rcp_can.config import BusConfig
 from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile, vesc
 from rcp_can.profiles import moteus_wire as wire
 from rcp_can.profiles.cia402_objects import state_of
@@ -127,12 +128,22 @@ class NoBus:
     """A bus that takes everything and has nobody on it."""
 
     name, up, state = "none", True, "error_active"
+    config = BusConfig()
+
+    def received_at(self, _: can.Message) -> float:
+        return 0.0
 
     def send(self, *_: Any, **__: Any) -> None:
         """Drop it."""
 
     def paced(self, *_: Any) -> bool:
         return True
+
+    def shared(self, _: type, make: Any) -> Any:
+        return make(self)
+
+    def listen(self, *_: Any) -> None:
+        """Hear nothing."""
 
 
 frames = st.builds(
@@ -147,7 +158,7 @@ frames = st.builds(
 @given(data=st.data())
 @settings(max_examples=60)
 def test_no_frame_upsets_a_drive_or_its_twin(name: str, data: st.DataObject) -> None:
-    kind, table = profile(name), MOTORS[name]
+    kind, table = profile(name), (MOTORS | OTHERS)[name]
     bus: Any = NoBus()
     drive = kind.drive(table["node"], msgspec.convert(table.get("options", {}), kind.options), bus)
     twin = make_twin(name, table["node"], **table.get("options", {}))
