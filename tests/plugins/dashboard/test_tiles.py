@@ -113,12 +113,15 @@ async def test_no_archive_is_left_open_by_whoever_goes(archive: Path) -> None:
     going.cancel()
     await asyncio.wait([going])
     assert held(archive) == 0
+    before = asyncio.all_tasks()
     going = asyncio.ensure_future(asked(tiles, stall))
     for _ in range(3):  # until it is being opened
         await asyncio.sleep(0)
     going.cancel()
     await asyncio.wait([going])
-    await asyncio.get_running_loop().shutdown_default_executor()
+    opening = asyncio.all_tasks() - before
+    if opening:
+        await asyncio.wait(opening, timeout=60)
     assert held(archive) == 0
 
 
