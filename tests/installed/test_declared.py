@@ -40,6 +40,8 @@ EXTRAS = {
 BROUGHT = packages_distributions()
 KIT = {"hypothesis", "jsonschema", "pytest"}
 """What `rcp_kernel.testing` needs: it is for those who test."""
+LATER = {"compression"}
+"""What the standard library has from Python 3.14 on."""
 MESSAGES = re.compile(
     r"rclpy|rosidl_\w+|rcl_interfaces|ament_index_python|\w+_(msgs|srvs|interfaces)"
 )
@@ -64,7 +66,11 @@ def imported(package: Path) -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.module:
                 found.add(node.module.partition(".")[0])
     ours = {one.name for one in packages()}
-    return {name for name in found - sys.stdlib_module_names - ours if not MESSAGES.fullmatch(name)}
+    return {
+        name
+        for name in found - sys.stdlib_module_names - LATER - ours
+        if not MESSAGES.fullmatch(name)
+    }
 
 
 def names(requirements: list[str]) -> set[str]:
