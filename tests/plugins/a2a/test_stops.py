@@ -66,6 +66,7 @@ async def test_no_quota_keeps_anybody_from_cancelling_a_task() -> None:
     async with agent(top=top) as site, caller(site) as client:
         begun = {"returnImmediately": True}
         task = await sent(client, text("execute /action/go 1", configuration=begun))
+        await site.robot.started.get()  # what it sends is counted, too
         while (await client.get(f"/a2a/tasks/{task['id']}")).status_code == 200:
             pass
         answer = await client.post(f"/a2a/tasks/{task['id']}:cancel", json={})
