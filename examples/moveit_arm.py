@@ -80,7 +80,10 @@ class Bridge:
             async for update in updates:
                 states = update.body
                 message = {key: states.get(key) or [] for key in ("name", "position", "velocity")}
-                await self._client.write(path, {"header": {}, **message})
+                try:
+                    await self._client.write(path, {"header": {}, **message})
+                except RcpError as error:  # no reason to end a goal under way
+                    print(f"{path}: {error.message}", file=sys.stderr)
 
     def _look(self, feedback: rcp_client.Feedback) -> None:
         """Begin with new goals, and cancel those that are to be."""

@@ -10,9 +10,9 @@ from msgspec import Meta
 
 from rcp_can.dronecan.library import make, text_of, transport
 from rcp_can.dronecan.port import Port
-from rcp_kernel.errors import DeviceRejected, UnknownPath
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, UnknownPath
 
-__all__ = ["Parameter", "Parameters", "Setting", "parameter_type"]
+__all__ = ["Parameter", "Parameters", "Setting", "decoded", "parameter_type"]
 
 _MOST = 2048  # parameters of a node
 Setting = int | float | bool | str
@@ -59,7 +59,7 @@ class Parameters:
         """
         found: dict[str, Parameter] = {}
         for index in range(_MOST):
-            parameter = _decoded(await self._ask(f"parameter {index}", index=index))
+            parameter = decoded(await self._ask(f"parameter {index}", index=index))
             if parameter is None or parameter.name in found:  # it does not heed the number
                 break
             found[parameter.name] = parameter
@@ -95,13 +95,17 @@ class Parameters:
         return await self._port.request(self._node, request, f"for {what}")
 
     def _known(self, name: str, response: Any) -> Parameter:
-        parameter = _decoded(response)
+        parameter = decoded(response)
         if parameter is None:
             raise UnknownPath(f"DroneCAN node {self._node} has no parameter {name}")
+        if parameter.name != name:
+            raise DeviceTimeout(
+                f"DroneCAN node {self._node} answered for {parameter.name}, not for {name}"
+            )
         return parameter
 
 
-def _decoded(response: Any) -> Parameter | None:
+def decoded(response: Any) -> Parameter | None:
     """Return the parameter of a response; None: there is no such parameter."""
     name, (kind, value) = text_of(response.name), _value(response.value)
     if not name or value is None:
@@ -115,6 +119,8 @@ def _bounds(kind: Kind, value: Any, response: Any) -> tuple[float | None, float 
     low, high = (_value(bound)[1] for bound in (response.min_value, response.max_value))
     if kind not in ("integer_value", "real_value"):
         return None, None
+    if kind == "integer_value":  # a node may tell bounds of another kind
+        low, high = (bound if type(bound) is int else None for bound in (low, high))
     given = [bound for bound in (low, value, high) if bound is not None]
     sound = all(map(math.isfinite, given)) and given == sorted(given) and low != high
     return (low, high) if sound and (low, high) != (None, None) else (None, None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Hashable
 from contextlib import suppress
 from importlib.metadata import version
@@ -47,6 +47,7 @@ class Port:
         self.bus, self.node = bus, bus.config.dronecan_node
         self._began = time.monotonic()
         self._sent: Counter[Hashable] = Counter()
+        self._turns: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._asked: dict[tuple[int, int, int], asyncio.Future[Any]] = {}
         self._assembler = Assembler(_ASKED)
         bus.listen(self._take, Route(0x80 | self.node << 8, 0x7F80, extended=True))
@@ -66,6 +67,10 @@ class Port:
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: the send queue is full.
         """
+        if urgent:
+            # What waits is dropped for it. A receiver takes a transfer of several frames that comes
+            # one number late for a part of another; one that comes two or more late it begins anew.
+            self._sent[type_name(payload), None] += 2
         frames = self._frames(payload, priority, None)
         self.bus.send_together(frames, lifetime=lifetime, urgent=urgent, sender=sender)
 
@@ -74,9 +79,15 @@ class Port:
     ) -> Any:
         """Ask a node, again if it does not answer, and return its response.
 
+        One request of a node waits for the other: transfers have only 32 numbers.
+
         :raises DeviceTimeout: no answer arrives.
         :raises AdapterUnavailable: the bus is down, or off.
         """
+        async with self._turns[node]:
+            return await self._request(node, payload, what, attempts)
+
+    async def _request(self, node: int, payload: Any, what: str, attempts: int) -> Any:
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         keys: list[tuple[int, int, int]] = []
         try:
@@ -146,6 +157,7 @@ class Port:
 
     def _notice_double(self, message: can.Message) -> None:
         text = (
-            f"another node of CAN bus '{self.bus.name}' has the gateway's DroneCAN id {self.node}"
+            f"another node of CAN bus '{self.bus.name}' has the gateway's DroneCAN id {self.node}:"
+            " give the bus another `dronecan_node`, or that node another id"
         )
         self.bus.health.report(f"dronecan {self.bus.name}", text)

@@ -100,6 +100,8 @@ class EscDrive(Drive):
             status.resets += 1
             self._switch(on=False)
         self._mode = state.mode
+        if self._mode != OPERATIONAL and self._on:  # it does not turn again without a new enable
+            self._switch(on=False)
         fault = health_fault(state.health, state.vendor_specific_status_code)
         status.faults = () if fault is None else (fault,)
         status.reports += 1

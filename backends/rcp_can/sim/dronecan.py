@@ -68,6 +68,8 @@ class DronecanTwin(Twin):
         """Parameters that it does not let anybody change."""
         self.saved = dict(self.parameters)
         self.charge = 81
+        self.node_mode = _OPERATIONAL
+        """What it tells of itself: whether it is at work, or in maintenance."""
         self.latitude = -35.3632621
         self.healthy = True
         self._armed_until = 0.0
@@ -125,6 +127,7 @@ class DronecanTwin(Twin):
         if now < self._boots_until:
             return
         self._node.health = _OK if self.healthy else _ERROR
+        self._node.mode = self.node_mode
         while True:
             with suppress(transport.TransferError):  # a frame of it was lost
                 self._node.spin(0)

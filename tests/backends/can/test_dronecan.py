@@ -19,6 +19,7 @@ from backends.can.dronecan_rig import (
     turns,
 )
 from backends.can.rig import Motor, Node, motor
+from rcp_can.dronecan.node_status import OPERATIONAL
 from rcp_can.sim.dronecan import DronecanTwin
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -26,6 +27,8 @@ from rcp_kernel.errors import (
     DeviceTimeout,
     ModeForbids,
 )
+
+MAINTENANCE = 2
 
 # Motors
 
@@ -167,6 +170,34 @@ async def test_a_controller_that_restarts_does_not_turn_again_by_itself() -> Non
         assert [value for _, value in twin.commands if value] == []
         with pytest.raises(ModeForbids):
             await rig.write("actuator/m/velocity", FAST)
+
+
+async def test_a_controller_that_was_in_maintenance_does_not_turn_again_without_an_enable() -> None:
+    twin = DronecanTwin(20, index=0)
+    async with field(twin, motors={"m": esc(20, 0)}) as rig:
+        axis = rig.backend.axes["m"]
+        await rig.ran("service/m/enable")
+        await rig.write("actuator/m/velocity", FAST)
+        await rig.until(turns(twin, FAST))
+        twin.node_mode = MAINTENANCE
+        await rig.until(lambda: axis.status.enabled is False and twin.plant.velocity == 0.0)
+        twin.node_mode = OPERATIONAL
+        reports = axis.status.reports
+        await rig.until(lambda: axis.status.reports > reports + 60)  # its state among them
+        assert axis.status.enabled is False
+        with pytest.raises(ModeForbids):
+            await rig.write("actuator/m/velocity", FAST)
+
+
+async def test_a_stop_comes_with_a_number_that_no_receiver_takes_for_a_late_part() -> None:
+    async with field(DronecanTwin(20, index=0), motors={"m": esc(20, 0)}) as rig:
+        await rig.ran("service/m/enable")
+        await rig.write("actuator/m/velocity", FAST)
+        with Ear(rig.channel) as ear:
+            before = (await ear.hears(from_gateway(RPM))).transfer_id
+            rig.backend.axes["m"].drive.stop()
+            stop = await ear.hears(lambda got: from_gateway(RPM)(got) and not any(got.payload.rpm))
+            assert (stop.transfer_id - before) % 32 >= 2
 
 
 async def test_a_bus_that_loses_frames_is_driven_and_stopped() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import subprocess
 import sys
@@ -25,7 +26,7 @@ from backends.can.rig import channel, opened
 from rcp_can import CanConfig
 from rcp_can.dronecan.library import make
 from rcp_can.dronecan.node_status import Uptime
-from rcp_can.dronecan.parameters import Parameters, parameter_type
+from rcp_can.dronecan.parameters import Parameters, decoded, parameter_type
 from rcp_can.dronecan.transfers import Assembler, Service, encode
 from rcp_can.sim.dronecan import DronecanTwin
 from rcp_kernel.errors import (
@@ -109,6 +110,17 @@ async def test_parameters_are_listed_written_and_stored() -> None:
             await rig.write("param/mast/REVISION", 3)
         with pytest.raises(DeviceRejected, match="refused reset_parameters"):
             await rig.ran("service/mast/reset_parameters")
+
+
+async def test_many_parameters_that_are_read_at_once_are_not_mixed_up() -> None:
+    twin = DronecanTwin(40)
+    twin.parameters = {f"P{n}": n for n in range(40)}
+    mast = {"bus": "can0", "node": 40, "parameters": True}
+    async with field(twin, dronecan={"mast": mast}) as rig:
+        await rig.until(lambda: "param/mast/P39" in rig.host.resources)
+        names = list(twin.parameters)
+        read = [rig.backend.read(f"param/mast/{name}") for name in names]
+        assert await asyncio.gather(*read) == list(twin.parameters.values())
 
 
 async def test_a_restart_completes_when_the_node_is_back_and_not_while_its_motor_turns() -> None:
@@ -325,3 +337,14 @@ async def test_a_simulated_bus_has_all_of_them() -> None:
         await rig.ran("service/m/enable")
         await rig.host.until(lambda: "sensor/pack/battery" in rig.host.samples)
         await rig.host.published_as("sensor/mast/state", mode="operational")
+
+
+def test_bounds_of_another_kind_are_left_out() -> None:
+    response = make("protocol.param.GetSet.Response", name="N")
+    response.value = make("protocol.param.Value", integer_value=3)
+    response.min_value = make("protocol.param.NumericValue", real_value=0.5)
+    response.max_value = make("protocol.param.NumericValue", integer_value=9)
+    parameter = decoded(response)
+    assert parameter is not None
+    assert (parameter.low, parameter.high) == (None, 9)
+    msgspec.json.schema(parameter_type(parameter))
