@@ -95,16 +95,29 @@ def _answer(scope: Scope, file: FileIO) -> ASGIApp:
 
 
 def _streamed(status: int, headers: Headers, file: FileIO, start: int, stop: int) -> ASGIApp:
-    async def send_it(_scope: Any, _receive: Any, send: Any) -> None:
+    async def send_it(_scope: Any, receive: Any, send: Any) -> None:
         with file:
             await send({"type": "http.response.start", "status": status, "headers": headers})
-            async with aclosing(_pieces(file, start, stop)) as pieces:
-                async for piece in pieces:
-                    async with asyncio.timeout(_STALLED):
-                        await send({"type": "http.response.body", "body": piece, "more_body": True})
+            gone = asyncio.ensure_future(_gone(receive))
+            try:
+                async with aclosing(_pieces(file, start, stop)) as pieces:
+                    async for piece in pieces:
+                        if gone.done():  # a listener takes what nobody reads, as fast as it comes
+                            return
+                        async with asyncio.timeout(_STALLED):
+                            body = {"type": "http.response.body", "body": piece, "more_body": True}
+                            await send(body)
+            finally:
+                gone.cancel()
         await send({"type": "http.response.body", "body": b""})
 
     return send_it
+
+
+async def _gone(receive: Any) -> None:
+    """Return when the client has closed its connection."""
+    while (await receive())["type"] != "http.disconnect":
+        pass
 
 
 async def _pieces(file: FileIO, start: int, stop: int) -> AsyncGenerator[bytes]:

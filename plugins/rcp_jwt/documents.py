@@ -12,6 +12,7 @@ import ssl
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -99,6 +100,13 @@ async def _answer(call: _Call) -> Answer:
         call.stop()
 
 
+def _connection(scheme: str, host: str, port: int | None) -> http.client.HTTPConnection:
+    if scheme != "https":
+        return http.client.HTTPConnection(host, port, timeout=_PATIENCE)
+    context = ssl.create_default_context()
+    return http.client.HTTPSConnection(host, port, timeout=_PATIENCE, context=context)
+
+
 class _Call:
     """One request that another thread can abort."""
 
@@ -111,16 +119,15 @@ class _Call:
         self._body = body
         self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         host = parts.hostname or ""
-        if parts.scheme == "https":
-            context = ssl.create_default_context()
-            self._connection: http.client.HTTPConnection = http.client.HTTPSConnection(
-                host, parts.port, timeout=_PATIENCE, context=context
-            )
-        else:
-            self._connection = http.client.HTTPConnection(host, parts.port, timeout=_PATIENCE)
+        self._open = partial(_connection, parts.scheme, host, parts.port)
+        self._connection: http.client.HTTPConnection | None = None
+        self._stopped = False
 
     def run(self) -> Answer:
-        connection = self._connection
+        """Do it; in a worker thread, where reading the certificates delays nobody."""
+        connection = self._connection = self._open()
+        if self._stopped:
+            raise Unreachable("it was given up")
         try:
             connection.request(self._method, self._target, self._body, self._headers)
             response = connection.getresponse()
@@ -133,7 +140,8 @@ class _Call:
 
     def stop(self) -> None:
         """Wake a thread that still waits for the server."""
-        held: Any = self._connection.sock
+        self._stopped = True
+        held: Any = None if self._connection is None else self._connection.sock
         if held is not None:
             with suppress(OSError):
                 held.shutdown(socket.SHUT_RDWR)

@@ -82,6 +82,8 @@ class Identities:
         self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
+        self._others = AuthThrottle(config.limits.failed_logins, self._loop.time)
+        """Attempts that ask somebody else: wrong keys of one address keep nobody from those."""
 
     def ask(self, authenticators: Iterable[Authenticator]) -> None:
         """Set the authenticators, called by name after the gateway's own keys.
@@ -104,7 +106,7 @@ class Identities:
         self._certificates = Certificates(config.certificates, self._clock, self._certificates)
         self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
-        self._attempts.allowance = config.limits.failed_logins
+        self._attempts.allowance = self._others.allowance = config.limits.failed_logins
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Revoke client certificates, in open sessions too."""
@@ -214,16 +216,16 @@ class Identities:
 
         :raises RateLimited: it has failed too often.
         """
-        self._attempts.check(peer.address, "")
-        self._attempts.failed(peer.address, "")
+        self._others.check(peer.address, "")
+        self._others.failed(peer.address, "")
         try:
             yield
         except Unauthenticated:
             raise
         except BaseException:
-            self._attempts.forgive(peer.address)
+            self._others.forgive(peer.address)
             raise
-        self._attempts.forgive(peer.address)
+        self._others.forgive(peer.address)
 
     def _look(self, token: str | None, peer: Peer, *, fetched: bool = False) -> Principal | None:
         certified = None

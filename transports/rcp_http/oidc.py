@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from html import escape
 from typing import NamedTuple
 from urllib.parse import quote, urlencode
@@ -166,10 +167,11 @@ def _refused(
         client_api.turned_away(peer_of(scope), error)
     links = ""
     oidc = client_api.service(OIDC)
-    if oidc is not None and not isinstance(error, UnknownPath):
-        link = oidc.link(id_)
-        links = _link(f"{link.url}?{urlencode({'next': '/'})}", f"Log in with {link.name}")
-        links += " · " + _link(oidc.root(id_) + "/", "Open the gateway")
+    if oidc is not None:
+        with suppress(UnknownPath):  # the configuration may have changed meanwhile
+            link = oidc.link(id_)
+            links = _link(f"{link.url}?{urlencode({'next': '/'})}", f"Log in with {link.name}")
+            links += " · " + _link(oidc.root(id_) + "/", "Open the gateway")
     body = _PAGE.format(
         message=escape(error.message[:1].upper() + error.message[1:]),
         remedy=escape(error.remedy or ""),

@@ -131,8 +131,24 @@ def held(archive: Path) -> int:
     return sum(os.path.realpath(one) == str(archive) for one in links)
 
 
-async def asked(tiles: Tiles, send: Any) -> None:
-    """Ask the page's application for the archive, past the listener."""
+async def test_nothing_is_read_for_a_client_that_has_gone(archive: Path) -> None:
+    await asyncio.to_thread(archive.write_bytes, ARCHIVE + bytes(16 * 2**20))
+    sent: list[Any] = []
+
+    async def send(message: Any) -> None:
+        sent.append(
+            message
+        )  # as listeners do after their client has gone: at once, without an error
+
+    await asked(Tiles(str(archive)), send, gone=True)
+    assert sum(len(one.get("body", b"")) for one in sent) < 8 * 2**20
+    assert held(archive) == 0
+
+
+async def asked(tiles: Tiles, send: Any, *, gone: bool = False) -> None:
+    """Ask the page's application for the archive, past the listener; a client may be gone at once."""
+    messages = [{"type": "http.request", "body": b"", "more_body": False}]
+    messages += [{"type": "http.disconnect"}] if gone else []
     scope = {
         "type": "http",
         "method": "GET",
@@ -149,7 +165,7 @@ async def asked(tiles: Tiles, send: Any) -> None:
     }
 
     async def receive() -> Any:
-        return {"type": "http.request", "body": b"", "more_body": False}
+        return messages.pop(0) if messages else await asyncio.Event().wait()
 
     await tiles.app(scope, receive, send)
 

@@ -71,6 +71,17 @@ async def test_logins_that_succeed_together_count_for_nothing(issuer: Issuer) ->
                 assert (await back(browser, issuer)).status_code == 303
 
 
+async def test_wrong_keys_from_an_address_keep_nobody_there_from_the_issuer(issuer: Issuer) -> None:
+    limits = "[limits]\nfailed_logins = 2\n"
+    async with people_logging_in(issuer, limits) as gateway:
+        async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as program:
+            wrong = {"authorization": "Bearer rcp_op_no-such-key"}
+            codes = [(await program.get(LIMIT, headers=wrong)).status_code for _ in range(4)]
+            assert codes[-1] == 429
+        async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser:
+            assert (await back(browser, issuer)).status_code == 303
+
+
 async def test_a_login_under_way_is_good_once_also_at_the_same_time(issuer: Issuer) -> None:
     issuer.exchanged = WRONG
     async with people_logging_in(issuer) as gateway, AsyncExitStack() as stack:
