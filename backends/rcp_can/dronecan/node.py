@@ -307,10 +307,10 @@ class DronecanPart(Part):
 
     async def write(self, name: str, value: Any) -> Any:
         """Write a parameter; return the value that the node has afterwards."""
-        self._check_idle()
-        check_fence()
         parameter = self._listed[name]
-        taken = await self._parameters.write(parameter.name, parameter.kind, value)
+        taken = await self._parameters.write(
+            parameter.name, parameter.kind, value, self._check_allowed
+        )
         self._host.publish(name, taken)
         return taken
 
@@ -320,14 +320,16 @@ class DronecanPart(Part):
 
     async def execute(self, name: str, value: Any, progress: Progress) -> None:
         """Restart the node, or let it store or reset its parameters."""
-        self._check_idle()
-        check_fence()
         verb = name.rpartition("/")[2]
         if verb == "restart":
+            self._check_allowed()
             await self._restart()
             return
         request = make("protocol.param.ExecuteOpcode.Request", opcode=_OPCODES[verb])
-        response = await self._port.request(self._config.node, request, f"to {verb}")
+        # Once, as a write of a parameter: by the time of a second request its motor may turn.
+        response = await self._port.request(
+            self._config.node, request, f"to {verb}", attempts=1, before=self._check_allowed
+        )
         if not response.ok:
             raise DeviceRejected(
                 f"DroneCAN node {self._config.node} refused {verb}",
@@ -360,6 +362,10 @@ class DronecanPart(Part):
                 f"DroneCAN node {self._config.node} ('{self._name}') does not respond",
                 remedy="Check its supply, cable and node id; the gateway allocates no ids.",
             )
+
+    def _check_allowed(self) -> None:
+        self._check_idle()
+        check_fence()
 
     def _check_idle(self) -> None:
         """Check that the node is there, and turns no motor.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 from msgspec import Meta
@@ -73,8 +74,12 @@ class Parameters:
         """
         return self._known(name, await self._ask(name, name=name)).value
 
-    async def write(self, name: str, kind: Kind, value: Setting) -> Setting:
+    async def write(
+        self, name: str, kind: Kind, value: Setting, before: Callable[[], None]
+    ) -> Setting:
         """Write a value; return the one that the node has afterwards.
+
+        `before` is called right before it is sent, and raises to refuse it.
 
         :raises DeviceRejected: the node kept another one.
         :raises DeviceTimeout: the node does not answer.
@@ -82,7 +87,12 @@ class Parameters:
         """
         plain: Any = int(value) if kind == "boolean_value" else value
         wanted = make("protocol.param.Value", **{kind: plain})
-        now = self._known(name, await self._ask(name, name=name, value=wanted)).value
+        # Once: by the time of a second request its motor may turn.
+        request = make("protocol.param.GetSet.Request", name=name, value=wanted)
+        answer = await self._port.request(
+            self._node, request, f"for {name}", attempts=1, before=before
+        )
+        now = self._known(name, answer).value
         if not _same(kind, now, value):
             raise DeviceRejected(
                 f"DroneCAN node {self._node} has {name} = {now!r} after {value!r} was written",

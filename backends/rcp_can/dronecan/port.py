@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter, defaultdict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -75,16 +75,24 @@ class Port:
         self.bus.send_together(frames, lifetime=lifetime, urgent=urgent, sender=sender)
 
     async def request(
-        self, node: int, payload: Any, what: str, *, attempts: int = _ATTEMPTS
+        self,
+        node: int,
+        payload: Any,
+        what: str,
+        *,
+        attempts: int = _ATTEMPTS,
+        before: Callable[[], None] = lambda: None,
     ) -> Any:
         """Ask a node, again if it does not answer, and return its response.
 
-        One request of a node waits for the other: transfers have only 32 numbers.
+        One request of a node waits for the other: transfers have only 32 numbers. `before` is called
+        right before it is sent, and raises to refuse it.
 
         :raises DeviceTimeout: no answer arrives.
         :raises AdapterUnavailable: the bus is down, or off.
         """
         async with self._turns[node]:
+            before()
             return await self._request(node, payload, what, attempts)
 
     async def _request(self, node: int, payload: Any, what: str, attempts: int) -> Any:

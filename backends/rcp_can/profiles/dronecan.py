@@ -137,9 +137,14 @@ class EscDrive(Drive):
     async def disable(self) -> None:
         """Send zeros, and no more set-points after them."""
         self._switch(on=False)
-        enough = self.status.counts["enabled"] + _WORDS
+        # Fast controllers have reports under way that are older than the zero.
+        enough, since = self.status.counts["enabled"] + _WORDS, time.monotonic() + _AGAIN
         await self.until(
-            lambda: self.status.counts["enabled"] >= enough and self.status.enabled is False,
+            lambda: (
+                self.status.counts["enabled"] >= enough
+                and self.status.enabled is False
+                and time.monotonic() >= since
+            ),
             "heard",
             seconds=max(_WAITS, 2 * _WORDS * self.options.status_period),
             again=self.stop,
