@@ -7,6 +7,7 @@ be awaited (`wait`). Secrets are neither stored nor shown: only their hashes are
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
@@ -29,6 +30,7 @@ from rcp_kernel.errors import (
     Forbidden,
     InternalError,
     PluginError,
+    RateLimited,
     RcpError,
     TokenExpired,
     Unauthenticated,
@@ -216,7 +218,15 @@ class Identities:
 
         :raises RateLimited: it has failed too often.
         """
-        self._others.check(peer.address, "")
+        try:
+            self._others.check(peer.address, "")
+        except RateLimited as error:
+            wait = error.retry_after or 1.0
+            raise RateLimited(
+                "too many logins from this address have failed or are under way",
+                retry_after=error.retry_after,
+                remedy=f"Wait {math.ceil(wait)} s, then log in again.",
+            ) from None
         self._others.failed(peer.address, "")
         try:
             yield
