@@ -56,9 +56,7 @@ class FoxgloveClient(SocketClient):
         self.statuses = Statuses(put, client_api.loop)
         self._requests = Requests(client_api, self.connection)
         self._leases = Leases(self._requests, config.lease)
-        self._subscriptions = Subscriptions(
-            client_api, self.connection, self.statuses, config.depth
-        )
+        self._subscriptions = Subscriptions(client_api, self.connection, self.statuses, config)
         self._publishing = Publishing(self._requests, self._leases, self.statuses, config.valid_for)
         self._calls = Calls(self._requests, put, config.call_timeout)
         self._parameters = Parameters(self._requests, self.connection, self.statuses, put)

@@ -77,9 +77,9 @@ def as_well_known(convert: Callable[[Any, int], dict[str, Any]]) -> Tail:
 
 
 @lru_cache(maxsize=4096)
-def of_subscription(number: int, tail: Tail) -> Rendering:
+def of_subscription(number: int, tail: Tail, write_interval: float) -> Rendering:
     """Return the messages of a subscription."""
-    return Rendering(message_head(number), tail)
+    return Rendering(message_head(number), tail, write_interval=write_interval)
 
 
 @lru_cache(maxsize=4096)

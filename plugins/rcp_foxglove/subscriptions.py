@@ -6,6 +6,7 @@ from itertools import count
 
 import msgspec
 
+from rcp_foxglove.config import FoxgloveConfig
 from rcp_foxglove.offers import Channel
 from rcp_foxglove.operations import Wish
 from rcp_foxglove.renderings import of_subscription
@@ -33,12 +34,12 @@ class Subscriptions:
         client_api: ClientApi,
         connection: Connection,
         statuses: Statuses,
-        depth: int,
+        config: FoxgloveConfig,
     ) -> None:
         self._client_api = client_api
         self._connection = connection
         self._statuses = statuses
-        self._depth = depth
+        self._config = config
         self._next = count(1)
         self._known: dict[int, _Subscription] = {}
         self._channels: dict[int, int] = {}
@@ -76,8 +77,9 @@ class Subscriptions:
         one = _Subscription(f"m{next(self._next)}", channel)
         self._known[number] = one
         self._channels[channel.id] = number
-        self._connection.outbox.render(one.id, of_subscription(number, channel.tail))
-        options = {"encoding": "cbor", "qos": {"depth": self._depth}}  # binary messages
+        rendering = of_subscription(number, channel.tail, self._config.write_interval)
+        self._connection.outbox.render(one.id, rendering)
+        options = {"encoding": "cbor", "qos": {"depth": self._config.depth}}  # binary messages
         request = Request(
             type="subscribe",
             id=one.id,

@@ -36,7 +36,8 @@ class _Nothing(RcpError):
 class Renderings:
     """The renderings of all topics, shared by all clients: a message is written once for each."""
 
-    def __init__(self) -> None:
+    def __init__(self, write_interval: float) -> None:
+        self._write_interval = write_interval
         self._known: WeakValueDictionary[Any, Rendering] = WeakValueDictionary()
         self._beside: WeakValueDictionary[str, _Newest] = WeakValueDictionary()
 
@@ -48,11 +49,11 @@ class Renderings:
             messages = _Messages(topic.type, feed, self._newest(feed))
             if dialect == "json":
                 head = b'{"op":"publish","topic":' + _encode(topic.name) + b',"msg":'
-                found = Rendering(mark + head, messages.json)
-            elif dialect == "cbor":
-                found = Rendering(mark + cbor_head(topic.name), messages.cbor)
+                tail = messages.json
             else:
-                found = Rendering(mark + cbor_head(topic.name), messages.raw)
+                head = cbor_head(topic.name)
+                tail = messages.cbor if dialect == "cbor" else messages.raw
+            found = Rendering(mark + head, tail, write_interval=self._write_interval)
             self._known[key] = found
         return found
 

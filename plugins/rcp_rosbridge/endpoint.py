@@ -28,7 +28,7 @@ class _Endpoint:
         self._config = config
         self._client_api = client_api
         self._graphs = Graphs(client_api)
-        self._renderings = Renderings()
+        self._renderings = Renderings(config.write_interval)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         await receive()  # websocket.connect

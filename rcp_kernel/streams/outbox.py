@@ -110,6 +110,10 @@ class FlushScheduler:
             self._loop.call_soon(self._tick)
         self._dirty.append(one)
 
+    def later(self, seconds: float, function: Callable[[], None]) -> asyncio.TimerHandle:
+        """Call a function in so many seconds."""
+        return self._loop.call_later(seconds, function)
+
     def gather(self, function: Callable[..., object], *args: Any) -> None:
         """Call a function, then tick: what it has published is sent in the same loop iteration."""
         if self._gathering or self._dirty:  # a tick is scheduled anyway

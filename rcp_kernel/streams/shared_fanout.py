@@ -7,15 +7,17 @@ receiver that falls behind the ring skips samples, with their number, and delays
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from collections.abc import Iterator
+from time import perf_counter
 from typing import Any
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.outbox import BUDGET, FlushScheduler, Framing, Outbox, Wrap
 from rcp_kernel.streams.path_subscription import SHARED, PathSubscription, Subscriber
 from rcp_kernel.tree.entry import Entry
-from rcp_kernel.tree.samples import Fields, Sample
+from rcp_kernel.tree.samples import Fields, Rendering, Sample
 from rcp_kernel.values import Encoding
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
 
 _JSON = Encoding.JSON
 _KEPT = 16  # batches of frames kept for equal receivers
+_GRACE = 0.001  # s after the interval in which a further sample saves the timer's wake-up
 Batch = tuple[list[bytes], int, int]
 """Bytes for the socket, their number of updates, and their length."""
 
@@ -55,29 +58,40 @@ class _Tails:
 
 
 class SharedFanout:
-    """The samples shared by the feeds of one entry and depth.
+    """The samples shared by the feeds of one entry, depth and interval of writes.
 
     A sample is queued once for all of them. Tails are shared by all feeds of an encoding, frames
-    by those whose updates have the same head.
+    by those whose updates have the same head. With an interval, samples that come sooner after a
+    write wait for each other: most of what a fast path costs are the writes to sockets.
     """
 
     __slots__ = (
         "_frames",
         "_made",
+        "_patience",
+        "_sent_at",
         "_sent_end",
         "_tails",
         "_ticker",
+        "_timer",
         "depth",
         "dirty",
         "end",
         "marked",
         "members",
         "ring",
+        "write_interval",
     )
 
-    def __init__(self, depth: int, ticker: FlushScheduler) -> None:
+    def __init__(self, depth: int, write_interval: float, ticker: FlushScheduler) -> None:
         self.depth = depth
+        self.write_interval = write_interval
+        """Seconds between two writes; 0: samples are sent as they come."""
         self._ticker = ticker
+        self._patience = depth // 2
+        """Number of samples that wait for each other: less than would be skipped."""
+        self._sent_at = 0.0
+        self._timer: asyncio.TimerHandle | None = None
         self.members: list[SharedPathSubscription] = []
         self.ring: deque[Sample] = deque(maxlen=depth)
         self.end = 0
@@ -94,10 +108,10 @@ class SharedFanout:
         self._frames: dict[Any, Batch] = {}
 
     def offer(self, sample: Sample) -> None:
-        """Queue a sample; the first one of a loop iteration schedules the tick."""
+        """Queue a sample; the first one of a loop iteration schedules the tick, if none is to wait."""
         self.ring.append(sample)
         self.end += 1
-        if not self.dirty:
+        if not self.dirty and not (self.write_interval and self._waits()):
             self.dirty = True
             self._ticker.mark(self)
         if not self.marked:
@@ -107,8 +121,28 @@ class SharedFanout:
                 if not member.marked and outbox is not None and outbox.direct is None:
                     member.mark()
 
+    def _waits(self) -> bool:
+        """Return whether the samples since the last write wait for others, or for the timer."""
+        wait = self.write_interval - (perf_counter() - self._sent_at)
+        if wait <= 0 or self.end - self._sent_end > self._patience:
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+            return False
+        if self._timer is None:
+            self._timer = self._ticker.later(wait + _GRACE, self._waited)
+        return True
+
+    def _waited(self) -> None:
+        self._timer = None
+        if not self.dirty:
+            self.dirty = True
+            self._ticker.mark(self)
+
     def on_flush(self) -> None:
         """Send pending samples to every member, directly if nothing else is queued for it."""
+        if self.write_interval:
+            self._sent_at = perf_counter()
         start, self._sent_end = self._sent_end, self.end
         end, whole = self.end, self.end - start <= len(self.ring)
         share = framing = None
@@ -193,10 +227,12 @@ class SharedFanout:
 class SharedPathSubscription(PathSubscription):
     """A feed without filters whose samples are in a shared ring buffer."""
 
-    __slots__ = ("fanout", "place")
+    __slots__ = ("fanout", "place", "write_interval")
 
     def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
         super().__init__(subscription, entry, outbox)
+        fields = self.fields
+        self.write_interval = fields.write_interval if isinstance(fields, Rendering) else 0.0
         self.fanout: SharedFanout | None = None
         self.place = 0
         """Number of the fan-out's next sample to send."""
@@ -259,11 +295,15 @@ class SharedPathSubscription(PathSubscription):
 def join_fanout(feed: SharedPathSubscription, entry: Entry, scheduler: FlushScheduler) -> None:
     """Add a feed to the fan-out of equal feeds among an entry's listeners, from the next sample on."""
     for listener in entry.listeners:
-        if isinstance(listener, SharedFanout) and listener.depth == feed.depth:
+        if (
+            isinstance(listener, SharedFanout)
+            and listener.depth == feed.depth
+            and listener.write_interval == feed.write_interval
+        ):
             fanout = listener
             break
     else:
-        fanout = SharedFanout(feed.depth, scheduler)
+        fanout = SharedFanout(feed.depth, feed.write_interval, scheduler)
         entry.listeners.append(fanout)
     feed.fanout = fanout
     feed.place = fanout.end

@@ -44,13 +44,20 @@ class Rendering:
     An update is `head` and what `tail` returns for its sample. The bytes of `tail` are shared by all
     subscriptions with the same function, whole frames by those with the same rendering: create few
     of both. `tail` raises `RcpError` for a sample that is not sent.
+
+    `write_interval`: least time in seconds between two writes of a path's updates. Those that come
+    sooner wait for each other, at most half a queue of them, and share a write; a slower path is not
+    delayed.
     """
 
-    __slots__ = ("__weakref__", "head", "tail")
+    __slots__ = ("__weakref__", "head", "tail", "write_interval")
 
-    def __init__(self, head: bytes, tail: Callable[[Sample], bytes]) -> None:
+    def __init__(
+        self, head: bytes, tail: Callable[[Sample], bytes], *, write_interval: float = 0.0
+    ) -> None:
         self.head = head
         self.tail = tail
+        self.write_interval = write_interval
 
 
 Fields = tuple[str, ...] | Rendering | None
