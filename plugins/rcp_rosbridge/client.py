@@ -80,7 +80,7 @@ class RosClient(SocketClient):
         self._status = status
         self._subscriptions = Subscriptions(context, self._agree)
         leases = Leases(context)
-        self._outbox.translate(Notices(status, leases.lost))
+        self._outbox.translate(Notices(status, leases.lost, self._subscriptions.note_missed))
         self._publishing = Publishing(context, leases)
         self._calls = Calls(context)
         offered = OfferedCalls(context)

@@ -28,10 +28,19 @@ _LEVELS: dict[str, Level] = {
 class Notices:
     """Tells one client what the gateway's notices say."""
 
-    def __init__(self, status: StatusMessages, lost: Callable[[str, str], bool]) -> None:
-        """Call `lost` with a lease that the client lost and who ended it; it returns whether to tell."""
+    def __init__(
+        self,
+        status: StatusMessages,
+        lost: Callable[[str, str], bool],
+        missed: Callable[[], None],
+    ) -> None:
+        """Call `lost` with a lease that the client lost and who ended it; it returns whether to tell.
+
+        `missed` is called when messages were skipped.
+        """
         self._status = status
         self._lost = lost
+        self._missed = missed
 
     def notice(self, code: str, facts: dict[str, Any]) -> None:
         """Tell a notice, if it concerns what clients of rosbridge do."""
@@ -45,7 +54,8 @@ class Notices:
         self._status.tell(level, f"{path}: {text}" if path else text, None, f"{code} {path}")
 
     def skipped(self, subscription: str, path: str, count: int) -> None:
-        """Do nothing: the subscriptions count what a client misses that does not read."""
+        """Have the subscriptions tell it, which count what a client misses that does not read."""
+        self._missed()
 
 
 def tell_outcome(data: bytes, status: StatusMessages) -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from kernel.world import World
 from rcp_kernel.model import Resource
-from rcp_kernel.streams.shared_fanout import SharedFanout
+from rcp_kernel.streams.shared_fanout import SharedFanout, leave_fanout
+from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio
@@ -21,7 +22,13 @@ class Socket:
     """A transport that frames messages and takes them only when it is told to."""
 
     def __init__(
-        self, world: World, depth: int, id_: str = "s", path: str = LEVEL, **body: Any
+        self,
+        world: World,
+        depth: int,
+        id_: str = "s",
+        path: str = LEVEL,
+        rendering: Rendering | None = None,
+        **body: Any,
     ) -> None:
         client_api = world.server.client_api
         self._flushed = asyncio.Event()
@@ -29,6 +36,7 @@ class Socket:
             client_api.authenticate(None), Encoding.JSON, self._ready
         )
         self.connection.outbox.framing = lambda size, _text: b"%04d" % size
+        self.connection.outbox.render(id_, rendering)
         envelope = {
             "type": "subscribe",
             "id": id_,
@@ -232,3 +240,69 @@ async def test_native_bytes_are_shared_too_and_named_once(world: World) -> None:
         socket.got.clear()
     behind = await told(b"1", b"2", b"3")
     assert [(m["body"], m.get("dropped")) for m in behind[0]] == [("Mg==", 1), ("Mw==", None)]
+
+
+def _tail(sample: Sample) -> bytes:
+    return b"%d" % sample.value
+
+
+async def written(world: World, depth: int, write_interval: float) -> asyncio.Queue[bytes]:
+    """Subscribe with an interval of writes; return the queue of what is written directly."""
+    rendering = Rendering(b"", _tail, write_interval=write_interval)
+    socket = await Socket.open(world, depth, rendering=rendering)
+    writes: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def direct(parts: list[bytes]) -> bool:
+        writes.put_nowait(b"".join(parts))
+        return True
+
+    framing = socket.connection.outbox.framing
+    assert framing is not None
+    socket.connection.outbox.send_frames(framing, direct)
+    return writes
+
+
+async def test_updates_within_the_interval_of_writes_share_one(world: World) -> None:
+    writes = await written(world, 16, 0.05)
+    publish(world, 1.0)
+    async with asyncio.timeout(60):
+        assert await writes.get() == b"00011"  # none before it: at once
+        publish(world, 2.0)
+        await asyncio.sleep(0)
+        publish(world, 3.0)
+        await asyncio.sleep(0)
+        assert writes.empty()
+        assert await writes.get() == b"0001200013"
+
+
+async def test_half_a_queue_does_not_wait_for_the_interval(world: World) -> None:
+    writes = await written(world, 4, 3600)
+    async with asyncio.timeout(60):
+        publish(world, 1.0)
+        assert await writes.get() == b"00011"
+        for value in (2.0, 3.0, 4.0):
+            publish(world, value)
+        assert await writes.get() == b"000120001300014"
+
+
+async def test_a_queue_of_one_does_not_wait_at_all(world: World) -> None:
+    writes = await written(world, 1, 3600)
+    async with asyncio.timeout(60):
+        for value in (1.0, 2.0):
+            publish(world, value)
+            assert await writes.get() == b"0001%d" % value
+
+
+async def test_one_who_leaves_meanwhile_misses_nothing_of_others(world: World) -> None:
+    leaving = await written(world, 16, 0.05)
+    staying = await written(world, 16, 0.05)
+    publish(world, 1.0)
+    async with asyncio.timeout(60):
+        assert await leaving.get() == await staying.get() == b"00011"
+        publish(world, 2.0)
+        entry = world.server.kernel.registry.entries[LEVEL]
+        (fanout,) = entry.listeners
+        assert isinstance(fanout, SharedFanout)
+        leave_fanout(fanout.members[0], entry)
+        assert await staying.get() == b"00012"
+    assert leaving.empty()
