@@ -37,6 +37,11 @@ class ActionState(Struct):
     left: bool = False
     """Whether the robot has left that zone."""
 
+    @property
+    def lasts(self) -> bool:
+        """Whether nothing waits for its end: it comes when the robot drives on."""
+        return self.ends_with_zone and self.action.blocking_type not in STOPS_DRIVING
+
 
 class Performer:
     """Performs the actions of one robot; `failed` is told of those that do not finish."""
@@ -58,6 +63,11 @@ class Performer:
         """What runs, without instant actions."""
         return list(self._running)
 
+    @property
+    def awaited(self) -> list[asyncio.Task[None]]:
+        """What runs and ends by itself."""
+        return [task for task, state in self._running.items() if not state.lasts]
+
     async def perform(self, states: Sequence[ActionState]) -> None:
         """Do the actions of a node, an edge or a zone; return when the robot may drive on."""
         waits = False
@@ -78,8 +88,8 @@ class Performer:
             await self._all_done()
 
     async def _all_done(self) -> None:
-        while self._running:
-            await asyncio.wait(self._running)
+        while awaited := self.awaited:
+            await asyncio.wait(awaited)
 
     def _did(self, task: asyncio.Task[None]) -> None:
         del self._running[task]
@@ -101,6 +111,7 @@ class Performer:
         """Do an action; ended when the robot says so, also by a cancel."""
         what = self._config.actions[state.action.action_type]
         state.status = "RUNNING"
+        self._changed()
         try:
             error = await self._link.control()
             if error is None:

@@ -73,7 +73,8 @@ class Work:
     @property
     def busy(self) -> bool:
         """Whether something of an order is left."""
-        return bool(self.book.legs or self._doing or self._carries or self._cancelling)
+        doing = (*self.performer.awaited, *self.zone_actions.tasks)
+        return bool(self.book.legs or doing or self._carries or self._cancelling)
 
     @property
     def _doing(self) -> list[asyncio.Task[None]]:
@@ -262,7 +263,7 @@ class Work:
 
     async def _admitted(self, place: Corner) -> Fault | None:
         """Wait until actions of zones have ended and zones admit a drive; return what stands against it."""
-        while self.zone_actions.blocks and (doing := self._doing):
+        while self.zone_actions.blocks and (doing := self.zone_actions.tasks):
             await asyncio.wait(doing)
         return await self.zones.admit(place)
 

@@ -29,7 +29,7 @@ class ZoneActions:
         self.states: dict[str, ActionState] = {}
         self._of: dict[str, list[ActionState]] = {}
         """By zone, those since it was entered."""
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks: dict[asyncio.Task[None], list[ActionState]] = {}
 
     @property
     def tasks(self) -> list[asyncio.Task[None]]:
@@ -41,7 +41,8 @@ class ZoneActions:
         """Whether one of them waits or runs that the robot must stand still for."""
         return any(
             state.action.blocking_type in STOPS_DRIVING and state.status not in ENDED
-            for state in self.states.values()
+            for states in self._tasks.values()
+            for state in states
         )
 
     def enter(self, zone: Zone) -> None:
@@ -59,7 +60,6 @@ class ZoneActions:
 
     def stop(self) -> None:
         """Fail what has not ended: its order was cancelled."""
-        self._of.clear()
         for state in self.states.values():
             if state.status not in ENDED:
                 state.status = "FAILED"
@@ -91,11 +91,11 @@ class ZoneActions:
     def _start(self, states: list[ActionState]) -> None:
         if states:
             task = asyncio.get_running_loop().create_task(self._performer.perform(states))
-            self._tasks.add(task)
+            self._tasks[task] = states
             task.add_done_callback(self._ended)
 
     def _ended(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
+        del self._tasks[task]
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("zone_actions_failed", exc_info=error)
         self._done()
