@@ -54,9 +54,15 @@ class Polygon:
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point is inside or on the boundary."""
-        inside = False
+        (left, low), (right, high) = self.box
+        near, inside = self._near, False
+        if not (left - near <= x <= right + near and low - near <= y <= high + near):
+            return False
         for (xa, ya), (xb, yb) in self._edges:
-            if _distance(x, y, xa, ya, xb, yb) <= self._near:
+            # Whether the edge is close enough to be looked at: most are not.
+            beside = (xa + near < x and xb + near < x) or (xa - near > x and xb - near > x)
+            above = (ya + near < y and yb + near < y) or (ya - near > y and yb - near > y)
+            if not (beside or above) and _distance(x, y, xa, ya, xb, yb) <= near:
                 return True
             if (ya > y) != (yb > y) and x < xa + (y - ya) / (yb - ya) * (xb - xa):
                 inside = not inside
@@ -73,15 +79,17 @@ class Polygon:
 
     def near(self, start: Corner, end: Corner, reach: float) -> bool:
         """Return whether a straight way comes within a distance of the polygon, or into it."""
-        (left, low), (right, high) = self.box
-        if (
-            max(start[0], end[0]) < left - reach
-            or min(start[0], end[0]) > right + reach
-            or max(start[1], end[1]) < low - reach
-            or min(start[1], end[1]) > high + reach
-        ):
+        left, right = min(start[0], end[0]) - reach, max(start[0], end[0]) + reach
+        low, high = min(start[1], end[1]) - reach, max(start[1], end[1]) + reach
+        box = self.box
+        if box[0][0] > right or box[1][0] < left or box[0][1] > high or box[1][1] < low:
             return False
-        return self.holds(*start) or any(_apart(start, end, a, b) <= reach for a, b in self._edges)
+        for a, b in self._edges:
+            beside = (a[0] < left and b[0] < left) or (a[0] > right and b[0] > right)
+            above = (a[1] < low and b[1] < low) or (a[1] > high and b[1] > high)
+            if not (beside or above) and _apart(start, end, a, b) <= reach:
+                return True
+        return self.holds(*start)
 
 
 def _overlapping(edges: Sequence[Edge]) -> Iterator[tuple[int, int]]:

@@ -265,11 +265,16 @@ class Zones:
         if zone.zone_type == "ACTION":
             self._driver.zone_left(zone)
         elif zone.zone_type == "RELEASE":
-            ahead = self._needed(self._goal) if self._goal is not None else {}
-            valid = {id_ for id_ in ahead if (each := self.releases.of(id_)) and each.valid}
-            self.releases.keep({*valid, *self._held()})
-            if self._driver.driving and len(valid) < len(ahead):  # it leads back into the zone
-                self._driver.reconsider()
+            self._leave_release(zone.zone_id)
+
+    def _leave_release(self, zone_id: str) -> None:
+        ahead = self._needed(self._goal) if self._goal is not None else {}
+        request = self.releases.of(zone_id)
+        spent = {zone_id} if request is not None and not request.valid else set[str]()
+        self.releases.keep({*ahead, *self._held()} - spent)
+        if self._driver.driving and not all(map(self._may_be_in, ahead.values())):
+            self._driver.reconsider()  # the way leads back into it
+        self._news.set()
 
     def faults(self) -> list[Fault]:
         """Return the errors that last as long as the robot is where it must not be."""
