@@ -155,8 +155,13 @@ class Releases:
         for request in list(self._requests.values()):
             if request.retired or (request.lost is not None and not request.entered):
                 self._drop(request)
-            elif request.lost is not None:
-                request.status, request.lost = request.lost, None
+            else:
+                self.tell(request)
+
+    def tell(self, request: Request) -> None:
+        """Tell of one lost grant."""
+        if request.lost is not None:
+            request.status, request.lost = request.lost, None
 
     def keep(self, zone_ids: Collection[str]) -> None:
         """Drop the requests for all other zones, except those that wait to be settled."""

@@ -240,6 +240,7 @@ class Work:
         try:
             while True:
                 await self._resumed.wait()
+                self.zones.stands()
                 if (fault := await self._admitted(place)) is not None:
                     self._hold_at(leg, fault)
                     continue
@@ -271,7 +272,7 @@ class Work:
         return not self.zone_actions.blocks and self.zones.admits(place)
 
     async def _driven(self, leg: Leg) -> dict[str, Any] | None:
-        """Drive, and return the last reply; None: it was stopped from here."""
+        """Drive, and return the last reply; None: it was stopped from here, and confirmed that."""
         drive = self._drive = self._send("action/move_to", self._goal(leg))
         self._changed()
         try:
@@ -284,6 +285,9 @@ class Work:
         finally:
             self._drive = None
             self._changed()
+        failed = reply["status"] == "failed" and reply["error"]["code"] not in _STOPPED
+        if drive.cancelled and failed:
+            return reply  # it may still drive: a lost grant is told when somebody goes on
         self.zones.stands()
         return None if drive.cancelled and reply["status"] != "completed" else reply
 

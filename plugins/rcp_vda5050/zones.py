@@ -191,7 +191,9 @@ class Zones:
         """Stop: a grant has ended. If the robot may go on in the zone, it is only told."""
         area = self._inside.get(request.zone_id)
         goes_on = area is not None and area.zone.release_loss_behavior == "CONTINUE"
-        if self._driver.driving and not (request.entered and goes_on):
+        if request.entered and goes_on:
+            self.releases.tell(request)
+        elif self._driver.driving:
             self._driver.reconsider()
         else:
             self.releases.settle()
