@@ -11,10 +11,10 @@ import msgspec
 from msgspec import Meta
 
 from rcp_conditions import ConditionTooCostly, condition
+from rcp_geometry import Corner, Polygon
 from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
-from rcp_motion_limits.polygon import Corner, Polygon
 
 __all__ = [
     "Bound",

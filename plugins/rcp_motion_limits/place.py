@@ -10,13 +10,13 @@ from typing import Any
 import msgspec
 
 from rcp_conditions.fields import Field
+from rcp_geometry import Polygon
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_motion_limits.config import Fence
 from rcp_motion_limits.own_pose import OwnPose
-from rcp_motion_limits.polygon import Polygon
 
 __all__ = ["Place"]
 

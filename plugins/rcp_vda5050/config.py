@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -63,6 +64,8 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     version: Literal["2.1", "3.0"] = "2.1"
     map: Annotated[str, Meta(min_length=1)]
     """The `mapId` of orders."""
+    map_version: str = "1"
+    """The `mapVersion` that the state names."""
     frame: str = "map"
     """The robot's frame that is this map."""
     start_range: Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m"})] = 1.0
@@ -76,6 +79,11 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def __post_init__(self) -> None:
         if not _NAMED.match(self.serial):
             raise ValueError(f"`serial`: {self.serial!r} has more than letters, digits and _.:-")
+
+    @property
+    def radius(self) -> float:
+        """The radius of a circle around the robot, by its length and width; m."""
+        return math.hypot(self.factsheet.length, self.factsheet.width) / 2
 
     def path(self, name: str) -> str:
         """Return the path of one of the robot's resources."""

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from rcp_vda5050.config import RobotConfig
+from rcp_vda5050.zone_messages import MOST_ZONES
+from rcp_vda5050.zone_sets import SUPPORTED
 
-__all__ = ["OWN_ACTIONS", "factsheet"]
+__all__ = ["factsheet", "own_actions"]
 
-OWN_ACTIONS = ("cancelOrder", "startPause", "stopPause", "stateRequest", "factsheetRequest")
-"""Instant actions of the standard that every robot does."""
+_OWN: Mapping[str, tuple[str, ...]] = {
+    "cancelOrder": (), "startPause": (), "stopPause": (), "stateRequest": (), "factsheetRequest": (),
+    "enableMap": ("mapId", "mapVersion"),
+}  # fmt: skip
+_OWN_NEWER: Mapping[str, tuple[str, ...]] = {
+    **_OWN, "enableZoneSet": ("zoneSetId",), "deleteZoneSet": ("zoneSetId",), "clearInstantActions": (),
+    "clearZoneActions": (), "cancelOrder": ("orderId",),
+}  # fmt: skip
 _INTERVAL = 0.1  # s between two states
 
 
@@ -44,10 +52,17 @@ _KINEMATICS = {"DIFF": "DIFFERENTIAL", "OMNI": "OMNIDIRECTIONAL", "THREEWHEEL": 
 """Of 3.0, by those of 2.1."""
 
 
+def own_actions(config: RobotConfig) -> Mapping[str, tuple[str, ...]]:
+    """Return the instant actions that every robot does, with the keys of their parameters."""
+    own = _OWN_NEWER if config.version == "3.0" else _OWN
+    return {name: keys for name, keys in own.items() if name not in config.actions}
+
+
 def factsheet(config: RobotConfig) -> dict[str, Any]:
     """Return the body of `factsheet`."""
     given, newer = config.factsheet, config.version == "3.0"
     words = _NEWER if newer else _OLDER
+    scopes = ("INSTANT", "NODE", "EDGE", *(("ZONE",) if newer else ()))
     return {
         "typeSpecification": {
             "seriesName": given.series or config.serial,
@@ -56,6 +71,7 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
             words.max_load: given.max_load,
             "localizationTypes": list(given.localization),
             "navigationTypes": [words.free],
+            **({"supportedZones": list(SUPPORTED)} if newer else {}),
         },
         "physicalParameters": {
             words.speed[0]: 0.0,
@@ -69,7 +85,12 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
         },
         "protocolLimits": {
             words.strings: {},
-            words.arrays: {"order.nodes": 1000, "order.edges": 1000, "node.actions": 1000},
+            words.arrays: {
+                "order.nodes": 1000,
+                "order.edges": 1000,
+                "node.actions": 1000,
+                **({"zoneSet.zones": MOST_ZONES} if newer else {}),
+            },
             "timing": dict.fromkeys(words.intervals, _INTERVAL),
         },
         "protocolFeatures": {
@@ -78,9 +99,12 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
                 for name in ("theta", "allowedDeviationXY")
             ],
             words.actions: [
-                *(_offered(name, "", ("INSTANT",), ()) for name in OWN_ACTIONS),
                 *(
-                    _offered(name, what.description, ("INSTANT", "NODE", "EDGE"), what.parameters)
+                    _offered(name, "", ("INSTANT",), keys, own=True, newer=newer)
+                    for name, keys in own_actions(config).items()
+                ),
+                *(
+                    _offered(name, what.description, scopes, what.parameters, newer=newer)
                     for name, what in config.actions.items()
                 ),
             ],
@@ -91,13 +115,26 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
 
 
 def _offered(
-    name: str, text: str, scopes: Iterable[str], parameters: Iterable[str]
+    name: str,
+    text: str,
+    scopes: Iterable[str],
+    parameters: Iterable[str],
+    *,
+    newer: bool,
+    own: bool = False,
 ) -> dict[str, Any]:
-    return {
+    found: dict[str, Any] = {
         "actionType": name,
         "actionDescription": text,
         "actionScopes": list(scopes),
         "actionParameters": [
-            {"key": key, "valueDataType": "OBJECT", "isOptional": True} for key in parameters
+            {
+                "key": key,
+                "valueDataType": "STRING" if own else "OBJECT",
+                "isOptional": not own or key == "orderId",
+            }
+            for key in parameters
         ],
     }
+    # Required by 3.0: a pause lets actions end, and a cancel of the order cancels them.
+    return found | ({"pauseAllowed": False, "cancelAllowed": not own} if newer else {})

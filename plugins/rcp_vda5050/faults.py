@@ -11,7 +11,8 @@ __all__ = ["Fault", "FaultKind", "OrderRefused"]
 
 FaultKind = Literal[
     "malformed", "action", "instant_action", "outdated", "other_order", "stitching", "start", "map",
-    "no_order", "drive", "work", "unavailable",
+    "no_order", "drive", "work", "unavailable", "route", "cancelled", "same_update", "blocked", "release",
+    "lost", "duplicate_zone_set", "memory",
 ]  # fmt: skip
 TYPES: Mapping[str, tuple[str, str]] = {
     "malformed": ("validationError", "VALIDATION_FAILURE"),
@@ -23,13 +24,24 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "start": ("noRouteError", "START_NODE_OUT_OF_RANGE"),
     "map": ("orderError", "UNKNOWN_MAP_ID"),
     "no_order": ("noOrderToCancel", "NO_ORDER_TO_CANCEL"),
-    "drive": ("noRouteError", "NO_ROUTE_TO_TARGET"),
+    "drive": ("noRouteError", "NODE_UNREACHABLE"),
     "work": ("actionError", "ACTION_FAILURE"),
     "unavailable": ("robotNotAvailable", "MOBILE_ROBOT_NOT_AVAILABLE"),
+    "route": ("noRouteError", "NO_ROUTE_TO_TARGET"),
+    "cancelled": ("orderUpdateError", "ORDER_UPDATE_FOLLOWING_CANCEL"),
+    "same_update": ("orderUpdateError", "SAME_ORDER_UPDATE_ID"),
+    "blocked": ("zoneError", "BLOCKED_ZONE_VIOLATION"),
+    "release": ("zoneError", "RELEASE_LOST"),
+    "lost": ("localizationError", "LOCALIZATION_ERROR"),
+    "duplicate_zone_set": ("zoneError", "DUPLICATE_ZONE_SET"),
+    "memory": ("zoneError", "INSUFFICIENT_MEMORY"),
 }
 """`errorType` of 2.1 and of 3.0."""
-_STOPPING = frozenset({"drive", "unavailable"})
-"""With these the order does not go on by itself."""
+_LEVELS: Mapping[str, str] = {
+    "drive": "CRITICAL", "unavailable": "CRITICAL", "blocked": "CRITICAL", "release": "CRITICAL",
+    "lost": "FATAL", "memory": "URGENT",
+}  # fmt: skip
+"""Levels of 3.0 that are not WARNING; with CRITICAL and FATAL the order does not go on by itself."""
 
 
 class Fault(Struct, frozen=True):
@@ -43,9 +55,9 @@ class Fault(Struct, frozen=True):
     def written(self, version: str) -> dict[str, object]:
         """Return it as an element of `errors`."""
         newer = version == "3.0"
-        level = "WARNING"
-        if self.kind in _STOPPING:
-            level = "CRITICAL" if newer else "FATAL"
+        level = _LEVELS.get(self.kind, "WARNING")
+        if not newer:  # which has two levels
+            level = "FATAL" if level in ("CRITICAL", "FATAL") else "WARNING"
         found: dict[str, object] = {
             "errorType": TYPES[self.kind][newer],
             "errorLevel": level,

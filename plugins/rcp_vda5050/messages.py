@@ -7,7 +7,19 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-__all__ = ["Action", "Edge", "Ellipse", "InstantActions", "Node", "NodePosition", "Order"]
+__all__ = [
+    "Action",
+    "Addressed",
+    "Blocking",
+    "Edge",
+    "Ellipse",
+    "InstantActions",
+    "Name",
+    "Node",
+    "NodePosition",
+    "Order",
+    "Parameter",
+]
 
 Number = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1, max_length=256)]
@@ -30,6 +42,11 @@ class Action(Struct, frozen=True, rename="camel"):
     action_id: Name
     blocking_type: Blocking
     action_parameters: Annotated[tuple[Parameter, ...], Meta(max_length=_MOST)] = ()
+
+    def parameter(self, key: str) -> str | None:
+        """Return the text of a parameter; None: there is none."""
+        found = (each.value for each in self.action_parameters if each.key == key)
+        return next((each for each in found if isinstance(each, str)), None)
 
 
 class Ellipse(Struct, frozen=True):
@@ -55,6 +72,11 @@ class NodePosition(Struct, frozen=True, rename="camel"):
         given = self.deviation
         radius = min(given.a, given.b) if isinstance(given, Ellipse) else given
         return radius or None
+
+    @property
+    def point(self) -> tuple[float, float]:
+        """Where it is."""
+        return self.x, self.y
 
     def distance(self, x: float, y: float) -> float:
         """Return the distance of a position."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from rcp_geometry import Corner
 from rcp_vda5050.faults import Fault, FaultKind, OrderRefused
 from rcp_vda5050.messages import Action, Edge, Node, Order
 
@@ -18,6 +19,10 @@ __all__ = ["Leg", "OrderBook"]
 
 Refuses = Callable[[Action], str | None]
 """Tells why an action cannot be done; None: it can."""
+
+
+Blocks = Callable[[Corner, Corner], str | None]
+"""Tells which BLOCKED zone lies on a straight way; None: none does."""
 
 
 class Leg(NamedTuple):
@@ -30,8 +35,9 @@ class Leg(NamedTuple):
 class OrderBook:
     """The present order, or the last one."""
 
-    def __init__(self, map_: str, start_range: float, refuses: Refuses) -> None:
+    def __init__(self, map_: str, start_range: float, refuses: Refuses, blocks: Blocks) -> None:
         self._map, self._start_range, self._refuses = map_, start_range, refuses
+        self._blocks = blocks
         self.order_id = ""
         self.update_id = 0
         self.last_node = ""
@@ -109,7 +115,7 @@ class OrderBook:
 
     def _continued(self, order: Order, known: Collection[str]) -> list[Leg]:
         if self._cancelled:
-            raise _refused(order, "outdated", "the order was cancelled", "Send another order.")
+            raise _refused(order, "cancelled", "the order was cancelled", "Send another order.")
         if order.order_update_id < self.update_id:
             raise _refused(order, "outdated", f"update {self.update_id} was accepted already")
         first = order.nodes[0]
@@ -154,6 +160,20 @@ class OrderBook:
         for action in order.actions:
             if (reason := self._refuses(action)) is not None:
                 raise _refused(order, "action", reason, "", ("actionId", action.action_id))
+        self._check_way(order)
+
+    def _check_way(self, order: Order) -> None:
+        """Check that no BLOCKED zone lies on it: the robot would not know to go round."""
+        ways = zip(order.nodes[:1] + order.nodes, order.nodes, strict=False)
+        for start, end in ways:
+            assert start.node_position is not None
+            assert end.node_position is not None
+            zone = self._blocks(start.node_position.point, end.node_position.point)
+            if zone is not None:
+                raise _refused(
+                    order, "route", f"zone {zone} is BLOCKED, and on the way to node {end.node_id}",
+                    "Leave the zone out.", ("nodeId", end.node_id), ("zoneId", zone),
+                )  # fmt: skip
 
 
 def _actions(leg: Leg) -> tuple[Action, ...]:

@@ -11,12 +11,15 @@ import structlog
 
 from rcp_kernel.client_api import ClientApi
 from rcp_vda5050.config import RobotConfig
-from rcp_vda5050.factsheet import OWN_ACTIONS, factsheet
+from rcp_vda5050.factsheet import factsheet, own_actions
 from rcp_vda5050.faults import Fault
 from rcp_vda5050.link import Link, NotStoppedError
 from rcp_vda5050.messages import Action, Addressed, InstantActions, Order
+from rcp_vda5050.performer import ENDED, ActionState
 from rcp_vda5050.states import Headers, Senses, connection, state, visualization
-from rcp_vda5050.work import ActionState, Work
+from rcp_vda5050.work import Work
+from rcp_vda5050.zone_intake import ZoneIntake
+from rcp_vda5050.zone_messages import Responses, ZoneSetMessage
 
 __all__ = ["Robot"]
 
@@ -48,6 +51,7 @@ class Robot:
         }
         self._link = Link(config, client_api, tuple(self._handlers), self._sensed)
         self.work = Work(config, self._link, self.changed)
+        self._intake = ZoneIntake(config.map, self.work)
         self._due = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -63,6 +67,7 @@ class Robot:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self.work.close()
+        self.work.zones.releases.close()
         await self._link.close()
 
     def _start(self, work: Any) -> None:
@@ -96,13 +101,27 @@ class Robot:
 
     def take(self, topic: str, payload: bytes) -> None:
         """Take a message; a wrong one is told in the state."""
-        if topic == "order":
-            order = self._decoded(payload, Order)
-            if order is not None:
-                self.work.order(order, self._senses.here)
-        elif (given := self._decoded(payload, InstantActions)) is not None:
-            for action in given.actions:
-                self._take_instant(action)
+        match topic:
+            case "order":
+                if (order := self._decoded(payload, Order)) is not None:
+                    self.work.order(order, self._senses.here)
+            case "zoneSet":
+                if (message := self._decoded(payload, ZoneSetMessage)) is not None:
+                    self._start(self._intake.take(message.zone_set))
+            case "responses":
+                if (answers := self._decoded(payload, Responses)) is not None:
+                    self._answered(answers)
+            case _:
+                if (given := self._decoded(payload, InstantActions)) is not None:
+                    for action in given.actions:
+                        self._take_instant(action)
+
+    def _answered(self, answers: Responses) -> None:
+        for each in answers.responses:
+            reason = self.work.zones.releases.answer(each)
+            if reason is not None:
+                references = (("requestId", each.request_id),)
+                self.work.refuse(Fault("malformed", f"responses: {reason}", references))
 
     def _take_instant(self, action: Action) -> None:
         """Begin an instant action; one that came already is not done again."""
@@ -148,11 +167,12 @@ class Robot:
 
     async def _act(self, mark: ActionState) -> None:
         action = mark.action
-        if action.action_type not in OWN_ACTIONS:
+        if action.action_type not in own_actions(self._config):
             await self.work.do_now(mark)
             self.changed()
             return
         mark.status = "RUNNING"
+        reason = None
         match action.action_type:
             case "startPause":
                 self.work.pause()
@@ -162,18 +182,42 @@ class Robot:
                 await self._cancel(mark)
             case "factsheetRequest":
                 self._publish("factsheet", factsheet(self._config))
+            case "enableMap":
+                reason = self._enable_map(action)
+            case "enableZoneSet":
+                reason = await self._intake.enable(action.parameter("zoneSetId"))
+            case "deleteZoneSet":
+                reason = await self._intake.delete(action.parameter("zoneSetId"))
+            case "clearZoneActions":
+                self.work.zone_actions.clear()
+            case "clearInstantActions":
+                instant = self.work.instant
+                for id_ in [id_ for id_, each in instant.items() if each.status in ENDED]:
+                    del instant[id_]
             case _:
                 pass
+        if reason is not None:
+            mark.status, mark.result = "FAILED", reason
+            self.work.refuse(Fault("instant_action", reason, (("actionId", action.action_id),)))
         if mark.status == "RUNNING":
             mark.status = "FINISHED"
         self.changed()
 
+    def _enable_map(self, action: Action) -> str | None:
+        """Tell why a map cannot be enabled; the configured one is."""
+        asked = (action.parameter("mapId"), action.parameter("mapVersion"))
+        there = (self._config.map, self._config.map_version)
+        return None if asked == there else f"there is no map {asked[0]} of version {asked[1]}"
+
     async def _cancel(self, mark: ActionState) -> None:
         """Cancel the order; finished only if the robot confirms that nothing of it runs."""
         references = (("actionId", mark.action.action_id),)
+        meant, order_id = mark.action.parameter("orderId"), self.work.book.order_id
         try:
             fault = Fault("no_order", "there is no order", references)
-            if await self.work.cancel():
+            if meant not in (None, order_id):
+                fault = Fault("no_order", f"the order is {order_id}, not {meant}", references)
+            elif await self.work.cancel():
                 return
         except NotStoppedError as error:
             hint = "Look at the robot; an e-stop at the gateway stops it."
@@ -189,6 +233,7 @@ class Robot:
             self._handlers[path](value)
         except (AttributeError, KeyError, TypeError, ValueError):  # of another type: as if unknown
             self._handlers[path](None)
+        self.work.zones.moved(self._senses.here)
         if (before is None) != (self._senses.here is None):
             self.changed()
 

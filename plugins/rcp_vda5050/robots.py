@@ -29,7 +29,10 @@ _SOON, _LATE = 1, 10  # s until the broker is tried again, at first and at last
 _KEEPALIVE = 10  # s
 _FAREWELL = 2.0  # s for the last message to arrive
 _QUEUED = 1000  # messages that wait for the event loop
-_TOPICS = ("order", "instantActions")
+_TOPICS = {
+    "2.1": ("order", "instantActions"),
+    "3.0": ("order", "instantActions", "zoneSet", "responses"),
+}
 
 
 class Client:
@@ -45,6 +48,7 @@ class Client:
         self._config, self._loop = config, client_api.loop
         major = robot.version[0]
         self._base = f"{config.interface}/v{major}/{robot.manufacturer}/{robot.serial}"
+        self._topics = _TOPICS[robot.version]
         self._broken = "CONNECTIONBROKEN" if major == "2" else "CONNECTION_BROKEN"
         self.robot = Robot(robot, client_api, config.visualization, self._publish)
         self.online = False
@@ -94,7 +98,7 @@ class Client:
         if why.is_failure:
             self._soon(self._lost, str(why))
             return
-        client.subscribe([(self._topic(topic), 1) for topic in _TOPICS])
+        client.subscribe([(self._topic(topic), 1) for topic in self._topics])
         self._soon(self._reached)
 
     def _received(self, _client: Mqtt, _userdata: Any, message: MQTTMessage) -> None:

@@ -12,7 +12,8 @@ from msgspec import Struct
 
 from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.orders import Leg
-from rcp_vda5050.work import ActionState, Work
+from rcp_vda5050.performer import ActionState
+from rcp_vda5050.work import Work
 
 __all__ = ["Headers", "Senses", "connection", "state", "visualization"]
 
@@ -98,18 +99,24 @@ class Headers:
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
         self._counts: dict[str, itertools.count[int]] = {}
+        self._last_state = 0
 
     def header(self, topic: str) -> dict[str, Any]:
         """Return the header of the next message."""
         count = self._counts.setdefault(topic, itertools.count())
         now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        return {
+        found: dict[str, Any] = {
             "headerId": next(count) & 0xFFFFFFFF,
             "timestamp": now,
             "version": _FULL[self._config.version],
             "manufacturer": self._config.manufacturer,
             "serialNumber": self._config.serial,
         }
+        if topic == "state":
+            self._last_state = found["headerId"]
+        elif topic == "visualization" and self._config.version == "3.0":
+            found["referenceStateHeaderId"] = self._last_state
+        return found
 
 
 def connection(how: str) -> dict[str, Any]:
@@ -126,7 +133,6 @@ def state(config: RobotConfig, senses: Senses, work: Work) -> dict[str, Any]:
     """Return the body of `state`."""
     newer = config.version == "3.0"
     book = work.book
-    faults = [*work.refusals, *([work.halted] if work.halted else [])]
     stop = "NONE"
     if senses.stopped:
         stop = "REMOTE"
@@ -140,6 +146,7 @@ def state(config: RobotConfig, senses: Senses, work: Work) -> dict[str, Any]:
     states = list(work.states.values())
     instant = list(work.instant.values())
     found: dict[str, Any] = {
+        "maps": [{"mapId": config.map, "mapVersion": config.map_version, "mapStatus": "ENABLED"}],
         "orderId": book.order_id,
         "orderUpdateId": book.update_id,
         "lastNodeId": book.last_node,
@@ -153,13 +160,19 @@ def state(config: RobotConfig, senses: Senses, work: Work) -> dict[str, Any]:
             _action(each, newer=newer) for each in (states if newer else states + instant)
         ],
         "operatingMode": senses.mode,
-        "errors": [fault.written(config.version) for fault in faults],
+        "errors": [fault.written(config.version) for fault in work.faults],
         "information": [],
         "safetyState": safety,
         "powerSupply" if newer else "batteryState": power,
     }
     if newer:
         found["instantActionStates"] = [_action(each, newer=True) for each in instant]
+        found["zoneActionStates"] = [
+            _action(each, newer=True) for each in work.zone_actions.states.values()
+        ]
+        found["zoneSets"] = work.zones.sets.listed()
+        found["zoneRequests"] = work.zones.releases.listed()
+        found["edgeRequests"] = []
     return found | _where(config, senses)
 
 

@@ -1,31 +1,29 @@
-"""Carries out an order: drives from node to node, and does what has to be done there.
-
-Blocking types (2.1 section 6.10.2): NONE goes on while others run and while driving, SOFT while others
-run, SINGLE (3.0) while driving, HARD alone.
-"""
+"""Carries out an order: drives from node to node, and does what has to be done there."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import structlog
-from msgspec import Struct
 
-from rcp_vda5050.config import ActionConfig, RobotConfig
+from rcp_geometry import Corner
+from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.faults import Fault, OrderRefused
 from rcp_vda5050.link import Link, NotStoppedError, Running
 from rcp_vda5050.messages import Action, Order
 from rcp_vda5050.orders import Leg, OrderBook
+from rcp_vda5050.performer import ENDED, ActionState, Performer
+from rcp_vda5050.zone_actions import ZoneActions
+from rcp_vda5050.zone_messages import Zone
+from rcp_vda5050.zones import Zones
 
-__all__ = ["ActionState", "Work"]
+__all__ = ["Work"]
 
 log = structlog.get_logger("rcp.vda5050")
 _MOST = 10  # refusals that are shown
-_ENDED = ("FINISHED", "FAILED")
-_STOPS_DRIVING = ("SOFT", "HARD")
-_ALONE = ("SINGLE", "HARD")
 _HELD = frozenset({
     "estop_active", "lease_held", "lease_lost", "lease_required", "unauthenticated", "cancelled",
     "adapter_unavailable", "mode_forbids", "fenced",
@@ -36,35 +34,31 @@ _STOPPED = frozenset({"estop_active", "lease_lost", "cancelled", "fenced"})
 _GO_ON = "Send stopPause to go on, or cancelOrder."
 
 
-class ActionState(Struct):
-    """How far an action has come."""
-
-    action: Action
-    status: Literal["WAITING", "INITIALIZING", "RUNNING", "PAUSED", "FINISHED", "FAILED"]
-    result: str = ""
-
-
 class Work:
     """The order of one robot, and its actions; `changed` is called with each change."""
 
     def __init__(self, config: RobotConfig, link: Link, changed: Callable[[], None]) -> None:
         self._config, self._link, self._changed = config, link, changed
-        self.book = OrderBook(config.map, config.start_range, self._why_not)
+        self._resumed = asyncio.Event()
+        self._resumed.set()
+        self.performer = Performer(config, link, self._resumed, changed, self._failed)
+        self.zones = Zones(config.radius, self, changed)
+        self.zone_actions = ZoneActions(self.performer, self._zone_actions_done)
+        self.book = OrderBook(
+            config.map, config.start_range, self.performer.why_not, self.zones.blocking
+        )
         self.states: dict[str, ActionState] = {}
         self.instant: dict[str, ActionState] = {}
         self.refusals: list[Fault] = []
         self.halted: Fault | None = None
         """Why the order does not go on."""
-        self._resumed = asyncio.Event()
-        self._resumed.set()
         self._drive: Running | None = None
         self._carrying: asyncio.Task[None] | None = None
         """Carries out the base that there is."""
-        self._doing: set[asyncio.Task[None]] = set()
-        """Actions of the order that run."""
         self._instants = 0
         """Instant actions that run."""
         self._cancelling = False
+        self._settling: asyncio.Task[None] | None = None
 
     @property
     def paused(self) -> bool:
@@ -79,7 +73,19 @@ class Work:
     @property
     def busy(self) -> bool:
         """Whether something of an order is left."""
-        return bool(self.book.legs or self._doing or self._carries or self._cancelling)
+        doing = (*self.performer.awaited, *self.zone_actions.tasks)
+        return bool(self.book.legs or doing or self._carries or self._cancelling)
+
+    @property
+    def _doing(self) -> list[asyncio.Task[None]]:
+        """Actions of the order and of zones that run, or wait for others."""
+        return [*self.performer.running, *self.zone_actions.tasks]
+
+    @property
+    def faults(self) -> list[Fault]:
+        """What is wrong now."""
+        halted = [self.halted] if self.halted is not None else []
+        return [*self.refusals, *halted, *self.zones.faults()]
 
     @property
     def _carries(self) -> bool:
@@ -88,7 +94,7 @@ class Work:
     async def close(self) -> list[str]:
         """Cancel what runs, and see it end; return why something is not known to have stopped."""
         return await self._end(
-            [task for task in (self._carrying, *self._doing) if task is not None]
+            [task for task in (self._carrying, self._settling, *self._doing) if task is not None]
         )
 
     @staticmethod
@@ -111,6 +117,9 @@ class Work:
             self.refuse(refused.fault)
             return
         if actions is None:
+            if self._config.version == "3.0":
+                named = (("orderId", order.order_id), ("orderUpdateId", str(order.order_update_id)))
+                self.refuse(Fault("same_update", "this update was accepted already", named))
             return
         self.refusals.clear()
         if fresh:
@@ -158,8 +167,9 @@ class Work:
             running = await self.close()  # before it may go on: nothing of it drives any more
         finally:
             self._cancelling = False
+        self.zone_actions.stop()
         for state in self.states.values():
-            if state.status not in _ENDED:
+            if state.status not in ENDED:
                 state.status = "FAILED"
         self.halted = None
         self._resumed.set()
@@ -168,6 +178,31 @@ class Work:
         if running:
             raise NotStoppedError("; ".join(running))
         return True
+
+    # From zones
+
+    def reconsider(self) -> None:
+        """Stop a drive that is under way; it begins anew as soon as zones admit it."""
+        if self._drive is not None:
+            self._drive.cancel()
+
+    def zone_entered(self, zone: Zone) -> None:
+        """Perform the actions of a zone, if it was entered on the way of an order."""
+        if self.driving:
+            self.zone_actions.enter(zone)
+            if self.zone_actions.blocks:
+                self.reconsider()
+
+    def zone_left(self, zone: Zone) -> None:
+        """Perform those that follow it."""
+        self.zone_actions.leave(zone)
+        if self.zone_actions.blocks:
+            self.reconsider()
+
+    def _zone_actions_done(self) -> None:
+        self._changed()
+        if not self._carries:
+            self._settling = asyncio.get_running_loop().create_task(self._settle())
 
     # Doing it
 
@@ -186,11 +221,11 @@ class Work:
     async def _carry_out(self) -> None:
         while (leg := self.book.next) is not None:
             if leg.edge is not None:
-                await self._actions(leg.edge.actions)
+                await self.performer.perform(self._states_of(leg.edge.actions))
                 await self._reach(leg)
             node = self.book.reached()
             self._changed()
-            await self._actions(node.actions)
+            await self.performer.perform(self._states_of(node.actions))
             await self._settle()
 
     async def _settle(self) -> None:
@@ -199,27 +234,62 @@ class Work:
             await self._link.release()
 
     async def _reach(self, leg: Leg) -> None:
-        """Drive to a node; pauses come in between."""
-        goal = self._goal(leg)
-        while True:
-            await self._resumed.wait()
-            error = await self._link.control()
-            if self.paused:  # meanwhile
-                continue
-            if error is None:
-                drive = self._drive = self._send("action/move_to", goal)
-                self._changed()
-                try:
-                    reply = await drive.result()
-                finally:
-                    self._drive = None
-                    self._changed()
-                if reply["status"] == "completed":
-                    return
-                if drive.cancelled:  # by a pause
+        """Drive to a node; pauses come in between, and zones that are not to be entered yet."""
+        assert leg.node.node_position is not None  # refused otherwise
+        place = leg.node.node_position.point
+        try:
+            while True:
+                await self._resumed.wait()
+                self.zones.stands()
+                if (fault := await self._admitted(place)) is not None:
+                    self._hold_at(leg, fault)
                     continue
-                error = reply["error"]
-            self._hold(leg, error)
+                error = await self._link.control()
+                if self.paused or not self._admits(place):  # meanwhile
+                    continue
+                if error is None:
+                    reply = await self._driven(leg)
+                    if reply is None:  # stopped from here
+                        continue
+                    if reply["status"] == "completed":
+                        break
+                    error = reply["error"]
+                self._hold(leg, error)
+        except NotStoppedError:
+            raise  # it may still drive: what it holds stays reserved
+        except asyncio.CancelledError:
+            self.zones.arrived()
+            raise
+        self.zones.arrived()
+
+    async def _admitted(self, place: Corner) -> Fault | None:
+        """Wait until actions of zones have ended and zones admit a drive; return what stands against it."""
+        while self.zone_actions.blocks and (doing := self.zone_actions.tasks):
+            await asyncio.wait(doing)
+        return await self.zones.admit(place)
+
+    def _admits(self, place: Corner) -> bool:
+        return not self.zone_actions.blocks and self.zones.admits(place)
+
+    async def _driven(self, leg: Leg) -> dict[str, Any] | None:
+        """Drive, and return the last reply; None: it was stopped from here, and confirmed that."""
+        drive = self._drive = self._send("action/move_to", self._goal(leg))
+        self._changed()
+        try:
+            reply = await drive.result()
+        except NotStoppedError:
+            raise  # it may still drive: that a grant was lost is not told
+        except asyncio.CancelledError:
+            self.zones.stands()
+            raise
+        finally:
+            self._drive = None
+            self._changed()
+        failed = reply["status"] == "failed" and reply["error"]["code"] not in _STOPPED
+        if drive.cancelled and failed:
+            return reply  # it may still drive: a lost grant is told when somebody goes on
+        self.zones.stands()
+        return None if drive.cancelled and reply["status"] != "completed" else reply
 
     def _goal(self, leg: Leg) -> dict[str, Any]:
         position = leg.node.node_position
@@ -232,9 +302,16 @@ class Work:
             goal["yaw"] = position.theta
         if (tolerance := position.tolerance or self._config.tolerance) is not None:
             goal["tolerance"] = tolerance
-        if leg.edge is not None and leg.edge.speed is not None:
-            goal["speed"] = leg.edge.speed
+        speed = min(self.zones.pace(position.point), (leg.edge and leg.edge.speed) or math.inf)
+        if speed < math.inf:
+            goal["speed"] = speed
         return goal
+
+    def _hold_at(self, leg: Leg, fault: Fault) -> None:
+        """Pause because a zone stands against the way to a node."""
+        named = (("orderId", self.book.order_id), ("nodeId", leg.node.node_id))
+        text = f"on the way to {leg.node.node_id}: {fault.text}"
+        self.pause(Fault(fault.kind, text, (*named, *fault.references), fault.hint or _GO_ON))
 
     def _hold(self, leg: Leg, error: dict[str, Any]) -> None:
         """Pause because the robot does not get to a node."""
@@ -247,58 +324,17 @@ class Work:
     def _send(self, path: str, body: Any) -> Running:
         return self._link.send("execute", self._config.path(path), body)
 
-    async def _actions(self, actions: Sequence[Action]) -> None:
-        """Do the actions of a node or an edge; return when the robot may drive on."""
-        waits = False
-        for action in actions:
-            if action.blocking_type in _ALONE:
-                await self._all_done()
-            await self._resumed.wait()
-            state = self.states.get(action.action_id)
-            if state is None or state.status != "WAITING":
-                continue
-            task = asyncio.get_running_loop().create_task(self._do(state))
-            self._doing.add(task)
-            task.add_done_callback(self._did)
-            if action.blocking_type in _ALONE:
-                await self._all_done()
-            waits = waits or action.blocking_type in _STOPS_DRIVING
-        if waits:
-            await self._all_done()
+    def _states_of(self, actions: Sequence[Action]) -> list[ActionState]:
+        return [each for a in actions if (each := self.states.get(a.action_id)) is not None]
 
-    async def _all_done(self) -> None:
-        while self._doing:
-            await asyncio.wait(self._doing)
-
-    def _did(self, task: asyncio.Task[None]) -> None:
-        self._doing.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("action_failed", robot=self._config.robot, exc_info=error)
-        self._changed()
-
-    async def _do(self, state: ActionState) -> None:
-        """Do an action; ended when the robot says so, also by a cancel."""
-        what = self._config.actions[state.action.action_type]
-        state.status = "RUNNING"
-        try:
-            error = await self._link.control()
-            if error is None:
-                reply = await self._send(what.path, _body(what, state.action)).result()
-                if reply["status"] == "completed":
-                    state.status, state.result = "FINISHED", _words(reply.get("body"))
-                    return
-                error = reply["error"]
-            state.result = error["message"]
-            references = (("actionId", state.action.action_id), ("orderId", self.book.order_id))
-            text = f"{state.action.action_type}: {error['message']}"
-            self.refuse(Fault("work", text, references, error.get("remedy", "")))
-            if error["code"] in _STOPPED and self._is_left(state):
-                # Before the next action begins: that an e-stop is the reason is told later.
-                self.pause(Fault("unavailable", text, references, _GO_ON))
-        finally:
-            if state.status == "RUNNING":
-                state.status = "FAILED"
-            self._changed()
+    def _failed(self, state: ActionState, error: dict[str, Any]) -> None:
+        """Tell of an action that did not finish, and pause what follows if somebody stopped it."""
+        references = (("actionId", state.action.action_id), ("orderId", self.book.order_id))
+        text = f"{state.action.action_type}: {error['message']}"
+        self.refuse(Fault("work", text, references, error.get("remedy", "")))
+        if error["code"] in _STOPPED and self._is_left(state):
+            # Before the next action begins: that an e-stop is the reason is told later.
+            self.pause(Fault("unavailable", text, references, _GO_ON))
 
     def _is_left(self, stopped: ActionState) -> bool:
         """Tell whether an action is one of the order, and something follows it."""
@@ -308,33 +344,14 @@ class Work:
     async def do_now(self, state: ActionState) -> None:
         """Do an instant action that is none of the standard's own."""
         action = state.action
-        if (reason := self._why_not(action)) is not None:
+        if (reason := self.performer.why_not(action)) is not None:
             state.status, state.result = "FAILED", reason
             self.refuse(Fault("instant_action", reason, (("actionId", action.action_id),)))
             return
         self._instants += 1
         try:
-            await self._do(state)
+            await self.performer.do(state)
         finally:
             self._instants -= 1
         if not self._carries:
             await self._settle()
-
-    def _why_not(self, action: Action) -> str | None:
-        what = self._config.actions.get(action.action_type)
-        if what is None:
-            there = ", ".join(sorted(self._config.actions)) or "none"
-            return f"there is no action {action.action_type}; there are: {there}"
-        unknown = [p.key for p in action.action_parameters if p.key not in what.parameters]
-        if unknown:
-            return f"{action.action_type} has no parameter {', '.join(unknown)}"
-        return None
-
-
-def _body(what: ActionConfig, action: Action) -> dict[str, Any] | None:
-    given = {parameter.key: parameter.value for parameter in action.action_parameters}
-    return what.body if not given else {**(what.body or {}), **given}
-
-
-def _words(body: Any) -> str:
-    return "" if body is None else str(body)[:500]

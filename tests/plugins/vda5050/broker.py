@@ -22,6 +22,8 @@ __all__ = ["MOSQUITTO", "Cable", "Master", "broker", "cable"]
 _FOLDERS = "/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin"
 MOSQUITTO = shutil.which("mosquitto", path=_FOLDERS)
 BOUND = 40.0  # s
+OWN = ("order", "instantActions", "zoneSet", "responses")
+"""Topics of the fleet manager."""
 
 
 @asynccontextmanager
@@ -123,7 +125,7 @@ class Master:
         async for message in self._client.messages:
             serial, topic = str(message.topic).split("/")[3:]
             assert isinstance(message.payload, bytes)
-            if topic not in ("order", "instantActions"):  # its own, which may be no JSON
+            if topic not in OWN:  # which may be no JSON
                 async with self._news:
                     heard = self.heard.setdefault((serial, topic), [])
                     heard.append(json.loads(message.payload))

@@ -56,7 +56,7 @@ def book() -> OrderBook:
     def refuses(given: Action) -> str | None:
         return None if given.action_type == "pick" else f"there is no action {given.action_type}"
 
-    return OrderBook("hall", 0.5, refuses)
+    return OrderBook("hall", 0.5, refuses, lambda _start, end: "wall" if end[1] > 50 else None)
 
 
 def taken(
@@ -150,6 +150,7 @@ def changed(**where: Any) -> dict[str, Any]:
         (changed(edges__0__endNodeId="n7"), "malformed"),
         (changed(nodes__2__nodePosition={"x": 1, "y": 1, "mapId": "roof"}), "map"),
         (changed(nodes__0__nodePosition={"x": 3, "y": 0, "mapId": "hall"}), "start"),
+        (changed(nodes__2__nodePosition={"x": 1, "y": 60, "mapId": "hall"}), "route"),
         (changed(edges__1__trajectory={"degree": 1}), "action"),
         (changed(nodes__1__actions=[action("a", "dance")]), "action"),
         (changed(nodes__1__actions=[action("a")], edges__1__actions=[action("a")]), "malformed"),
@@ -186,7 +187,7 @@ def test_a_cancel_drops_what_is_left_and_no_update_brings_it_back() -> None:
     it.cancel()
     assert it.legs == []
     assert it.order_id == "o1"
-    assert refused(order(update=1, first=1), it) == "outdated"
+    assert refused(order(update=1, first=1), it) == "cancelled"
     assert taken(order("o2", first=1), it, here=(1.0, 0.0)) == []
 
 

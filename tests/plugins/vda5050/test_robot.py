@@ -61,7 +61,9 @@ def robots(count: int, version: str, port: int) -> str:
 
 
 @asynccontextmanager
-async def depot(folder: Path, count: int = 1, version: str = "2.1") -> AsyncGenerator[Depot]:
+async def depot(
+    folder: Path, count: int = 1, version: str = "2.1", more: str = ""
+) -> AsyncGenerator[Depot]:
     """Run it all."""
     async with broker(folder) as port, cable(port) as wire, master(port, version) as manager:
         text = configuration(
@@ -72,7 +74,7 @@ async def depot(folder: Path, count: int = 1, version: str = "2.1") -> AsyncGene
             key("manager", MANAGER, role="operator"),
             key("person", PERSON, role="operator"),
             key("admin", ADMIN),
-            robots(count, version, wire.port),
+            robots(count, version, wire.port) + more,
         )  # fmt: skip
         async with serve(parse(text, "test")) as served:
             for n in range(1, count + 1):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_motion_limits.polygon import Corner, Polygon
+from rcp_geometry import Corner, Polygon
 
 SQUARE = Polygon([(0, 0), (10, 0), (10, 10), (0, 10)])
 HOOK = Polygon([(0, 0), (6, 0), (6, 6), (4, 6), (4, 2), (2, 2), (2, 6), (0, 6)])
@@ -114,3 +114,32 @@ def test_turning_the_corners_round_changes_nothing(corners: list[tuple[int, int]
 def test_what_is_no_area_is_refused(corners: list[Corner], why: str) -> None:
     with pytest.raises(ValueError, match=why):
         Polygon(corners)
+
+
+def circle(count: int) -> Polygon:
+    turn = math.tau / count
+    return Polygon([(50 * math.cos(n * turn), 50 * math.sin(n * turn)) for n in range(count)])
+
+
+def test_ten_thousand_corners_are_checked_and_what_is_too_intricate_is_refused() -> None:
+    assert circle(10_000).holds(0, 0)
+    slanted = [
+        (n / 100 + (50 if n % 2 else 1), -n / 100 + (50 if n % 2 else 1)) for n in range(5000)
+    ]
+    with pytest.raises(ValueError, match="too intricate"):
+        Polygon([*slanted, (30, -70), (-20, -20)])
+
+
+@given(stars(), st.floats(-60, 60), st.floats(-60, 60), st.floats(-60, 60), st.floats(-60, 60))
+def test_a_way_is_near_where_one_of_its_points_is(
+    corners: list[Corner], xa: float, ya: float, xb: float, yb: float
+) -> None:
+    area, reach = Polygon(corners), 1.0
+    points = [(xa + n / 40 * (xb - xa), ya + n / 40 * (yb - ya)) for n in range(41)]
+    nearest = min(0.0 if area.holds(*p) else area.edge_distance(*p) for p in points)
+    step = math.dist(points[0], points[1])
+    if nearest <= reach:
+        assert area.near((xa, ya), (xb, yb), reach + 1e-9)
+    elif nearest > reach + step:
+        assert not area.near((xa, ya), (xb, yb), reach)
+    assert all(area.box_distance(*p) <= area.edge_distance(*p) + 1e-9 for p in points)
