@@ -70,7 +70,7 @@ class ConditionTooCostly(ConfigError):
 class Condition:
     """A compiled expression.
 
-    :raises ConfigError: it is not valid CEL, or uses unknown names.
+    :raises ConfigError: it is not valid CEL, or uses unknown names; or nothing here evaluates CEL.
     :raises ConditionTooCostly: it exceeds a limit of length, depth or cost.
     """
 
@@ -93,10 +93,15 @@ class Condition:
                 costly=True,
             )
         try:
-            # Here: its package imports a command line, which few gateways need at their start.
+            # Here: it is an extra, and imports a command line, which few gateways need at their start.
             from cel import compile as compile_cel
 
             self._program = compile_cel(write(self._tree))
+        except ImportError as error:
+            raise ConfigError(
+                f"the condition `{self._shown}` cannot be evaluated ({error}); try: "
+                "pip install 'rcp-gateway[conditions]'"
+            ) from None
         except Exception as error:
             raise self._wrong(_first_line(error)) from None
         self._afforded: dict[str, Size] = {}
@@ -156,8 +161,13 @@ class Condition:
 
     def _wrong(self, why: str, *, costly: bool = False) -> ConfigError:
         kind = ConditionTooCostly if costly else ConfigError
-        shown = self.text if len(self.text) <= _SHOWN else f"{self.text[:_SHOWN]}…"
-        return kind(f"the condition `{shown}` is {'too costly' if costly else 'wrong'}: {why}")
+        return kind(
+            f"the condition `{self._shown}` is {'too costly' if costly else 'wrong'}: {why}"
+        )
+
+    @property
+    def _shown(self) -> str:
+        return self.text if len(self.text) <= _SHOWN else f"{self.text[:_SHOWN]}…"
 
     def excess(self, values: dict[Ref, Any]) -> str | None:
         """Return why values are too large to evaluate it; None if they are not."""

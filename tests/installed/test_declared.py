@@ -20,6 +20,7 @@ CLIENT = tomllib.loads((ROOT / "clients/python/pyproject.toml").read_text())["pr
 EXTRAS = {
     "rcp_a2a": ("a2a", "grpc"),
     "rcp_can": ("can",),
+    "rcp_conditions": ("conditions",),
     "rcp_dashboard": ("dashboard",),
     "rcp_fleet": ("zenoh",),
     "rcp_guard": ("can", "ros2"),

@@ -18,7 +18,7 @@ from installed.fresh import importable, said, venv, wheels
 
 pytestmark = pytest.mark.timeout(900)
 
-OF_EXTRAS = "a2a starlette mcp pymavlink fastcrc can canopen cantools dronecan simplejpeg mujoco numpy rclpy zenoh mcap"
+OF_EXTRAS = "a2a starlette mcp cel pydantic pymavlink fastcrc can canopen cantools dronecan simplejpeg mujoco numpy rclpy zenoh mcap"
 
 ADAPTERS = """
 [transports.asgi]
@@ -57,6 +57,16 @@ listen = ["tcp/127.0.0.1:7447"]
 token = "key of the robots"
 """
 OF_DEMO = {"a2a", "mcp", "can", "mavlink", "mujoco"}
+CONDITION = """
+[transports.asgi]
+
+[[backends]]
+use = "sim"
+tenant = "a"
+
+[roles.night]
+allow = [{ operations = ["read"], paths = ["/sensor/**"], when = "time.hour < 6" }]
+"""
 WANTED = OF_DEMO | {"fleet", "zenoh"}
 
 
@@ -94,8 +104,8 @@ for one in distributions():
 def test_the_core_is_small_and_so_is_what_it_brings(programs: Path) -> None:
     rows = (line.split() for line in said(programs, "python", "-c", _SIZES).splitlines())
     sizes = {name: int(size) for name, size in rows if name not in ("pip", "setuptools")}
-    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 15e6  # bytes; 8 MB today
-    assert sum(sizes.values()) < 105e6  # 93 MB today: cryptography, uvloop, Faker, CEL
+    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 15e6  # bytes; 11 MB today
+    assert sum(sizes.values()) < 85e6  # 76 MB today: cryptography, uvloop, Faker
 
 
 def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Path) -> None:
@@ -124,6 +134,12 @@ def test_plugins_says_what_to_install(programs: Path) -> None:
 
 def test_check_says_what_to_install(programs: Path, wanting: str) -> None:
     assert remedies(said(programs, "rcpd", "check", wanting, status=1)) == WANTED
+
+
+def test_check_says_what_a_condition_needs(programs: Path, tmp_path: Path) -> None:
+    file = tmp_path / "rcp.toml"
+    file.write_text(CONDITION)
+    assert remedies(said(programs, "rcpd", "check", str(file), status=1)) == {"conditions"}
 
 
 def test_mcp_on_stdio_says_what_to_install(programs: Path) -> None:
