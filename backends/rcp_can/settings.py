@@ -21,8 +21,7 @@ __all__ = [
     "write_text",
 ]
 
-_RELATIVE, _ABSOLUTE = 1e-5, 1e-6
-"""Drives keep 32-bit floats, and some tell six decimals."""
+_RELATIVE = 1e-6  # drives keep 32-bit floats
 
 
 class Setting(NamedTuple):
@@ -48,6 +47,8 @@ class Settings(ABC):
 
     known: Mapping[str, Setting] = {}
     """Those that are known without asking; empty: only the drive knows."""
+    step = 0.0
+    """How far apart two values may be told that are the same, as some makes tell six decimals."""
     saves = False
     """Whether the drive stores them on command; otherwise it forgets them at a loss of supply."""
 
@@ -93,7 +94,6 @@ def read_text(text: str) -> list[Line]:
         name, value = words
         if name in found:
             raise refused(number, f"'{name}' is in line {found[name].number} too")
-        number_of(value, number)
         found[name] = Line(number, name, value)
     if not found:
         raise InvalidValue("the text has no settings", details={"pointer": "/text"})
@@ -103,8 +103,10 @@ def read_text(text: str) -> list[Line]:
 def check_range(line: Line, setting: Setting) -> None:
     """Refuse a value that the setting cannot have.
 
-    :raises OutOfRange: it is out of bounds.
+    :raises InvalidValue: it is no number, or out of bounds.
     """
+    if setting == Setting():  # nothing is known of it: the drive decides
+        return
     value = number_of(line.value, line.number)
     if setting.whole and not value.is_integer():
         raise refused(line.number, f"{line.name} is a whole number, not {line.value}")
@@ -137,7 +139,7 @@ def number_of(value: str, line: int = 0) -> float:
         raise refused(line, f"{value!r} is not a number") from None
 
 
-def same(one: str, other: str) -> bool:
+def same(one: str, other: str, step: float = 0.0) -> bool:
     """Return whether two values are the same, as far as a drive keeps and tells them."""
     if one == other:
         return True
@@ -146,7 +148,7 @@ def same(one: str, other: str) -> bool:
     except ValueError:
         return False
     both = math.isnan(a) and math.isnan(b)
-    return both or math.isclose(a, b, rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
+    return both or math.isclose(a, b, rel_tol=_RELATIVE, abs_tol=step)
 
 
 def write_text(values: Mapping[str, str]) -> str:

@@ -91,7 +91,7 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
             differences=[
                 SettingDifference(name=line.name, text=line.value, drive=found[line.name])
                 for line in lines
-                if line.name in found and not same(line.value, found[line.name])
+                if line.name in found and not same(line.value, found[line.name], settings.step)
             ],
             compared=sum(line.name in found for line in lines),
             unknown=[line.name for line in lines if line.name not in found],
@@ -104,7 +104,7 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
         for line in lines:
             if line.name not in found:
                 raise _unknown(line)
-        changed = [line for line in lines if not same(line.value, found[line.name])]
+        changed = [line for line in lines if not same(line.value, found[line.name], settings.step)]
         due = [line for line in changed if settings.setting(line.name).writable]
         return SettingsLoaded(
             written=await _write(settings, due, progress),
@@ -173,7 +173,7 @@ async def _write(settings: Settings, lines: list[Line], progress: Progress) -> l
         for line in lines:
             await settings.write(line.name, line.value)
             found = await settings.read(line.name)
-            if not same(line.value, found):
+            if not same(line.value, found, settings.step):
                 raise DeviceRejected(
                     f"line {line.number}: the drive kept {line.name} {found} instead of {line.value}",
                     details={"pointer": "/text", "line": line.number},

@@ -15,7 +15,7 @@ __all__ = ["PARAMETERS", "CyberGearSettings", "Parameter"]
 class Parameter(NamedTuple):
     """One parameter; without bounds it can only be read."""
 
-    index: int
+    number: int
     code: str
     low: float | None = None
     high: float = 200.0
@@ -77,10 +77,10 @@ class CyberGearSettings(Settings):
     async def read(self, name: str) -> str:
         """Read one."""
         parameter = PARAMETERS[name]
-        raw = struct.pack("<I", await self._drive.read_parameter(parameter.index))
+        raw = struct.pack("<I", await self._drive.read_parameter(parameter.number))
         return f"{struct.unpack_from('<' + parameter.code, raw)[0]:.8g}"
 
     async def write(self, name: str, value: str) -> None:
         """Write one."""
         raw = struct.pack("<f", float(value))
-        self._drive.write_parameter(PARAMETERS[name].index, struct.unpack("<I", raw)[0])
+        self._drive.write_parameter(PARAMETERS[name].number, struct.unpack("<I", raw)[0])

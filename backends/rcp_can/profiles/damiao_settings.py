@@ -64,10 +64,9 @@ class DamiaoSettings(Settings):
 
     saves = True
     known: Mapping[str, Setting] = {
-        each.name: Setting(
-            writable=each.low is not None,
-            **({} if each.low is None else {"low": each.low, "high": each.high}),
-        )
+        each.name: Setting(writable=False)
+        if each.low is None
+        else Setting(low=each.low, high=each.high)
         for each in REGISTERS.values()
     }
 

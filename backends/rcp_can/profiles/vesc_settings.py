@@ -55,7 +55,6 @@ class _Drive(Protocol):
     """A drive that answers packets."""
 
     node: int
-    identity: Identity | None
 
     async def ask(
         self,

@@ -152,5 +152,5 @@ def _parameters() -> dict[int, bytes]:
     """Return the parameters after a boot: it stores none."""
     found = {index: bytes(4) for index in _SET_POINTS}
     for name, each in PARAMETERS.items():
-        found[each.index] = struct.pack("<f", _FACTORY[name]) if name in _FACTORY else bytes(4)
+        found[each.number] = struct.pack("<f", _FACTORY[name]) if name in _FACTORY else bytes(4)
     return found
