@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 from msgspec import Meta, Struct
@@ -70,23 +70,30 @@ class SettingWritten(Struct, frozen=True, kw_only=True):
 
 def settings_procedures(settings: Settings) -> Sequence[Procedure]:
     """List the procedures for the settings of one drive."""
+    seen: dict[str, str] = {}
+
+    async def read(tell: Callable[[float], object]) -> dict[str, str]:
+        await settings.prepare()
+        found = await settings.read_all(tell)
+        seen.update(found)
+        return found
 
     def check(wanted: SettingsText) -> None:
         for line in read_text(wanted.text):
             if settings.known and line.name not in settings.known:
                 raise _unknown(line)
+            if line.name in seen and same(line.value, seen[line.name], settings.step):
+                continue  # what a drive has already cannot be wrong
             if settings.setting(line.name).writable:
                 check_range(line, settings.setting(line.name))
 
     async def dump(_value: None, progress: Progress) -> SettingsDump:
-        await settings.prepare()
-        found = await settings.read_all(lambda part: progress(fraction=part))
+        found = await read(lambda part: progress(fraction=part))
         return SettingsDump(text=write_text(found), settings=len(found))
 
     async def compare(wanted: SettingsText, progress: Progress) -> SettingsComparison:
         lines = read_text(wanted.text)
-        await settings.prepare()
-        found = await settings.read_all(lambda part: progress(fraction=part))
+        found = await read(lambda part: progress(fraction=part))
         return SettingsComparison(
             differences=[
                 SettingDifference(name=line.name, text=line.value, drive=found[line.name])
@@ -99,13 +106,14 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
 
     async def load(wanted: SettingsText, progress: Progress) -> SettingsLoaded:
         lines = read_text(wanted.text)
-        await settings.prepare()
-        found = await settings.read_all(lambda _part: None)
+        found = await read(lambda _part: None)
         for line in lines:
             if line.name not in found:
                 raise _unknown(line)
         changed = [line for line in lines if not same(line.value, found[line.name], settings.step)]
         due = [line for line in changed if settings.setting(line.name).writable]
+        for line in due:
+            check_range(line, settings.setting(line.name))
         return SettingsLoaded(
             written=await _write(settings, due, progress),
             unchanged=len(lines) - len(changed),

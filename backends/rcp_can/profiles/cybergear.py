@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
@@ -180,9 +181,25 @@ class CyberGearDrive(ImpedanceDrive):
             raise DeviceRejected(f"the drive has no parameter 0x{index:04X}")
         return self._parameters[index]
 
-    def write_parameter(self, index: int, raw: int) -> None:
-        """Write a parameter; the answer does not tell whether it was taken."""
-        self._parameter(index, struct.pack("<I", raw))
+    async def write_parameter(self, index: int, raw: int) -> None:
+        """Write a parameter until it reads as written, or the drive keeps another value.
+
+        The answer to a write does not tell whether it was taken.
+        """
+        self._parameters.pop(index, None)
+
+        def write() -> None:
+            self._parameter(index, struct.pack("<I", raw))
+            self._transmit(_READ, struct.pack("<Hxxxxxx", index))
+
+        with suppress(DeviceTimeout):  # the reader tells
+            await self.until(
+                lambda: self._parameters.get(index) == raw,
+                f"keeping parameter 0x{index:04X}",
+                again=write,
+                seconds=_ANSWERS,
+                faults=False,
+            )
 
     async def _ask_who(self, node: int, send: Callable[[], object], seconds: float) -> bytes | None:
         """Return the number of the processor of whichever drive has an id; None if none answers."""

@@ -46,7 +46,7 @@ class _Drive(Protocol):
         """Read a parameter, as its raw 32 bits."""
         ...
 
-    def write_parameter(self, index: int, raw: int) -> None:
+    async def write_parameter(self, index: int, raw: int) -> None:
         """Write a parameter."""
         ...
 
@@ -83,4 +83,4 @@ class CyberGearSettings(Settings):
     async def write(self, name: str, value: str) -> None:
         """Write one."""
         raw = struct.pack("<f", float(value))
-        self._drive.write_parameter(PARAMETERS[name].number, struct.unpack("<I", raw)[0])
+        await self._drive.write_parameter(PARAMETERS[name].number, struct.unpack("<I", raw)[0])

@@ -100,7 +100,7 @@ class DamiaoDrive(MitDrive):
 
     def _send_access(self, command: int, register: int, value: int, node: int) -> None:
         data = struct.pack("<HBBI", node, command, register, value)
-        self.send(_REGISTERS, data, lifetime=FAST)
+        self.send(_REGISTERS, data, lifetime=None if command == _STORE else FAST)
 
     async def access(
         self,

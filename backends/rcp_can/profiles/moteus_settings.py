@@ -15,7 +15,6 @@ _STORES = 5.0  # s
 _LIMITS = {
     "servo.max_current_A": Setting(0.0, 1000.0),
     "servo.max_voltage": Setting(0.0, 100.0),
-    "servo.max_power_W": Setting(0.0, 10_000.0),
     "servo.default_timeout_s": Setting(0.0, 3600.0),
     "servo.fault_temperature": Setting(0.0, 200.0),
     "motor.poles": Setting(0.0, 200.0, whole=True),

@@ -39,7 +39,8 @@ class VescTwin(Twin):
         self.stored = list(self.limits)
         self.stores = 0
         """How often it has stored anything."""
-        self._rest = bytes(range(256)) + bytes(180)  # of the application's configuration
+        self.rest = bytes(range(256)) + bytes(180)
+        """The application's configuration after the id."""
         self._packets = Assembler()
 
     def boot(self) -> None:
@@ -74,9 +75,9 @@ class VescTwin(Twin):
                 return payload[:1] if payload[3] else None
             case settings.GET_APP:
                 head = self.signature.to_bytes(4, "big") + bytes((self.node,))
-                return payload[:1] + head + self._rest
+                return payload[:1] + head + self.rest
             case settings.SET_APP if payload[1:5] == self.signature.to_bytes(4, "big"):
-                self.node, self._rest = payload[5], payload[6:]
+                self.node, self.rest = payload[5], payload[6:]
                 self.stores += 1
                 return payload[:1]
             case _:
