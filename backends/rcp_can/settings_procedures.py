@@ -175,24 +175,36 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
 
 
 async def _write(settings: Settings, lines: list[Line], progress: Progress) -> list[str]:
-    """Write lines one by one; an error tells which were written."""
+    """Write lines one by one, and look at all again; an error tells which were written."""
     written: list[str] = []
     try:
         for line in lines:
             await settings.write(line.name, line.value)
-            found = await settings.read(line.name)
-            if not same(line.value, found, settings.step):
-                raise DeviceRejected(
-                    f"line {line.number}: the drive kept {line.name} {found} instead of {line.value}",
-                    details={"pointer": "/text", "line": line.number},
-                )
+            _check_kept(line, await settings.read(line.name), settings.step)
             written.append(line.name)
             progress(SettingWritten(name=line.name), fraction=len(written) / len(lines))
+        if len(lines) > 1:  # a drive that rebooted meanwhile has forgotten the first ones
+            found = await settings.read_all(lambda _part: None)
+            written = [
+                line.name
+                for line in lines
+                if same(line.value, found.get(line.name, ""), settings.step)
+            ]
+            for line in lines:
+                _check_kept(line, found.get(line.name, "nothing"), settings.step)
     except RcpError as error:
         error.status = "failed" if error.status == "rejected" else error.status
         error.details = {**(error.details or {}), "written": written}
         raise
     return written
+
+
+def _check_kept(line: Line, found: str, step: float) -> None:
+    if not same(line.value, found, step):
+        raise DeviceRejected(
+            f"line {line.number}: the drive kept {line.name} {found} instead of {line.value}",
+            details={"pointer": "/text", "line": line.number},
+        )
 
 
 def _unknown(line: Line) -> RcpError:

@@ -248,6 +248,26 @@ async def test_a_bus_that_is_cut_between_two_settings_is_no_refusal(profile: str
         assert make.truth(rig.twin, make.other) == 21
 
 
+@EVERY
+async def test_a_drive_that_reboots_between_two_settings_is_no_success(profile: str) -> None:
+    make = MAKES[profile]
+    async with motor(profile, commissioning=True) as rig:
+        before = make.truth(rig.twin, make.name)
+
+        def boot(feedback: Any = None, *, fraction: float | None = None) -> None:
+            if feedback is not None and feedback.name == make.name:
+                rig.twin.boot()
+
+        text = f"{make.name} {make.good}\n{make.other} 21"
+        value = rig.typed("action/m/load_settings", {"text": text})
+        with anyio.fail_after(20):
+            with pytest.raises((DeviceRejected, DeviceTimeout)) as caught:
+                await rig.backend.execute("action/m/load_settings", value, boot)
+        assert caught.value.details is not None
+        assert make.name not in caught.value.details["written"]
+        assert make.truth(rig.twin, make.name) == pytest.approx(before)
+
+
 async def _retried(rig: Motor, text: str) -> None:
     axis = rig.axis
     await rig.until(lambda: axis.online and axis.configured and axis.blind is None)
