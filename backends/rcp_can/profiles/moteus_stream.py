@@ -90,10 +90,17 @@ class Stream:
                 await asyncio.sleep(_PAUSE)
 
     async def _drain(self, node: int) -> None:
-        """Take what is left of an earlier answer."""
+        """Take what is left of an earlier answer.
+
+        :raises DeviceRejected: it does not end.
+        """
         for _ in range(_NOISE):
             if not await self._poll(node, _POLLED):
                 return
+        raise DeviceRejected(
+            f"node {node} does not stop telling something",
+            remedy="Close tview or moteus_tool, or send `tel stop` with it.",
+        )
 
     async def _poll(self, node: int, seconds: float) -> bytes:
         """Return the next text, if there is any.

@@ -276,6 +276,36 @@ async def _retried(rig: Motor, text: str) -> None:
     await rig.ran("action/m/load_settings", {"text": text})
 
 
+async def test_a_lost_part_of_a_long_answer_is_an_error_and_not_a_shorter_answer() -> None:
+    async with motor("moteus", commissioning=True) as rig:
+        whole = await rig.ran("service/m/dump_settings")
+        said: list[int] = []
+        real = rig.twin.console.say
+
+        def say(most: int) -> bytes:
+            part = real(most)
+            said.append(len(part))
+            rig.twin.deaf = len(said) == 5  # what was said is lost, and so is the next poll
+            return part
+
+        rig.twin.console.say = say
+        loses = rig.twin.send
+        rig.twin.send = lambda *args, **more: None if rig.twin.deaf else loses(*args, **more)
+        with pytest.raises(DeviceTimeout, match="a part of its answer did not arrive"):
+            await rig.ran("service/m/dump_settings")
+        rig.twin.deaf = False
+        await rig.until(lambda: rig.axis.online and rig.axis.configured)
+        assert await rig.ran("service/m/dump_settings") == whole
+
+
+async def test_a_moteus_that_does_not_stop_talking_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcp_can.profiles.moteus_stream._NOISE", 5)
+    async with motor("moteus", commissioning=True) as rig:
+        rig.twin.console.say = lambda most: b"emit servo_stats\r\n"
+        with pytest.raises(DeviceRejected, match="does not stop telling"):
+            await rig.ran("service/m/dump_settings")
+
+
 async def test_through_a_gateway_an_e_stop_ends_the_loading_and_stores_nothing() -> None:
     async with bed("moteus", commissioning=True) as held:
         console = held.twin.console
