@@ -124,7 +124,7 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
         await settings.prepare()
         await settings.save()
 
-    example = {"text": "# name value\n" + "".join(f"{n} 1\n" for n in _example(settings))}
+    example = {"text": f"# name value\n{_example(settings)}\n"}
     procedures = (
         Procedure(
             "dump_settings",
@@ -211,6 +211,9 @@ def _unknown(line: Line) -> RcpError:
     return refused(line.number, f"the drive has no setting '{line.name}'")
 
 
-def _example(settings: Settings) -> list[str]:
-    named = [name for name, each in settings.known.items() if each.writable and each.high >= 1]
-    return named[:1] or ["servo.max_current_A"]
+def _example(settings: Settings) -> str:
+    """Return a line that would be taken."""
+    for name, each in settings.known.items():
+        if each.writable and each.low >= 0:
+            return f"{name} {min(max(each.low, 1.0), each.high):g}"
+    return "servo.max_current_A 10"

@@ -214,6 +214,14 @@ async def test_a_value_that_the_drive_does_not_keep_is_an_error_that_tells_what_
 
 
 @EVERY
+async def test_the_example_could_be_loaded(profile: str) -> None:
+    async with motor(profile, commissioning=True) as rig:
+        name = "action/m/load_settings"
+        (example,) = rig.host.resources[name].examples
+        await rig.ran(name, example)
+
+
+@EVERY
 async def test_what_the_gateway_sets_itself_is_left_out_and_named(profile: str) -> None:
     make = MAKES[profile]
     async with motor(profile, commissioning=True) as rig:
@@ -301,7 +309,7 @@ async def test_a_lost_part_of_a_long_answer_is_an_error_and_not_a_shorter_answer
 async def test_a_moteus_that_does_not_stop_talking_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rcp_can.profiles.moteus_stream._NOISE", 5)
     async with motor("moteus", commissioning=True) as rig:
-        rig.twin.console.say = lambda most: b"emit servo_stats\r\n"
+        rig.twin.console.say = lambda _most: b"emit servo_stats\r\n"
         with pytest.raises(DeviceRejected, match="does not stop telling"):
             await rig.ran("service/m/dump_settings")
 
