@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
 
 import anyio
@@ -89,6 +90,19 @@ class Bus:
         """Call `listener` with every frame that matches one of the routes."""
         self._routes += [(route, listener) for route in routes]
         self._known.clear()
+
+    @contextmanager
+    def overheard(self, listener: Listener, routes: Sequence[Route]) -> Generator[None]:
+        """Call `listener` too with the frames of some routes, while entered."""
+        more = [(route, listener) for route in routes]
+        self._routes += more
+        self._known.clear()
+        try:
+            yield
+        finally:
+            for each in more:
+                self._routes.remove(each)
+            self._known.clear()
 
     def received_at(self, message: can.Message) -> float:
         """Return the monotonic time when the interface received a frame, by its stamp if any.

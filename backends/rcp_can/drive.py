@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcp_can.bus import Bus, Route
@@ -92,6 +92,8 @@ class Drive(ABC):
     """Set-points per second."""
     watchdog: float | None = 0.5
     """Time-out in s of the drive's own watchdog; None keeps its setting."""
+    neighbours: Mapping[int, str] = {}
+    """The other motors of its profile on its bus: their names by node."""
 
     def __init__(self, node: int, options: Any, bus: Bus) -> None:
         self.node, self.options, self.bus = node, options, bus

@@ -62,6 +62,11 @@ def make_axes(
                     f"motors.{name}.gravity: {motor.profile} takes no torque beside a position"
                 )
             drive.torque_offset = 0.0
+        drive.neighbours = {
+            other.node: each
+            for each, other in config.motors.items()
+            if each != name and (other.bus, other.profile) == (motor.bus, motor.profile)
+        }
         axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health, facts)
     return axes
 

@@ -38,5 +38,5 @@ class Procedure(NamedTuple):
 
     @property
     def branch(self) -> str:
-        """The branch of its resource: what moves is an action, the rest are services."""
-        return "service" if self.motion == "none" else "action"
+        """The branch of its resource: what moves or tells how far it is is an action, the rest services."""
+        return "service" if self.motion == "none" and self.feedback is None else "action"

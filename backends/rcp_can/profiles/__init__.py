@@ -14,7 +14,7 @@ PROFILES = {
     "odrive": "odrive:PROFILE",
     "mit": "mit:MIT",
     "tmotor": "mit:TMOTOR",
-    "damiao": "mit:DAMIAO",
+    "damiao": "damiao:DAMIAO",
     "moteus": "moteus:PROFILE",
     "vesc": "vesc:PROFILE",
     "cybergear": "cybergear:PROFILE",

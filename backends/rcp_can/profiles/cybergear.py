@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
+from rcp_can.asking import answer_to
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Packed, Span
-from rcp_can.drive import Fault, Profile, Protection, Reach, StopFrame
+from rcp_can.drive import Fault, Identity, Profile, Protection, Reach, StopFrame
+from rcp_can.node_change import NodeChange, node_procedure
+from rcp_can.procedure import Procedure
+from rcp_can.profiles.cybergear_settings import CyberGearSettings
 from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
-from rcp_kernel.errors import DeviceTimeout
+from rcp_can.settings_procedures import settings_procedures
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
 if TYPE_CHECKING:
     import can
@@ -21,11 +27,15 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND", "FEEDBACK", "PROFILE", "TORQUE", "CyberGearDrive", "CyberGearOptions"]
 
 _CONTROL, _FEEDBACK, _ENABLE, _STOP, _ZERO, _READ, _WRITE = 1, 2, 3, 4, 6, 17, 18
+_IDENTIFY, _SET_ID, _ANYBODY = 0, 7, 0xFE
 _P, _V, _T = 4 * math.pi, 30.0, 12.0
 _RUN_MODE, _CAN_TIMEOUT = 0x7005, 0x7028
 _RUNNING = 2
+NODES = range(1, 128)
 _TICKS = 20_000  # timer steps per second
 _ANSWERS = 0.5  # s for a parameter's response
+_PROBED = 0.3  # s for another drive to answer
+_CHANGED = 1.0  # s for the drive to answer to another id
 
 COMMAND = Packed(
     Span("position", 16, -_P, _P),
@@ -64,6 +74,15 @@ class CyberGearDrive(ImpedanceDrive):
     def __init__(self, node: int, options: CyberGearOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
         self._parameters: dict[int, int] = {}
+        self._refused: set[int] = set()
+        """The parameters that it does not have, as it says."""
+
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """Offer its parameters, and another id."""
+        return (
+            *settings_procedures(CyberGearSettings(self)),
+            node_procedure(self.node, NODES, self.neighbours, self._change_node, self._is_there),
+        )
 
     def routes(self) -> tuple[Route, ...]:
         """Return its feedback, with any data in the identifier, and its parameter responses."""
@@ -100,8 +119,10 @@ class CyberGearDrive(ImpedanceDrive):
         if len(data) < 8:
             raise ValueError("a parameter has 8 bytes")
         self.answered()
-        if not failed:
-            index, value = struct.unpack("<HxxI", data[:8])
+        index, value = struct.unpack("<HxxI", data[:8])
+        if failed:
+            self._refused.add(index)
+        else:
             self._parameters[index] = value
         self.status.reports += 1
         return True
@@ -142,7 +163,77 @@ class CyberGearDrive(ImpedanceDrive):
     def _parameter(self, index: int, value: bytes) -> None:
         self._transmit(_WRITE, struct.pack("<Hxx", index) + value.ljust(4, b"\0"))
 
+    async def read_parameter(self, index: int) -> int:
+        """Read a parameter, as its raw 32 bits.
+
+        :raises DeviceRejected: it has none with this index.
+        :raises DeviceTimeout: it does not answer.
+        """
+        self._parameters.pop(index, None)
+        self._refused.discard(index)
+        await self.until(
+            lambda: index in self._parameters or index in self._refused,
+            f"telling parameter 0x{index:04X}",
+            again=lambda: self._transmit(_READ, struct.pack("<Hxxxxxx", index)),
+            faults=False,
+        )
+        if index in self._refused:
+            raise DeviceRejected(f"the drive has no parameter 0x{index:04X}")
+        return self._parameters[index]
+
+    async def write_parameter(self, index: int, raw: int) -> None:
+        """Write a parameter until it reads as written, or the drive keeps another value.
+
+        The answer to a write does not tell whether it was taken.
+        """
+        self._parameters.pop(index, None)
+
+        def write() -> None:
+            self._parameter(index, struct.pack("<I", raw))
+            self._transmit(_READ, struct.pack("<Hxxxxxx", index))
+
+        with suppress(DeviceTimeout):  # the reader tells
+            await self.until(
+                lambda: self._parameters.get(index) == raw,
+                f"keeping parameter 0x{index:04X}",
+                again=write,
+                seconds=_ANSWERS,
+                faults=False,
+            )
+
+    async def _ask_who(self, node: int, send: Callable[[], object], seconds: float) -> bytes | None:
+        """Return the number of the processor of whichever drive has an id; None if none answers."""
+        route = Route(_IDENTIFY << 24 | node << 8 | _ANYBODY, extended=True, mask=0x1FFFFFFF)
+        found = await answer_to(self.bus, (route,), send, lambda _message: True, seconds=seconds)
+        return None if found is None else bytes(found.data)
+
+    def _identify(self, node: int) -> None:
+        head = _IDENTIFY << 24 | self.options.host << 8 | node
+        self.send(head, bytes(8), extended=True, lifetime=FAST)
+
+    async def _is_there(self, node: int) -> bool:
+        return await self._ask_who(node, lambda: self._identify(node), _PROBED) is not None
+
+    async def _change_node(self, wanted: NodeChange) -> None:
+        node = wanted.node
+        serial = await self._ask_who(self.node, lambda: self._identify(self.node), _ANSWERS)
+        head = _SET_ID << 24 | node << 16 | self.options.host << 8 | self.node
+        self.send(head, b"\1" + bytes(7), extended=True)
+        found = await self._ask_who(node, lambda: self._identify(node), _CHANGED)
+        if found is None:
+            raise DeviceTimeout(f"nothing answers to the id {node} after the drive was to take it")
+        if found != serial:
+            raise DeviceRejected(f"another drive than this one answers to the id {node}")
+
     async def configure(self) -> None:
+        """Set the watchdog, and ask who it is."""
+        await self._set_watchdog()
+        serial = await self._ask_who(self.node, lambda: self._identify(self.node), _ANSWERS)
+        self.identity = Identity(
+            vendor="Xiaomi", model="CyberGear", serial=None if serial is None else serial.hex()
+        )
+
+    async def _set_watchdog(self) -> None:
         """Set the watchdog, in 50 µs, and read it back; older firmware has none."""
         wanted = None if self.watchdog is None else round(self.watchdog * _TICKS)
         self._parameters.clear()
@@ -213,5 +304,5 @@ PROFILE = Profile(
     CyberGearOptions,
     CyberGearDrive,
     "rcp_can.sim.cybergear:CyberGearTwin",
-    range(1, 128),
+    NODES,
 )

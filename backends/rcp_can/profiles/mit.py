@@ -1,8 +1,7 @@
-"""MIT protocol: mini-cheetah, T-Motor AK, Damiao. Eight bytes of bit fields, ranges by model."""
+"""MIT protocol: mini-cheetah and T-Motor AK. Eight bytes of bit fields, ranges by model."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -16,12 +15,19 @@ from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
 if TYPE_CHECKING:
     import can
 
-__all__ = ["DAMIAO", "MIT", "MODELS", "TMOTOR", "Ranges", "command_codec", "reply_codec"]
+__all__ = [
+    "MIT",
+    "MODELS",
+    "TMOTOR",
+    "MitDrive",
+    "MitOptions",
+    "Ranges",
+    "command_codec",
+    "fault_of",
+    "reply_codec",
+]
 
-_ENABLE, _DISABLE, _ZERO, _CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
-_REGISTERS, _READ, _WRITE, _REFRESH = 0x7FF, 0x33, 0x55, 0xCC
-_TIMEOUT_REGISTER, _MODE_REGISTER, _MIT_MODE = 9, 10, 1
-_TICKS = 20_000  # timer steps per second
+_ENABLE, _DISABLE, _ZERO = 0xFC, 0xFD, 0xFE
 
 
 class Ranges(NamedTuple):
@@ -226,18 +232,10 @@ _AK_FAULTS = {
     6: "over-temperature of the drive",
     7: "locked rotor",
 }
-_DAMIAO_FAULTS = {
-    0x8: "over-voltage",
-    0x9: "under-voltage",
-    0xA: "over-current",
-    0xB: "over-temperature of the drive",
-    0xC: "over-temperature of the motor",
-    0xD: "communication lost",
-    0xE: "overload",
-}
 
 
-def _fault(code: int, names: dict[int, str]) -> tuple[Fault, ...]:
+def fault_of(code: int, names: dict[int, str]) -> tuple[Fault, ...]:
+    """Return the fault of a code."""
     text = names.get(code, f"fault {code}")
     return (Fault(text.replace(" ", "_"), text, code),)
 
@@ -250,79 +248,9 @@ class TMotorDrive(MitDrive):
     def _more(self, identifier: int, **values: float) -> None:
         self.status.motor_temperature = values["temperature"] - 40.0
         code = int(values["fault"])
-        self.status.faults = _fault(code, _AK_FAULTS) if code else ()
+        self.status.faults = fault_of(code, _AK_FAULTS) if code else ()
         if code:
             self._on = self.status.enabled = False
-
-
-class DamiaoOptions(MitOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Gains and the model."""
-
-    model: str = "4310"
-
-
-class DamiaoDrive(MitDrive):
-    """A Damiao actuator: it reports its state, fault and two temperatures, and has registers."""
-
-    extra = (Span("drive", 8), Span("motor", 8))
-    clearing = _CLEAR
-
-    def __init__(self, node: int, options: DamiaoOptions, bus: Bus) -> None:
-        super().__init__(node, options, bus)
-        self._register: tuple[int, int] | None = None
-        self._value = 0
-
-    def take(self, message: can.Message) -> bool:
-        """Decode a response to a set-point or to a register access."""
-        data = message.data
-        wanted = self._register
-        if len(data) == 8 and data[0] == self.node & 0xFF and (data[2], data[3]) == wanted:
-            self._register, self._value = None, int.from_bytes(data[4:8], "little")
-            self.status.reports += 1
-            return True
-        return super().take(message)
-
-    def _mine(self, identifier: int) -> bool:
-        return identifier & 0xF == self.node & 0xF
-
-    def _more(self, identifier: int, **values: float) -> None:
-        status, state = self.status, identifier >> 4
-        status.enabled = state == 1
-        status.faults = _fault(state, _DAMIAO_FAULTS) if state > 1 else ()
-        status.drive_temperature, status.motor_temperature = values["drive"], values["motor"]
-
-    def _access(self, command: int, register: int = 0, value: int = 0) -> None:
-        data = struct.pack("<HBBI", self.node, command, register, value)
-        self.send(_REGISTERS, data, lifetime=FAST)
-
-    async def configure(self) -> None:
-        """Select MIT mode, set the drive's watchdog (register 9, in 50 µs), and read it back."""
-        await self._set(_WRITE, _MODE_REGISTER, _MIT_MODE)
-        if self.watchdog is not None:
-            await self._set(_WRITE, _TIMEOUT_REGISTER, round(self.watchdog * _TICKS))
-        await self._set(_READ, _TIMEOUT_REGISTER)
-        seconds = self._value / _TICKS
-        if seconds:
-            text = (
-                f"register 9 (TIMEOUT) = {seconds * 1000:g} ms: it goes into fault, without torque"
-            )
-            self.protection = Protection(text, seconds, verified=True)
-        else:
-            self.protection = Protection("register 9 (TIMEOUT) = 0: its watchdog is off")
-
-    async def _set(self, command: int, register: int, value: int = 0) -> None:
-        self._register = command, register
-        await self.until(
-            lambda: self._register is None,
-            "responding with its registers",
-            again=lambda: self._access(command, register, value),
-            faults=False,
-        )
-
-    def query(self) -> None:
-        """Request its state."""
-        self.count_query()
-        self._access(_REFRESH)
 
 
 MIT = Profile(
@@ -340,12 +268,4 @@ TMOTOR = Profile(
     TMotorDrive,
     "rcp_can.sim.mit:TMotorTwin",
     range(1, 128),
-)
-DAMIAO = Profile(
-    "damiao",
-    "Damiao actuators in MIT mode.",
-    DamiaoOptions,
-    DamiaoDrive,
-    "rcp_can.sim.mit:DamiaoTwin",
-    range(1, 16),
 )

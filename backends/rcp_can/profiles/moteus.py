@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta, Struct
 
+from rcp_can.asking import answer_to
 from rcp_can.bus import Bus, Route
-from rcp_can.drive import Drive, Fault, Profile, Protection
+from rcp_can.drive import Drive, Fault, Identity, Profile, Protection
 from rcp_can.motor_messages import Mode as MotorMode
+from rcp_can.node_change import node_procedure
+from rcp_can.procedure import Procedure
+from rcp_can.profiles.moteus_settings import MoteusSettings, change_node
+from rcp_can.profiles.moteus_stream import FROM_DRIVE, Stream, content
 from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Mode, Width, build, pad, parse
+from rcp_can.settings_procedures import settings_procedures
 
 if TYPE_CHECKING:
     import can
@@ -36,6 +43,9 @@ _OWN = "servo.default_timeout_s, 0.1 s unless configured otherwise: zero velocit
 _WRAPS = 2**31 - 60_000  # ms: near its end the clock may wrap around
 _UNDER_WAY = 64  # requests that may have been lost, or wait to be sent
 _TOO_MANY = 4  # unsolicited responses
+_PROBED = 0.3  # s for a drive to answer
+_IDENTITY = "model", "firmware", "serial_1", "serial_2", "serial_3"
+NODES = range(1, 127)
 
 _FAULTS = {
     32: "calibration",
@@ -81,6 +91,76 @@ class MoteusDrive(Drive):
         self._target: dict[str, float] = {}
         self.protection = Protection(_OWN, _OWN_TIMEOUT)
         self._clock = math.nan
+        self._stream = Stream(bus, options.source, self._send_text)
+
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """Offer its configuration, and another id."""
+        return (
+            *settings_procedures(MoteusSettings(self._stream, self.node)),
+            node_procedure(
+                self.node,
+                NODES,
+                self.neighbours,
+                lambda wanted: change_node(self._stream, self.node, wanted),
+                self._is_there,
+                note=" All other settings are stored with it.",
+            ),
+        )
+
+    def _send_text(self, node: int, payload: bytes, answers: bool) -> None:  # noqa: FBT001 - of Stream
+        if answers and node == self.node:
+            self._owed = min(self._owed + 1, _UNDER_WAY)
+        self._send_to(node, payload, answers=answers)
+
+    def _send_to(self, node: int, payload: bytes, *, answers: bool, **more: Any) -> None:
+        self.send(
+            answers << 15 | self.options.source << 8 | node,
+            pad(payload),
+            extended=True,
+            fd=True,
+            switched=self.options.switched,
+            **more,
+        )
+
+    async def _is_there(self, node: int) -> bool:
+        return await self._told(node, ("mode",)) is not None
+
+    async def _told(self, node: int, names: Sequence[str]) -> dict[str, float] | None:
+        """Return registers of whichever drive has an id; None if none answers."""
+        query = build(Access(Kind.READ, REGISTERS[name].number, Width.INT32) for name in names)
+        wanted = {REGISTERS[name].number: name for name in names}
+        found: dict[str, float] = {}
+
+        def ask() -> None:
+            if node == self.node:
+                self._owed = min(self._owed + 1, _UNDER_WAY)
+            self._send_to(node, query, answers=True, lifetime=_FAST)
+
+        def matches(message: can.Message) -> bool:
+            if message.data[:1] == bytes((FROM_DRIVE,)):
+                return False
+            for access in parse(bytes(message.data)):
+                if access.register in wanted and access.value is not None:
+                    found[wanted[access.register]] = access.value
+            return len(found) == len(names)
+
+        value = node << 8 | self.options.source
+        routes = [Route(value, 0x7FFF, extended=extended) for extended in (True, False)]
+        answer = await answer_to(self.bus, routes, ask, matches, seconds=_PROBED)
+        return None if answer is None else found
+
+    async def configure(self) -> None:
+        """Ask what it is; older firmware does not tell."""
+        told = await self._told(self.node, _IDENTITY)
+        if told is None:
+            return
+        serial = [int(told[f"serial_{each}"]) & 0xFFFFFFFF for each in (1, 2, 3)]
+        self.identity = Identity(
+            vendor="mjbots",
+            model=f"moteus {int(told['model']):x}",
+            firmware=f"0x{int(told['firmware']):04x}",
+            serial="".join(f"{each:08x}" for each in serial),
+        )
 
     def routes(self) -> tuple[Route, ...]:
         """Return the identifier of its responses to the gateway."""
@@ -90,7 +170,11 @@ class MoteusDrive(Drive):
         )
 
     def take(self, message: can.Message) -> bool:
-        """Decode a response."""
+        """Decode a response; one of the stream is taken by who waits for it."""
+        if content(message) is not None:
+            self._count()
+            self.status.reports += 1
+            return True
         values: dict[str, float] = {}
         for access in parse(bytes(message.data)):
             if access.kind == Kind.REPLY and access.register in _NAMES and access.value is not None:
@@ -165,15 +249,9 @@ class MoteusDrive(Drive):
         ]
         self._spoken = True
         self._owed = min(self._owed + 1, _UNDER_WAY)
-        self.send(
-            0x8000 | self.options.source << 8 | self.node,
-            pad(build(writes) + _QUERY),
-            extended=True,
-            fd=True,
-            switched=self.options.switched,
-            urgent=urgent,
-            lifetime=None if urgent else _FAST,
-        )
+        payload = build(writes) + _QUERY
+        lifetime = None if urgent else _FAST
+        self._send_to(self.node, payload, answers=True, urgent=urgent, lifetime=lifetime)
 
     def _drive(self, values: dict[str, float], *, urgent: bool = False) -> None:
         options = self.options
@@ -281,6 +359,6 @@ PROFILE = Profile(
     MoteusOptions,
     MoteusDrive,
     "rcp_can.sim.moteus:MoteusTwin",
-    range(1, 127),
+    NODES,
     fd=True,
 )

@@ -102,6 +102,11 @@ REGISTERS = {
     "velocity_limit": Register(0x028, "velocity"),
     "acceleration_limit": Register(0x029, "acceleration"),
     "milliseconds": Register(0x070, "count"),
+    "model": Register(0x100, "count"),
+    "firmware": Register(0x101, "count"),
+    "serial_1": Register(0x120, "count"),
+    "serial_2": Register(0x121, "count"),
+    "serial_3": Register(0x122, "count"),
     "set_output": Register(0x131, "position"),
 }
 """The registers used here; moteus counts turns."""

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta, Struct
 
+from rcp_can.asking import answer_to
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Field, Layout
 from rcp_can.drive import Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
+from rcp_can.node_change import node_procedure
+from rcp_can.procedure import Procedure
+from rcp_can.profiles.vesc_packets import PING, PONG, Assembler, frames
+from rcp_can.profiles.vesc_settings import VescSettings, change_node, read_version
+from rcp_can.settings_procedures import settings_procedures
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+from rcp_kernel.spi import check_fence
 
 if TYPE_CHECKING:
     import can
@@ -21,6 +31,9 @@ __all__ = ["MESSAGES", "PROFILE", "VescDrive", "VescOptions"]
 _FAST = 0.05  # s: a set-point older than this is not worth sending
 _PERIOD = 0.05  # s: the slowest useful status messages, 20 Hz
 _TIMEOUT = 1.0  # s: default timeout of the VESC application
+_ANSWERS = 0.5  # s
+_PROBED = 0.3  # s for another drive to answer
+NODES = range(255)
 _STEPS = 6  # tachometer steps per electrical turn
 
 MESSAGES: dict[str, tuple[int, Layout]] = {
@@ -60,6 +73,8 @@ class VescOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """N·m/A."""
     brake_current: Annotated[float, Meta(gt=0, le=1000)] = 10.0
     """Current of a quick stop, A."""
+    host: Annotated[int, Meta(ge=0, le=254)] = 254
+    """Id to which the drive answers packets, that no drive has."""
 
 
 class VescDrive(Drive):
@@ -73,7 +88,10 @@ class VescDrive(Drive):
 
     def __init__(self, node: int, options: VescOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
+        if node == options.host:
+            raise ValueError(f"`host` is the gateway's own id, and node {node} that of the drive")
         self._on = False
+        self._lock = asyncio.Lock()
         self.protection = Protection(
             "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
             "releases the motor, which coasts; cannot be read over CAN",
@@ -84,6 +102,72 @@ class VescDrive(Drive):
             for name in ("status", "status_4", "status_5")
         }
         self._per_erpm = 2 * math.pi / 60 / options.pole_pairs
+
+    def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
+        """Offer its limits, and another id."""
+        return (
+            *settings_procedures(VescSettings(self)),
+            node_procedure(
+                self.node,
+                NODES,
+                {**self.neighbours, self.options.host: "the gateway"},
+                lambda wanted: change_node(self, wanted),
+                self._is_there,
+            ),
+        )
+
+    async def configure(self) -> None:
+        """Ask what it is; some firmware does not tell."""
+        with suppress(DeviceTimeout, DeviceRejected):
+            self.identity = await read_version(self)
+
+    async def ask(
+        self,
+        payload: bytes,
+        *,
+        node: int | None = None,
+        seconds: float = _ANSWERS,
+        once: bool = False,
+    ) -> bytes:
+        """Return the answer to a command, from this drive or another id of it; it may send it again.
+
+        :raises DeviceTimeout: there is none.
+        """
+        host, joined = self.options.host, Assembler()
+        to = self.node if node is None or once else node
+        found: list[bytes] = []
+
+        def matches(message: can.Message) -> bool:
+            packet = joined.take(message.arbitration_id >> 8, bytes(message.data))
+            if packet is not None and packet[0] in (to, node) and packet[1][0] == payload[0]:
+                found.append(packet[1])
+            return bool(found)
+
+        def send() -> None:
+            check_fence()
+            self.bus.send_together(frames(payload, to=to, sender=host), sender=self)
+
+        async with self._lock:
+            route = Route(host, 0xFF, extended=True)
+            await answer_to(self.bus, (route,), send, matches, seconds=seconds, once=once)
+        if not found:
+            raise DeviceTimeout(
+                f"node {to}: no answer to command {payload[0]} within {seconds:g} s"
+            )
+        return found[0]
+
+    async def _is_there(self, node: int) -> bool:
+        """Return whether a drive answers to an id."""
+        host = self.options.host
+
+        def ping() -> None:
+            self.send(PING << 8 | node, bytes((host,)), extended=True, lifetime=_FAST)
+
+        def pong(message: can.Message) -> bool:
+            return message.data[:1] == bytes((node,))
+
+        route = Route(PONG << 8 | host, 0x1FFFFFFF, extended=True)
+        return await answer_to(self.bus, (route,), ping, pong, seconds=_PROBED) is not None
 
     def period(self, signal: str) -> float:
         """Return the period of its status messages."""
@@ -168,5 +252,5 @@ PROFILE = Profile(
     VescOptions,
     VescDrive,
     "rcp_can.sim.vesc:VescTwin",
-    range(255),
+    NODES,
 )

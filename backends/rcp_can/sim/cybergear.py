@@ -6,6 +6,7 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 from rcp_can.profiles.cybergear import COMMAND, FEEDBACK, TORQUE
+from rcp_can.profiles.cybergear_settings import PARAMETERS
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
 
@@ -15,6 +16,18 @@ if TYPE_CHECKING:
 __all__ = ["CyberGearTwin"]
 
 _TIMEOUT = 0x7028
+_FACTORY = {
+    "limit_torque": 12.0,
+    "cur_kp": 0.125,
+    "cur_ki": 0.0158,
+    "cur_filt_gain": 0.1,
+    "limit_spd": 30.0,
+    "limit_cur": 23.0,
+    "loc_kp": 30.0,
+    "spd_kp": 1.0,
+    "spd_ki": 0.002,
+}
+_SET_POINTS = 0x7006, 0x700A, 0x7016
 
 
 class CyberGearTwin(Twin):
@@ -23,14 +36,18 @@ class CyberGearTwin(Twin):
     def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
         super().__init__(node, plant, **options)
         self.faults = 0
-        self.parameters: dict[int, bytes] = {}
+        self.serial = struct.pack(">Q", 0x4359_4247_0000_0000 | node)
+        """The number of its processor."""
+        self.keeps: set[int] = set()
+        """Parameters that it answers to but does not change."""
+        self.parameters = _parameters()
         self._host = options.get("host", 0xFD)
 
     def boot(self) -> None:
         """Reboot; the watchdog is off again."""
         super().boot()
         self.faults = 0
-        self.parameters.clear()
+        self.parameters = _parameters()
 
     def break_down(self) -> None:
         """Trip on over-current."""
@@ -49,7 +66,7 @@ class CyberGearTwin(Twin):
             self._host = host
         match kind:
             case 0:
-                self.send(self.node << 8 | 0xFE, b"CYBRGEAR", is_extended_id=True)
+                self._identify()
                 return
             case 1:
                 self._control(data, word)
@@ -65,18 +82,29 @@ class CyberGearTwin(Twin):
                     self.faults = 0
             case 6:
                 self.plant.position = 0.0
+            case 7:
+                self.node = word >> 8  # stored at once
+                self._identify()
+                return
             case 17:
                 index = struct.unpack_from("<H", data)[0]
-                value = self.parameters.get(index, bytes(4))
-                head = 17 << 24 | self.node << 8 | host
-                self.send(head, data[:4] + value, is_extended_id=True)
+                value = self.parameters.get(index)
+                head = 17 << 24 | (value is None) << 16 | self.node << 8 | host
+                self.send(head, data[:4] + (value or bytes(4)), is_extended_id=True)
                 return
             case 18:
-                self.parameters[struct.unpack_from("<H", data)[0]] = data[4:]
-                self._set(struct.unpack_from("<H", data)[0], data[4:])
+                self._write(struct.unpack_from("<H", data)[0], data[4:])
             case _:
                 return
         self._answer(host)
+
+    def _identify(self) -> None:
+        self.send(self.node << 8 | 0xFE, self.serial, is_extended_id=True)
+
+    def _write(self, index: int, data: bytes) -> None:
+        if index in self.parameters and index not in self.keeps:
+            self.parameters[index] = data
+            self._set(index, data)
 
     def _control(self, data: bytes, word: int) -> None:
         if not self.enabled:
@@ -118,3 +146,11 @@ class CyberGearTwin(Twin):
         if self.enabled and timeout and self.is_quiet(timeout):
             self.enabled = False
             self.plant.off()
+
+
+def _parameters() -> dict[int, bytes]:
+    """Return the parameters after a boot: it stores none."""
+    found = {index: bytes(4) for index in _SET_POINTS}
+    for name, each in PARAMETERS.items():
+        found[each.number] = struct.pack("<f", _FACTORY[name]) if name in _FACTORY else bytes(4)
+    return found

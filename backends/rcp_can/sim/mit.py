@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import TYPE_CHECKING, Any
 
 from rcp_can.codec import Span
@@ -13,7 +12,7 @@ from rcp_can.sim.twin import Twin
 if TYPE_CHECKING:
     import can
 
-__all__ = ["DamiaoTwin", "MitTwin", "TMotorTwin"]
+__all__ = ["MitTwin", "TMotorTwin"]
 
 
 class MitTwin(Twin):
@@ -25,8 +24,9 @@ class MitTwin(Twin):
     def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
         super().__init__(node, plant, **options)
         ranges = options.get("ranges")
-        span = Ranges(*ranges) if ranges else MODELS[options.get("model", self.model)]
-        self._command, self._reply = command_codec(span), reply_codec(span, *self.extra)
+        self.span = Ranges(*ranges) if ranges else MODELS[options.get("model", self.model)]
+        self._command = command_codec(self.span)
+        self._reply = reply_codec(self.span, *self.extra)
         self.fault = 0
 
     def boot(self) -> None:
@@ -75,6 +75,11 @@ class MitTwin(Twin):
     def _clear_by_disabling(self) -> None:
         self.fault = 0
 
+    @property
+    def reply_id(self) -> int:
+        """The identifier of its responses."""
+        return self.options.get("reply_id", 0)
+
     def more(self) -> dict[str, float]:
         """Return the fields that a make appends to its responses."""
         return {"id": self.node}
@@ -85,7 +90,7 @@ class MitTwin(Twin):
         data = self._reply.encode(
             position=plant.position, velocity=plant.velocity, torque=plant.torque, **self.more()
         )
-        self.send(self.options.get("reply_id", 0), data)
+        self.send(self.reply_id, data)
 
 
 class TMotorTwin(MitTwin):
@@ -96,59 +101,3 @@ class TMotorTwin(MitTwin):
     def more(self) -> dict[str, float]:
         """Add temperature and fault."""
         return {"id": self.node, "temperature": self.plant.temperature + 40, "fault": self.fault}
-
-
-class DamiaoTwin(MitTwin):
-    """A Damiao, with its registers and watchdog."""
-
-    model = "4310"
-    extra = (Span("drive", 8), Span("motor", 8))
-
-    def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
-        super().__init__(node, plant, **options)
-        self.registers: dict[int, bytes] = {
-            7: struct.pack("<I", options.get("reply_id", 0)),
-            8: struct.pack("<I", node),
-            9: struct.pack("<I", 0),
-            10: struct.pack("<I", 1),
-        }
-
-    def _clear_by_disabling(self) -> None:
-        """Keep the fault: it has a command of its own."""
-
-    def break_down(self) -> None:
-        """Trip on over-current."""
-        super().break_down()
-        self.fault = 0xA
-
-    def more(self) -> dict[str, float]:
-        """Add state and temperatures."""
-        state = self.fault or int(self.enabled)
-        return {"id": state << 4 | self.node & 0xF, "drive": 30, "motor": self.plant.temperature}
-
-    def take(self, message: can.Message) -> None:
-        """Handle register accesses as well."""
-        data = bytes(message.data)
-        if message.arbitration_id != 0x7FF or len(data) < 4:
-            super().take(message)
-            return
-        node, command, register = struct.unpack_from("<HBB", data)
-        if node != self.node:
-            return
-        if command == 0xCC:
-            self.answer()
-            return
-        if command == 0x55 and len(data) == 8:
-            self.registers[register] = data[4:]
-        elif command != 0x33:
-            return
-        value = self.registers.get(register, bytes(4))
-        reply = struct.pack("<HBB", self.node, command, register) + value
-        self.send(self.options.get("reply_id", 0), reply)
-
-    def tick(self, now: float) -> None:
-        """Check the watchdog."""
-        timeout = int.from_bytes(self.registers[9], "little") * 50e-6
-        if self.enabled and timeout and self.is_quiet(timeout):
-            self.enabled, self.fault = False, 0xD
-            self.plant.off()

@@ -6,7 +6,9 @@ import math
 import time
 from typing import TYPE_CHECKING, Any
 
+from rcp_can.profiles.moteus_stream import CHANNEL, FROM_DRIVE, POLL, TO_DRIVE
 from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Mode, build, pad, parse
+from rcp_can.sim.moteus_console import MoteusConsole
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
 
@@ -17,6 +19,7 @@ __all__ = ["MoteusTwin"]
 
 TURN = 2 * math.pi
 _TIMEOUT = 0.1  # s: factory setting of servo.default_timeout_s
+_CHANGED = 41  # fault: a setting was changed while it was on
 _DAMPING = 0.05  # N·m·s/rad of servo.timeout_mode 12, factory setting
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _COMMAND: dict[str, float] = {
@@ -43,12 +46,23 @@ class MoteusTwin(Twin):
         self.fault = 0
         self.command = dict(_COMMAND)
         self._booted = time.monotonic() - 10.0  # it was running before the first request
+        self.firmware = 0x010A
+        self.console = MoteusConsole(node, self._on_setting)
 
     def boot(self) -> None:
         """Reboot."""
         super().boot()
         self.mode, self.fault = int(Mode.STOPPED), 0
         self._booted = time.monotonic()
+        self.console.boot()
+        self.node = int(self.console.settings["id.id"])
+
+    def _on_setting(self, name: str) -> None:
+        if name == "id.id":
+            self.node = int(self.console.settings[name])
+        elif self.enabled:  # only a drive that is stopped takes these
+            super().break_down()
+            self.mode, self.fault = int(Mode.FAULT), _CHANGED
 
     def break_down(self) -> None:
         """Trip the gate driver, as over-current does."""
@@ -58,7 +72,7 @@ class MoteusTwin(Twin):
     def take(self, message: can.Message) -> None:
         """Handle a frame, and respond if requested."""
         identifier = message.arbitration_id
-        if identifier & 0x7F != self.node:
+        if identifier & 0x7F != self.node or self._talk(message):
             return
         try:
             accesses = parse(bytes(message.data))
@@ -73,6 +87,19 @@ class MoteusTwin(Twin):
             self._obey()
         if identifier & 0x8000:
             self._answer(identifier >> 8 & 0x7F, accesses, message)
+
+    def _talk(self, message: can.Message) -> bool:
+        """Handle a frame of the stream; return whether it is one."""
+        data = bytes(message.data)
+        if len(data) < 3 or data[0] not in (TO_DRIVE, POLL):
+            return False
+        if data[:2] == bytes((TO_DRIVE, CHANNEL)):
+            self.console.hear(data[3 : 3 + data[2]])
+        elif data[1] == CHANNEL:
+            part = self.console.say(data[2])
+            payload = bytes((FROM_DRIVE, CHANNEL, len(part))) + part
+            self._send(message.arbitration_id >> 8 & 0x7F, payload, message)
+        return True
 
     def _written(self, name: str, value: float) -> None:
         if name in self.command:
@@ -136,6 +163,9 @@ class MoteusTwin(Twin):
             "voltage": 24.0,
             "temperature": 31.0,
             "fault": float(self.fault),
+            "model": 0x0204,
+            "firmware": float(self.firmware),
+            "serial_3": float(self.node),
             "milliseconds": (time.monotonic() - self._booted) * 1000,
         }
         return values.get(name, 0.0)
@@ -146,9 +176,12 @@ class MoteusTwin(Twin):
             for a in accesses
             if a.kind == Kind.READ
         ]
+        self._send(to, build(replies), message)
+
+    def _send(self, to: int, payload: bytes, message: can.Message) -> None:
         self.send(
             self.node << 8 | to,
-            pad(build(replies)),
+            pad(payload),
             is_extended_id=message.is_extended_id,
             is_fd=True,
             bitrate_switch=message.bitrate_switch,

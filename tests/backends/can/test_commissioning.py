@@ -313,7 +313,7 @@ async def test_firmware_and_serial_number_are_parameters() -> None:
         assert await rig.backend.read("param/m/firmware") == "0.6.10"
         assert await rig.backend.read("param/m/serial") == f"{0x1001:012X}"
         assert rig.host.facts[None].firmware == "0.6.10"
-    async with motor("vesc", commissioning=True) as rig:
+    async with motor("tmotor", commissioning=True) as rig:
         with pytest.raises(AdapterUnavailable, match="not reported its firmware"):
             await rig.backend.read("param/m/firmware")
 
