@@ -161,6 +161,10 @@ async def test_what_is_out_of_range_is_not_sent_and_what_is_unusual_only_after_a
         before = await value(drone, f"{PARAM}/RTL_ALT")
         await field(page, "RTL_ALT").fill("9000")
         await expect(page.get_by_text("Outside the recommended range 200 … 8000.")).to_be_visible()
+        await page.get_by_label("Show", exact=True).select_option("changed")
+        await expect(page.locator("tr[data-parameter]")).to_have_count(0)
+        await page.get_by_label("Show", exact=True).select_option("all")
+        await expect(page.locator('tr[data-parameter="RTL_ALT"] td.default')).to_have_text("1500")
         await page.get_by_role("button", name="Write 2").click()
         dialog = page.get_by_role("dialog")
         await expect(dialog).to_contain_text("RTL_ALT (200 … 8000)")
@@ -170,6 +174,8 @@ async def test_what_is_out_of_range_is_not_sent_and_what_is_unusual_only_after_a
         await dialog.get_by_role("button", name="Write all the same").click()
         await expect(page.get_by_test_id("written")).to_have_text("✓ Written and read back: 2.")
         assert await value(drone, f"{PARAM}/RTL_ALT") == 9000
+        await page.get_by_label("Show", exact=True).select_option("changed")
+        await expect(page.locator("tr[data-parameter]")).to_have_count(1)
         for name, old in (("RTL_ALT", before), ("FENCE_TYPE", 7)):
             await drone.put(f"/rcp/v1/context{PARAM}/{name}", json=old)
 

@@ -3,7 +3,7 @@ import { describe, expect, it } from "vitest";
 
 import { Editor } from "../src/lib/parameters/editor.svelte.ts";
 import { assigned, isState, parameterFile, toJson } from "../src/lib/parameters/files.ts";
-import { groupsOf, matches, type Parameter, parametersOf, rangeText } from "../src/lib/parameters/parameter.ts";
+import { groupsOf, matches, type Parameter, parametersOf, prefixOf, rangeText } from "../src/lib/parameters/parameter.ts";
 import { digits, entered, meaningOf, outside, same } from "../src/lib/parameters/value.ts";
 import { ALL, shownOf } from "../src/lib/parameters/view.ts";
 import { type Change, type Device, stepsOf, Writing } from "../src/lib/parameters/writing.ts";
@@ -245,7 +245,8 @@ describe("an editor", () => {
     async function* pages(): AsyncGenerator<Item[]> {
       yield all.map(({ path }) => ({ path, status: "completed" as const, body: device.has[path] }));
     }
-    const editor = new Editor({ device, pages });
+    const execute = async (): Promise<unknown> => ({ values: { b: 4 } });
+    const editor = new Editor({ device, pages, execute });
     await editor.read("**", new Set(all.map((one) => one.path)));
     return [editor, device];
   }
@@ -287,6 +288,15 @@ describe("an editor", () => {
     expect([...editor.pending.keys()]).toEqual([a.path]);
     editor.undo(a.path);
     expect(editor.pending.size).toBe(0);
+  });
+
+  it("asks the robot for defaults that the schema does not have", async () => {
+    const [editor] = await opened();
+    await editor.readDefaults([["service", ""], ["other", "node/"]]);
+    expect(editor.defaults?.get("node/b")).toBe(4);
+    const told = parametersOf({ name: "r", tenant: "a", resources: all.map((one) => one.resource) }, editor.defaults);
+    expect(shownOf(told, { ...ALL, show: "changed" }, editor, new Map()).map((one) => [one.name, one.default])).toEqual([["b", 4]]);
+    expect(prefixOf({ path: "/tenant/a/service/rover/node/param/defaults" } as Resource, "rover")).toBe("node/");
   });
 
   it("shows what was changed, is pending or is different in a file", async () => {

@@ -15,6 +15,7 @@ export type Pending = { text: string } & Entered;
 /** How an editor reaches its robot. */
 export interface Reach {
   device: Device;
+  execute: (path: string) => Promise<unknown>;
   /** Read all of a pattern, page by page. */
   pages: (pattern: string) => AsyncIterable<Item[]>;
 }
@@ -27,6 +28,8 @@ export class Editor {
   reading = $state(false);
   /** Why they could not be read. */
   problem = $state.raw<RcpError>();
+  /** Those that the robot has told when it was asked, by name; undefined: it was not asked. */
+  defaults = $state.raw<ReadonlyMap<string, unknown>>();
   /** The file that they are compared with. */
   file = $state.raw<ParameterFile>();
   writing = $state.raw<Writing>();
@@ -71,6 +74,22 @@ export class Editor {
       if (turn === this.#reads) this.problem = problem as RcpError;
     } finally {
       if (turn === this.#reads) this.reading = false;
+    }
+  }
+
+  /** Ask services for the defaults; each is given with what is before its names. */
+  async readDefaults(services: [path: string, prefix: string][]): Promise<void> {
+    const found = new Map<string, unknown>();
+    this.defaults = found;
+    try {
+      for (const [path, prefix] of services) {
+        const { values } = (await this.#reach.execute(path)) as { values: Record<string, unknown> };
+        for (const [name, value] of Object.entries(values)) found.set(prefix + name, value);
+      }
+      this.defaults = new Map(found);
+    } catch (problem) {
+      this.defaults = undefined;
+      throw problem;
     }
   }
 

@@ -23,6 +23,7 @@ function made(): Editor {
       writeAll: (values, approval) => client.writeAll(values, given(approval)),
       read: async (path) => (await client.read(path, { fresh: true })).value,
     },
+    execute: (path) => client.execute(path).result,
     pages: (pattern) => client.pages(pattern),
   });
 }

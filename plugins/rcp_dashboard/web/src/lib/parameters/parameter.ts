@@ -39,9 +39,10 @@ export interface Parameter {
 const OTHER = "Other";
 const WIDE = 2 ** 31 - 1; // bounds of a type that tell nothing
 
-/** The parameters of a robot in the order of their names, as far as the role may use them. */
-export function parametersOf(robot: Robot): Parameter[] {
+/** The parameters of a robot in the order of their names, as far as the role may use them; `defaults` are those that the robot has told, by name. */
+export function parametersOf(robot: Robot, defaults: ReadonlyMap<string, unknown> = new Map()): Parameter[] {
   const found = robot.resources.filter((one) => one.kind === "param").map((one) => parameterOf(one, robot.place));
+  for (const one of found) one.default = defaults.get(one.name) ?? one.default;
   found.sort((a, b) => NAMES.compare(a.name, b.name));
   const counts = new Map<string, number>();
   for (const { group } of found) counts.set(group, (counts.get(group) ?? 0) + 1);
@@ -88,6 +89,12 @@ function parameterOf(resource: Resource, place: string | undefined): Parameter {
     writable: resource.operations.includes("write"),
     text: `${name} ${resource.description} ${unit}`.toLowerCase(),
   };
+}
+
+/** What is before the names of the parameters that a service such as `service/drone/param/defaults` is about. */
+export function prefixOf(service: Resource, place: string | undefined): string {
+  const within = nameOf(service.path, place).split("/").slice(0, -2);
+  return within.map((one) => `${one}/`).join("");
 }
 
 function nameOf(path: string, place: string | undefined): string {
