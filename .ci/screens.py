@@ -41,6 +41,16 @@ async def _drive(page: Page) -> None:
     await page.wait_for_timeout(1500)
 
 
+async def _parameters(tab: Watched) -> None:
+    page = tab.page
+    await tab.open("parameters?robot=drone-gamma&group=RTL")
+    for name, text in (("RTL_ALT", "3000"), ("RTL_SPEED", "800"), ("RTL_LOIT_TIME", "2000")):
+        await page.get_by_label(f"Value of {name}", exact=True).fill(text)
+    await page.wait_for_timeout(1000)
+    await _save(page, "parameters")
+    await page.get_by_role("button", name="Discard all").click()
+
+
 async def _pages(tab: Watched) -> None:
     page = tab.page
     send = tab.page.get_by_role("button", name="Execute", exact=True)
@@ -63,6 +73,7 @@ async def _pages(tab: Watched) -> None:
     await tab.open("explore?robot=rover-alpha&path=/tenant/alpha/sensor/odometry")
     await page.wait_for_timeout(1500)
     await _save(page, "explore")
+    await _parameters(tab)
     await tab.open("camera?robot=rover-alpha")
     await page.wait_for_timeout(2000)
     await _save(page, "camera")

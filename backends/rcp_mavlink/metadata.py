@@ -21,6 +21,8 @@ class About(NamedTuple):
     """Meaning of single bits, by their number."""
     restart: bool = False
     """Whether a change takes effect only after a reboot."""
+    default: float | None = None
+    """Of the firmware; boards may have another."""
 
     @property
     def schema(self) -> dict[str, Any]:
@@ -34,6 +36,8 @@ class About(NamedTuple):
             found["bits"] = dict(self.bits)
         if self.restart:
             found["restart"] = True
+        if self.default is not None:
+            found["default"] = self.default
         return found
 
 

@@ -90,8 +90,13 @@ def _of_json(data: bytes) -> Iterable[tuple[str, About]]:
                 _listed(param.get("values"), "value"),
                 _listed(param.get("bitmask"), "index"),
                 restart=bool(param.get("rebootRequired", False)),
+                default=_number(param.get("default")),
             ),
         )
+
+
+def _number(value: Any) -> float | None:
+    return value if isinstance(value, int | float) else None
 
 
 def _listed(entries: Any, key: str) -> dict[str, str]:

@@ -30,6 +30,7 @@ from rcp_mavlink.hub import Hub
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import About, about
 from rcp_mavlink.paramcoding import bounds
+from rcp_mavlink.parameter_defaults import ParameterDefaults
 from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
@@ -97,6 +98,8 @@ def resources(
     family = vehicle.family
     found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
+    if not family.px4:
+        found += ParameterDefaults.resources()
     found += [*CameraControls.resources(), *CameraList.resources()]
     found += Traffic.resources(hub.dialect) + SpeedControllers.resources(hub.dialect, family)
     found += Equipment.resources(family, sticks=hub.config.sticks)

@@ -44,6 +44,7 @@ from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.paramcoding import REAL
+from rcp_mavlink.parameter_defaults import ParameterDefaults
 from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.photofiles import PhotoFiles
@@ -183,6 +184,7 @@ class Robot:
             "service/param/compare": transfer.compare,
             "action/param/load": transfer.load,
             "action/param/reset": transfer.reset,
+            **ParameterDefaults(files).verbs(),
             "service/plan/export": plan_files.export,
             "action/plan/load": plan_files.load,
             "service/command": direct.send,

@@ -20,6 +20,7 @@ PAGES = (
     "teleop?robot=head-delta",
     "explore?path=/tenant/alpha/action/move_to",
     "explore?path=/tenant/alpha/sensor/pose",
+    "parameters?robot=drone-gamma",
     "teleop?robot=rover-alpha",
     "teleop?robot=drone-gamma",
     "camera",

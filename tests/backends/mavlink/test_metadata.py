@@ -39,7 +39,7 @@ JSON = json.dumps(
         "version": 1,
         "parameters": [
             {"name": "MPC_XY_CRUISE", "type": "Float", "shortDesc": "Cruise speed", "units": "m/s",
-             "min": 3.0, "max": 20.0},
+             "default": 5.0, "min": 3.0, "max": 20.0},
             {"name": "COM_RC_IN_MODE", "type": "Int32", "longDesc": "RC input\nmode.",
              "values": [{"value": 0, "description": "RC only"}]},
         ],
@@ -86,6 +86,7 @@ async def test_a_file_of_px4_is_read_from_on_board() -> None:
         entry = await schema_of(found, "MPC_XY_CRUISE")
         assert entry["description"] == "Cruise speed."
         assert '"range": [3.0, 20.0]' in json.dumps(entry)
+        assert '"default": 5.0' in json.dumps(entry)
         assert '"0": "RC only"' in json.dumps(await schema_of(found, "COM_RC_IN_MODE"))
 
 

@@ -12,8 +12,10 @@ from backends.mavlink.puppet import PX4, Puppet, station
 from backends.mavlink.test_gateway import Pilot, flying
 from rcp_kernel.errors import DeviceRejected, UnknownPath
 from rcp_kernel.testing import eventually
+from rcp_mavlink.parameter_defaults import unpacked
 from rcp_mavlink.parameter_files import FORMATS, Entry, Row, checked, is_state, parsed
 from rcp_mavlink.reversal import reversed_on_failure
+from rcp_mavlink_sim.parameters_table import table
 
 WHOLE = 1300  # parameters, as many as an ArduCopter has
 REAL, INT8, UINT8, UINT32 = 9, 2, 1, 5
@@ -369,3 +371,27 @@ def test_what_mission_planner_mavproxy_and_qgroundcontrol_write_is_read() -> Non
     assert entries == [Entry(2, "A", 1.0), Entry(3, "B", 2.5), Entry(4, "C", -3.0)]
     types = {"A": INT8, "B": REAL, "C": INT8}
     assert list(checked(entries, types)) == []
+
+
+async def test_the_defaults_of_the_firmware_are_read_whatever_is_set() -> None:
+    async with flying({"parameters": {"RTL_ALT": 2500}}, params=["RTL_*"]) as pilot:
+        await pilot.ready()
+        defaults = (await pilot.do("service/param/defaults"))["body"]["values"]
+        usual = {name: default for name, (_, default) in table("copter").items()}
+        assert defaults == pytest.approx(usual, rel=1e-6)
+        assert (defaults["RTL_ALT"], pilot.vehicle.params["RTL_ALT"]) == (1500, 2500)
+
+
+async def test_a_px4_has_them_in_its_metadata_alone() -> None:
+    async with station(Puppet(autopilot=PX4)) as found:
+        reply = await found.do("service/param/defaults")
+        assert reply["error"]["code"] == "unknown_path"
+
+
+def test_packed_defaults_are_read_past_padding_and_only_whole() -> None:
+    data = b"\x1c\x67\x02\0\x02\0" + b"\x11\x20ABC\x05\x03" + b"\0\0" + b"\x04\x02D\0\0\x80?"
+    assert unpacked(data) == {"ABC": 3, "ABD": 1.0}
+    assert unpacked(b"\x1b\x67" + data[2:]) is None
+    for wrong in (b"", b"\0\0" + data[2:], data[:-1], data[:6] + b"\x07" + data[7:]):
+        with pytest.raises(ValueError, match=r"param\.pck"):
+            unpacked(wrong)

@@ -23,6 +23,7 @@ export const PAGES: Page[] = [
   { id: "", name: "Overview", icon: "M4 4h7v7H4zM13 4h7v4h-7zM13 11h7v9h-7zM4 14h7v6H4z", load: async () => ({ default: Overview }) },
   { id: "fleet", name: "Fleet", icon: "M4 6h16M4 12h16M4 18h16M9 3v18", load: () => import("../pages/Fleet.svelte") },
   { id: "explore", name: "Explore", icon: "M4 5h6M4 12h10M4 19h6M14 5h6M18 12h2M14 19h6M10 3v4M14 10v4M14 17v4", load: () => import("../pages/Explore.svelte"), past: true },
+  { id: "parameters", name: "Parameters", icon: "M4 7h9M17 7h3M15 5v4M4 12h3M11 12h9M9 10v4M4 17h11M19 17h1M17 15v4", load: () => import("../pages/Parameters.svelte") },
   { id: "teleop", name: "Teleop", icon: "M12 3v4M12 17v4M3 12h4M17 12h4M12 9a3 3 0 1 1 0 6a3 3 0 1 1 0-6", load: () => import("../pages/Teleop.svelte"), drives: true },
   { id: "camera", name: "Camera", icon: "M3 7h4l2-2h6l2 2h4v12H3zM12 9.5a3.5 3.5 0 1 1 0 7a3.5 3.5 0 1 1 0-7", load: () => import("../pages/Camera.svelte"), past: true },
   { id: "scene", name: "Scene", icon: "M12 3l8 4.5v9L12 21l-8-4.5v-9zM12 12l8-4.5M12 12v9M12 12L4 7.5", load: () => import("../pages/Scene.svelte"), heavy: true, past: true },

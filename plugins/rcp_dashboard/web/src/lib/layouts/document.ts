@@ -1,7 +1,7 @@
 import { checkedPlots } from "../plots.svelte.ts";
 
 /** What a panel shows, in the order in which they are offered. */
-export const KINDS = ["camera", "scene", "map", "plot", "teleop", "joints", "log", "commands", "value", "gauge", "form", "note", "plugin"] as const;
+export const KINDS = ["camera", "scene", "map", "plot", "teleop", "joints", "log", "commands", "value", "gauge", "form", "parameters", "note", "plugin"] as const;
 export type Kind = (typeof KINDS)[number];
 
 /** A panel, with what it is about; which of the fields it has is its kind's. */

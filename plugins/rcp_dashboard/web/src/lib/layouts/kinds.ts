@@ -45,6 +45,7 @@ export const ABOUT: Record<Kind, About> = {
   value: { name: "Value", settings: ["path"], path: (one) => readable(one) && !shapes(one).has("image"), load: () => import("../../panels/ValuePanel.svelte") },
   gauge: { name: "Gauge", settings: ["path", "field", "range"], path: (one) => readable(one) && one.kind !== "event" && !shapes(one).has("image"), load: () => import("../../panels/GaugePanel.svelte") },
   form: { name: "Form", settings: ["path"], path: (one) => one.path.startsWith("/tenant/") && (one.operations.includes("write") || one.operations.includes("execute")), load: () => import("../../panels/FormPanel.svelte") },
+  parameters: { name: "Parameters", settings: ["robot"], robot: ({ resources }) => resources.some((one) => one.kind === "param"), load: () => import("../../panels/ParametersPanel.svelte") },
   note: { name: "Note", settings: ["text"], load: () => import("../../panels/NotePanel.svelte") },
   plugin: { name: "Plugin", settings: ["paths"], load: () => import("../../panels/PluginPanel.svelte") },
 };
