@@ -23,9 +23,6 @@ from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
-from rcp_mavlink.camera_controls import CameraControls
-from rcp_mavlink.camera_list import CameraList
-from rcp_mavlink.cameras import Cameras
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.described import Described
 from rcp_mavlink.direct_commands import DirectCommands
@@ -34,9 +31,9 @@ from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
 from rcp_mavlink.forwarding import FRAMES, SEND, Forwarding
 from rcp_mavlink.frames import Frame
-from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.identity import describe
+from rcp_mavlink.imaging import Imaging
 from rcp_mavlink.intervals import FASTEST, Intervals
 from rcp_mavlink.journeys import Journeys
 from rcp_mavlink.logs import Logs
@@ -46,7 +43,6 @@ from rcp_mavlink.motion import Motion
 from rcp_mavlink.paramcoding import REAL
 from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.parameters import Parameters
-from rcp_mavlink.photofiles import PhotoFiles
 from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.recovery import Recovery
@@ -157,14 +153,7 @@ class Robot:
             **missions.verbs(),
             **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
-            "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
-            **CameraList(hub, vehicle, self._commands).verbs(),
-            **CameraControls(
-                hub,
-                vehicle,
-                self._commands,
-                Cameras(hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)),
-            ).verbs(),
+            **Imaging(hub, vehicle, self._commands, self.intervals, files).verbs(),
             **Calibration(
                 vehicle, self._commands, self.intervals, self.motion, self.parameters
             ).verbs(),

@@ -225,11 +225,10 @@ def _which_interval(c: CommandRequest) -> int:
 
 def _request(c: CommandRequest) -> int:
     number = int(c.p[0])
-    message = c.peer.vehicle.measure(number) if number in MAKERS else None
-    if message is None:
-        return _FAILED
-    c.peer.send(message)
-    return _OK
+    messages = c.peer.vehicle.measure(number) if number in MAKERS else []
+    for message in messages:
+        c.peer.send(message)
+    return outcome(bool(messages))
 
 
 def _version(c: CommandRequest) -> int:

@@ -144,7 +144,9 @@ class GroundStation:
     def _pitch_yaw(self, message: Any) -> None:
         locked = bool(message.flags & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
         pitch, yaw = math.degrees(message.pitch), math.degrees(message.yaw)
-        self.vehicle.mount.turn(pitch, yaw, locked=locked)
+        mount = self.vehicle.gimbal(message.gimbal_device_id)
+        if mount is not None:
+            mount.turn(pitch, yaw, locked=locked)
 
     def _corrections(self, message: Any) -> None:
         self.vehicle.corrections.take(message)

@@ -78,7 +78,5 @@ class Streams:
             if wall < due:
                 continue
             self._due[number] = due + seconds if wall - due < seconds else wall + seconds
-            message = self._vehicle.measure(number)
-            if message is not None:
-                found.append(message)
+            found += self._vehicle.measure(number)
         return found

@@ -46,7 +46,9 @@ class Systems(VehicleState):
         self.flight.limits()
         self.failsafes = Failsafes(self, self.flight)
         self.fence = Fence(self, self.flight)
-        self.mount = Mount(self)
+        self.mount, second = Mount(self), Mount(self, 2)
+        self.mounts = (self.mount, second)
+        """Those of `MNT1_*` and `MNT2_*`; the first is the primary one, with the camera."""
         self.payloads = Payloads(self)
         self.motor_test = MotorTest(self)
         self.calibrations = Calibrations(self)
@@ -54,6 +56,13 @@ class Systems(VehicleState):
     def complaints(self) -> list[str]:
         """List what prevents arming, in ArduPilot's words; empty if it may arm."""
         return complaints(self, self.flight, self.failsafes, self.fence)
+
+    def gimbal(self, device: float) -> Mount | None:
+        """Return the mount of a gimbal device id; 0 is the primary one, None if it is not fitted."""
+        number = device or 1
+        return next(
+            (mount for mount in self.mounts if mount.fitted and mount.number == number), None
+        )
 
     @property
     def ready(self) -> bool:

@@ -33,7 +33,7 @@ class Vehicle(Systems):
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""
         super().begin(heading)
-        self._last_messages: dict[int, Any] = {}
+        self._last_messages: dict[int, list[Any]] = {}
         self._announced = 0
         self._chattered = 0.0
         self._left = 0.0
@@ -56,12 +56,13 @@ class Vehicle(Systems):
             if text:
                 send(mav.MAVLink_statustext_message(6, text.encode()))
 
-    def measure(self, number: int) -> Any:
-        """Build a telemetry message by its id; None if it has no value now."""
+    def measure(self, number: int) -> list[Any]:
+        """Build a telemetry message by its id, one for each gimbal; none if it has no value now."""
         telemetry = self.faults.telemetry
         if telemetry == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
-            self._last_messages[number] = MAKERS[number](self)
-        return None if telemetry == "silent" and number else self._last_messages.get(number)
+            made = MAKERS[number](self)
+            self._last_messages[number] = made if isinstance(made, list) else [made] if made else []
+        return [] if telemetry == "silent" and number else self._last_messages.get(number, [])
 
     # Commands
 
@@ -127,7 +128,8 @@ class Vehicle(Systems):
         flying = self.armed and (not self.body.landed or not self.kind.flies)
         self.statistics.step(seconds, flying=flying)
         self.noise.step(seconds)
-        self.mount.step(seconds)
+        for mount in self.mounts:
+            mount.step(seconds)
         self.payloads.step(seconds)
         self.motor_test.check()
         self.calibrations.step(seconds)

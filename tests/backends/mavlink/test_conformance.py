@@ -168,6 +168,7 @@ class MavlinkRig(Hurried, StopRig):
             "action/mission/pause": Goal(good=None),
             "action/mission/resume": Goal(good=None),
             "action/gimbal": Goal(good={"pitch": -0.5}),
+            "service/gimbal/release": Goal(good=None, bad={"gimbal": 3}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
             "service/calibrate/continue": Goal(good=None),
