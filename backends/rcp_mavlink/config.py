@@ -108,6 +108,8 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Commands that `service/command` may send: patterns allow those of payloads, full names any."""
     messages: tuple[str, ...] = ()
     """Patterns of additional messages of the dialect to expose: `VIBRATION`, `GPS*`."""
+    terrain: str | None = None
+    """A folder with tiles of SRTM (`N47E008.hgt`): vehicles are sent the heights that they ask for."""
     forward: bool = False
     """Expose whole frames, for ground stations behind the gateway (`[plugins.ground_stations]`)."""
     sticks: bool = False

@@ -78,6 +78,9 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     east: Metres | None = None
     altitude: Over | None = None
     """Above home, m; default: the present height."""
+    above: Literal["home", "terrain"] = "home"
+    """What `altitude` or `z` counts from: `terrain` is the ground below, which an ArduPilot that knows it
+    also follows on the way. Not for ground vehicles."""
     yaw: Angle | None = None
     """Heading; default: free. Counter-clockwise from east with `position`, otherwise clockwise from
     north. Not for ground vehicles or planes."""

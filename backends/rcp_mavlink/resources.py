@@ -34,6 +34,7 @@ from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
 from rcp_mavlink.sensors import Sensor
 from rcp_mavlink.speed_controllers import SpeedControllers
+from rcp_mavlink.terrain import Terrain
 from rcp_mavlink.traffic import Traffic
 from rcp_mavlink.vehicle import Vehicle
 from rcp_profiles import Offer
@@ -98,6 +99,7 @@ def resources(
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
     found += Imaging.resources()
     found += Traffic.resources(hub.dialect) + SpeedControllers.resources(hub.dialect, family)
+    found += Terrain.resources(hub.dialect, family)
     found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()

@@ -29,7 +29,8 @@ _ERASE = 2  # PREFLIGHT_STORAGE
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
 """Modes that obey CONDITION_YAW; others accept it without effect."""
-_GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
+_GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True, 10: True, 11: True}
+_GROUND_FRAMES = frozenset({10, 11})
 
 
 def run(peer: Peer, message: Any) -> int:
@@ -97,6 +98,12 @@ def _reposition(c: CommandRequest) -> int:
     if not abs(c.p[6]) <= _HIGHEST:
         return _DENIED
     height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
+    over_ground = c.frame in _GROUND_FRAMES and vehicle.kind.flies
+    if over_ground:
+        above_home = vehicle.above_ground(height, vehicle.place_of(lat, lon))
+        if above_home is None:
+            return _FAILED
+        height = above_home
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
         return _FAILED  # without a text, like ArduPilot
     if flight.mode is not Mode.GUIDED and not vehicle.flight.set_mode(Mode.GUIDED):
@@ -104,6 +111,7 @@ def _reposition(c: CommandRequest) -> int:
     if vehicle.kind.drives and c.p[0] > 0 and not flight.change_speed(c.p[0]):
         return _FAILED
     flight.aim(vehicle.place_of(lat, lon), -height)
+    flight.height_over_ground = c.p[6] if over_ground else None
     vehicle.pilot.passes = False
     return _OK
 

@@ -77,6 +77,8 @@ class GroundStation:
             "FILE_TRANSFER_PROTOCOL": self._ftp.take,
             "GIMBAL_MANAGER_SET_PITCHYAW": self._pitch_yaw,
             "GPS_RTCM_DATA": self._corrections,
+            "TERRAIN_DATA": self._terrain_data,
+            "TERRAIN_CHECK": self._terrain_check,
             "MANUAL_CONTROL": self._sticks,
             "RC_CHANNELS_OVERRIDE": self._sticks,
             "LOG_REQUEST_LIST": self._log_list,
@@ -150,6 +152,15 @@ class GroundStation:
 
     def _corrections(self, message: Any) -> None:
         self.vehicle.corrections.take(message)
+
+    def _terrain_data(self, message: Any) -> None:
+        self.vehicle.terrain.take(message)
+
+    def _terrain_check(self, message: Any) -> None:
+        vehicle = self.vehicle
+        if vehicle.position_ok and vehicle.terrain.enabled:
+            place, above = (message.lat, message.lon), -vehicle.body.d
+            self.send(vehicle.terrain.report(place, vehicle.ground_home, above))
 
     def _sticks(self, message: Any) -> None:
         vehicle = self.vehicle

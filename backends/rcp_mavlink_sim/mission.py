@@ -21,6 +21,8 @@ class Manoeuvres(Protocol):
 
     radius: float
     """Radius within which a waypoint counts as reached, m."""
+    height_over_ground: float | None
+    """Height above the ground to keep on the way, m; None: that of the pilot."""
 
     def lift(self, height: float) -> None:
         """Take off from here."""
@@ -150,6 +152,8 @@ class Mission:
 
     def _begin(self, item: Item) -> None:
         vehicle = self._vehicle
+        if item.command < _LAST_MOVE:
+            self._flight.height_over_ground = None
         pilot = vehicle.pilot
         match item.command:
             case mav.MAV_CMD_NAV_TAKEOFF:
@@ -177,6 +181,8 @@ class Mission:
         if distance > 2:
             pilot.yaw = math.atan2(place[1] - body.e, place[0] - body.n)
         pilot.place, pilot.depth, pilot.attitude = place, self._depth(item), None
+        over_ground = item.frame == mav.MAV_FRAME_GLOBAL_TERRAIN_ALT
+        self._flight.height_over_ground = item.alt if over_ground else None
         pilot.passes = item.command in (16, 82)
         pilot.spinning = pilot.spinning or not body.landed or not self._vehicle.kind.flies
 
@@ -189,6 +195,9 @@ class Mission:
         height = item.alt
         if item.frame in (0, 5):
             height -= self._vehicle.origin[2]
+        elif item.frame == mav.MAV_FRAME_GLOBAL_TERRAIN_ALT:
+            above_home = self._vehicle.above_ground(height, self._place(item))
+            return self._vehicle.body.d if above_home is None else -above_home
         return -height
 
     def _done(self, item: Item, dt: float) -> bool:

@@ -20,6 +20,7 @@ from rcp_mavlink_sim.parameters import Parameters
 from rcp_mavlink_sim.plans import Plan
 from rcp_mavlink_sim.power import Battery
 from rcp_mavlink_sim.sticks import Sticks
+from rcp_mavlink_sim.terrain import Place, Terrain
 from rcp_mavlink_sim.wire import mav
 
 __all__ = ["VehicleState"]
@@ -65,6 +66,7 @@ class VehicleState:
         self.adsb = AdsbReceiver()
         self.corrections = GnssCorrections()
         self.statistics = FlightStatistics(self.params)
+        self.terrain = Terrain(self.params)
 
     # Position
 
@@ -82,6 +84,21 @@ class VehicleState:
     def geographic(self) -> tuple[float, float]:
         """Return latitude and longitude, deg."""
         return shifted(self.body.n, self.body.e, self.origin[:2])
+
+    def ground_place(self, place: tuple[float, float] | None = None) -> Place:
+        """Return a position from the origin, m, as the terrain counts it; by default its own."""
+        north, east = place or (self.body.n, self.body.e)
+        lat, lon = shifted(north, east, self.origin[:2])
+        return round(lat * 1e7), round(lon * 1e7)
+
+    @property
+    def ground_home(self) -> Place | None:
+        """The position of home, as the terrain counts it."""
+        return None if self.home is None else (round(self.home[0] * 1e7), round(self.home[1] * 1e7))
+
+    def above_ground(self, height: float, place: tuple[float, float] | None = None) -> float | None:
+        """Return a height above the ground at a position as one above home, m; None if it is not known."""
+        return self.terrain.above_home(self.ground_place(place), self.ground_home, height)
 
     def place_of(self, lat: float, lon: float) -> tuple[float, float]:
         """Return a position relative to the origin, north and east, m."""

@@ -222,12 +222,33 @@ def _winch(v: Systems) -> Any:
     )  # fmt: skip
 
 
+def _terrain(v: Systems) -> Any:
+    if not v.position_ok or not v.terrain.enabled:
+        return None
+    return v.terrain.report(v.ground_place(), v.ground_home, -v.body.d)
+
+
+def _terrain_request(v: Systems) -> Any:
+    return v.terrain.request(v.ground_place(), v.wall) if v.position_ok else None
+
+
 def _version(v: Systems) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
     hashed, nothing = list(b"70746572"), [0] * 8
     own = list(f"twin {v.options.system}".encode().ljust(18, b"\0"))
     return mav.MAVLink_autopilot_version_message(  # ArduPilot leaves all ids but `uid2` empty
-        _CAPABLE, release, 0, 0, 0, hashed, nothing, nothing, 0, 0, 0, own
+        _CAPABLE | (mav.MAV_PROTOCOL_CAPABILITY_TERRAIN if v.terrain.enabled else 0),
+        release,
+        0,
+        0,
+        0,
+        hashed,
+        nothing,
+        nothing,
+        0,
+        0,
+        0,
+        own,
     )
 
 
@@ -266,6 +287,8 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_WINCH_STATUS: _winch,
     mav.MAVLINK_MSG_ID_MAG_CAL_PROGRESS: lambda v: v.calibrations.progress(),
     mav.MAVLINK_MSG_ID_MAG_CAL_REPORT: lambda _: None,  # sent when it is there
+    mav.MAVLINK_MSG_ID_TERRAIN_REPORT: _terrain,
+    mav.MAVLINK_MSG_ID_TERRAIN_REQUEST: _terrain_request,
     **mount_messages.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }
