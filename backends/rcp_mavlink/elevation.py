@@ -36,7 +36,9 @@ class Elevation:
         """:raises ConfigError: there is no such folder."""
         self._folder = Path(folder)
         if not self._folder.is_dir():
-            raise ConfigError(f"`terrain`: {folder} is no folder; it holds tiles such as N47E008.hgt")
+            raise ConfigError(
+                f"`terrain`: {folder} is no folder; it holds tiles such as N47E008.hgt"
+            )
         self._tiles: dict[str, _Tile] = {}
         self._lock = threading.Lock()
         self._refused: set[str] = set()

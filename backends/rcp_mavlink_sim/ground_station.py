@@ -77,6 +77,8 @@ class GroundStation:
             "FILE_TRANSFER_PROTOCOL": self._ftp.take,
             "GIMBAL_MANAGER_SET_PITCHYAW": self._pitch_yaw,
             "GPS_RTCM_DATA": self._corrections,
+            "FOLLOW_TARGET": self._leader,
+            "GLOBAL_POSITION_INT": self._leader,
             "TERRAIN_DATA": self._terrain_data,
             "TERRAIN_CHECK": self._terrain_check,
             "MANUAL_CONTROL": self._sticks,
@@ -152,6 +154,11 @@ class GroundStation:
 
     def _corrections(self, message: Any) -> None:
         self.vehicle.corrections.take(message)
+
+    def _leader(self, message: Any) -> None:
+        vehicle = self.vehicle
+        if vehicle.home is not None and message.get_srcSystem() != vehicle.options.system:
+            vehicle.leader.take(message, vehicle.wall, vehicle.home[2])
 
     def _terrain_data(self, message: Any) -> None:
         self.vehicle.terrain.take(message)

@@ -13,7 +13,7 @@ __all__ = ["KINDS", "Kind", "Name"]
 
 Name = Literal["copter", "plane", "rover", "boat"]
 
-_COPTER = {0: Mode.STABILIZE, 2: Mode.ALT_HOLD, 3: Mode.AUTO, 4: Mode.GUIDED, 5: Mode.LOITER, 6: Mode.RTL, 7: Mode.CIRCLE, 9: Mode.LAND, 16: Mode.POSHOLD, 17: Mode.BRAKE}  # fmt: skip
+_COPTER = {0: Mode.STABILIZE, 2: Mode.ALT_HOLD, 3: Mode.AUTO, 4: Mode.GUIDED, 5: Mode.LOITER, 6: Mode.RTL, 7: Mode.CIRCLE, 9: Mode.LAND, 16: Mode.POSHOLD, 17: Mode.BRAKE, 23: Mode.FOLLOW}  # fmt: skip
 _PLANE = {0: Mode.MANUAL, 1: Mode.CIRCLE, 2: Mode.STABILIZE, 5: Mode.FBWA, 6: Mode.FBWB, 7: Mode.CRUISE, 10: Mode.AUTO, 11: Mode.RTL, 12: Mode.LOITER, 13: Mode.TAKEOFF, 15: Mode.GUIDED}  # fmt: skip
 _ROVER = {0: Mode.MANUAL, 3: Mode.STEERING, 4: Mode.HOLD, 5: Mode.LOITER, 10: Mode.AUTO, 11: Mode.RTL, 12: Mode.SMART_RTL, 15: Mode.GUIDED}  # fmt: skip
 _BY_HAND = frozenset({Mode.MANUAL, Mode.STABILIZE, Mode.STEERING, Mode.ALT_HOLD, Mode.FBWA, Mode.FBWB, Mode.HOLD, Mode.LAND})  # fmt: skip

@@ -11,6 +11,7 @@ from rcp_mavlink_sim.adsb import AdsbReceiver
 from rcp_mavlink_sim.crafts import body_of, pilot_of
 from rcp_mavlink_sim.faults import Faults
 from rcp_mavlink_sim.flight_statistics import FlightStatistics
+from rcp_mavlink_sim.follow import Leader
 from rcp_mavlink_sim.gnss_corrections import GnssCorrections
 from rcp_mavlink_sim.kinds import KINDS
 from rcp_mavlink_sim.noise import Noise
@@ -67,6 +68,7 @@ class VehicleState:
         self.corrections = GnssCorrections()
         self.statistics = FlightStatistics(self.params)
         self.terrain = Terrain(self.params)
+        self.leader = Leader(self.params)
 
     # Position
 
