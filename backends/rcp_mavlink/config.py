@@ -10,7 +10,7 @@ from msgspec import Meta, Struct
 __all__ = ["LinkSpec", "MavlinkConfig", "TwinBox", "TwinConfig"]
 
 _NET = re.compile(r"(udpin|udpout|tcp|tcpin):(?:\[([^\]]+)\]|([^:\[\]]+)):(\d{1,5})\Z")
-_SIM = re.compile(r"sim:(copter|plane|rover|boat)\Z")
+_SIM = re.compile(r"sim:(copter|plane|rover|boat|px4)\Z")
 _SERIAL = re.compile(r"serial:(/[^:]+)(?::(\d+))?\Z")
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
 
@@ -41,7 +41,7 @@ class LinkSpec(Struct, frozen=True):
             return cls("sim", sim[1], 0)
         raise ValueError(
             f"{text!r} is not a link: use udpin, udpout, tcp or tcpin with host and port, "
-            "serial:DEVICE:BAUD, or sim:copter, plane, rover or boat"
+            "serial:DEVICE:BAUD, or sim:copter, plane, rover, boat or px4"
         )
 
 

@@ -27,6 +27,8 @@ class Flight(ABC):
     """Whether a mission starts in AUTO on arming."""
     patience = 3.0
     """Real seconds until a set-point expires."""
+    led = Mode.GUIDED
+    """The mode that follows set-points."""
     paced = frozenset({Mode.GUIDED, Mode.AUTO})
     """Modes that obey DO_CHANGE_SPEED; it fails in others."""
 

@@ -121,7 +121,7 @@ class Mission:
         item = self.plan.items[self.current]
         if not self._began:
             self._began, self._waited = True, 0.0
-            self._vehicle.send_text(6, f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
+            self._say(f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
             self._begin(item)
         if self._done(item, dt):
             self._next(item)
@@ -129,8 +129,9 @@ class Mission:
     def _next(self, item: Item) -> None:
         if item.command in _TRAVELS or item.command in (21, 22):
             self.reached = self.current
-            self._vehicle.send_text(6, f"Reached command #{self.current}")
-            self._vehicle.broadcast(mav.MAVLink_mission_item_reached_message(self.current))
+            self._say(f"Reached command #{self.current}")
+            number = self.current if self._vehicle.kind.counts_home else self.current - 1
+            self._vehicle.broadcast(mav.MAVLink_mission_item_reached_message(number))
         self._began = False
         if item.command == mav.MAV_CMD_DO_JUMP and self._jump(item):
             return
@@ -140,6 +141,11 @@ class Mission:
             self.running, self.complete = False, True
             self._vehicle.pilot.hold()
             self._flight.finished()
+
+    def _say(self, text: str) -> None:
+        """Send what ArduPilot says of its missions."""
+        if self._vehicle.kind.counts_home:
+            self._vehicle.send_text(6, text)
 
     def _jump(self, item: Item) -> bool:
         done = self._jumps.get(self.current, 0)

@@ -29,6 +29,7 @@ class Mode(Enum):
     BRAKE = auto()
     HOLD = auto()
     FOLLOW = auto()
+    OFFBOARD = auto()
 
 
 _NOT_ARMABLE = frozenset({Mode.RTL, Mode.SMART_RTL, Mode.LAND, Mode.BRAKE, Mode.FOLLOW})

@@ -5,8 +5,10 @@ Types: b int8, h int16, i int32, f float. `{}` stands for the numbers of the gro
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
+
+from rcp_mavlink_sim.px4.parameters_table import PX4
 
 __all__ = ["CASTS", "table"]
 
@@ -109,6 +111,8 @@ _OTHER["boat"] = (_COPTER_ONLY, _ROVER.replace("FRAME_CLASS b 1", "FRAME_CLASS b
 @cache
 def table(vehicle: str) -> dict[str, tuple[str, float]]:
     """Return type and default of each parameter by name, in the order of the list."""
+    if vehicle == "px4":
+        return _read(entry for line in PX4.split("\n") for entry in line.split("|") if entry)
     plain = [entry for line in _PLAIN.split("\n") for entry in line.split("|") if entry]
     for numbers, text in _GROUPS:
         plain += [e.format(number) for number in numbers for e in text.split("|")]
@@ -116,10 +120,14 @@ def table(vehicle: str) -> dict[str, tuple[str, float]]:
     entries = [entry for entry in plain if not (lacks and entry.startswith(lacks))]
     more = (own + _SIMULATED).replace("\n", "|").split("|")
     entries += [entry for entry in more if entry]
-    found = {
-        name: (kind, float(value)) for name, kind, value in (entry.split() for entry in entries)
-    }
+    found = _read(entries)
     outputs = {"copter": (33, 34, 35, 36), "plane": (4, 19, 70, 21)}.get(vehicle, (26, 0, 70))
     for output, function in enumerate(outputs, 1):
         found[f"SERVO{output}_FUNCTION"] = ("h", float(function))
     return dict(sorted(found.items()))
+
+
+def _read(entries: Iterable[str]) -> dict[str, tuple[str, float]]:
+    return {
+        name: (kind, float(value)) for name, kind, value in (entry.split() for entry in entries)
+    }

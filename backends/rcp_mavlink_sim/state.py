@@ -35,7 +35,7 @@ class VehicleState:
         self.kind = KINDS[options.vehicle]
         self.on_message: list[Callable[[Any], None]] = []
         """Called with each broadcast message."""
-        self.params = Parameters(options.vehicle, options.parameters)
+        self.params = self.make_parameters(options)
         self.noise = Noise(options.seed, options.noise)
         self.wall = 0.0
         """Real seconds, by the clock of `advance`."""
@@ -44,6 +44,10 @@ class VehicleState:
         """Injected faults; they survive a reboot."""
         self.rally = Plan(mav.MAV_MISSION_TYPE_RALLY)
         self.begin(math.radians(options.heading))
+
+    def make_parameters(self, options: Options) -> Parameters:
+        """Return its parameters."""
+        return Parameters(options.vehicle, options.parameters)
 
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""

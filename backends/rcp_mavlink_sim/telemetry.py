@@ -15,7 +15,7 @@ from rcp_mavlink_sim.sensing import milliseconds as _ms
 from rcp_mavlink_sim.systems import Systems
 from rcp_mavlink_sim.wire import mav
 
-__all__ = ["MAKERS", "heartbeat"]
+__all__ = ["MAKERS", "heartbeat", "state_of"]
 
 _GPS, _LEVEL, _PLACE, _MOTORS, _FENCE, _AHRS, _BATTERY = (
     mav.MAV_SYS_STATUS_SENSOR_GPS,
@@ -63,11 +63,12 @@ def heartbeat(v: Systems) -> Any:
     flags |= 0 if v.kind.by_hand(mode) else mav.MAV_MODE_FLAG_GUIDED_ENABLED
     flags |= mav.MAV_MODE_FLAG_SAFETY_ARMED if v.armed or v.motor_test.motor else 0
     return mav.MAVLink_heartbeat_message(
-        v.kind.type, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, v.kind.number(mode), _state(v), 3
+        v.kind.type, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, v.kind.number(mode), state_of(v), 3
     )
 
 
-def _state(v: Systems) -> int:
+def state_of(v: Systems) -> int:
+    """Return its MAV_STATE."""
     if v.failsafes.any:
         return mav.MAV_STATE_CRITICAL
     moving = v.armed and (not v.body.landed or not v.kind.flies)
