@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import cache
 
-from rcp_mavlink_sim.px4.parameters_table import PX4
+from rcp_mavlink_sim.px4_parameters import PX4
 
 __all__ = ["CASTS", "table"]
 

@@ -179,11 +179,12 @@ async def test_it_is_not_armed_without_a_position() -> None:
 async def test_without_the_gateway_it_does_as_its_parameter_says() -> None:
     parameters = {"NAV_DLL_ACT": 2.0, "COM_DL_LOSS_T": 2.0, "RTL_RETURN_ALT": 22.0}
     async with px4(parameters=parameters) as pilot:
-        dogs = pilot.served.life.backend.watchdogs()
-        await eventually(lambda: _is(pilot.served.life.backend.watchdogs()), "it was read")
+        backend: Any = pilot.served.life.backend
+        await backend.robots[""].watchdogs.verified.wait()
+        link, offboard, *_ = backend.watchdogs()
+        assert (link.within, offboard.within) == (3.0, 1.0)
         pilot.twin.muted = True
         await eventually(lambda: _is(pilot.vehicle.flight.mode is Mode.RTL), "it returns")
-        assert dogs is not None
 
 
 async def test_a_pilot_who_takes_over_ends_what_flies_it(pilot: Px4Pilot) -> None:
