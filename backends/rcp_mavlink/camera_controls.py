@@ -1,4 +1,4 @@
-"""Zoom, focus and video of a camera, seen in what it reports, and the place that it looks at."""
+"""Zoom, focus and video of a camera, seen in what it reports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from msgspec import Meta, Struct
 from rcp_kernel.errors import DeviceTimeout, NotImplementedByRobot, PreconditionFailed, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
-from rcp_mavlink import messages as m
 from rcp_mavlink.cameras import Cameras
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.frames import Frame
@@ -23,8 +22,6 @@ _REQUEST = 512
 _ZOOM, _FOCUS = 531, 532
 _RANGE, _AUTO = 2.0, 4.0  # CAMERA_ZOOM_TYPE and SET_FOCUS_TYPE
 _VIDEO_START, _VIDEO_STOP = 2500, 2501
-_LOOK_AT, _LOOK_AHEAD = 195, 197
-_ABSOLUTE = 5
 _SETTINGS, _CAPTURE = "CAMERA_SETTINGS", "CAMERA_CAPTURE_STATUS"
 _ATTEMPTS = 10
 _CLOSE = 1.0  # percent
@@ -59,15 +56,6 @@ class Video(Struct, frozen=True, forbid_unknown_fields=True):
     """Component id; default: the one that takes pictures."""
 
 
-class Region(Struct, frozen=True, forbid_unknown_fields=True):
-    """A place that the camera keeps looking at."""
-
-    latitude: m.Latitude
-    longitude: m.Longitude
-    altitude: m.Over = 0.0
-    """Above home, m."""
-
-
 class CameraControls:
     """The cameras of one vehicle."""
 
@@ -82,8 +70,6 @@ class CameraControls:
             "service/camera/zoom": self.zoom,
             "service/camera/focus": self.focus,
             "service/camera/video": self.video,
-            "service/camera/look_at": self.look_at,
-            "service/camera/look_ahead": self.look_ahead,
         }
 
     @staticmethod
@@ -93,8 +79,6 @@ class CameraControls:
             Resource(name="service/camera/zoom", description="Zoom in or out; completes when the camera reports it.", input=Zoom, output=Zoom, examples=({"level": 0.5},), timeout=30),
             Resource(name="service/camera/focus", description="Focus; completes when the camera reports it, by itself when it accepts it.", input=Focus, output=Focus, examples=({"level": 1.0}, {}), timeout=30),
             Resource(name="service/camera/video", description="Start or end a video; completes when the camera reports that it records, or no longer does.", input=Video, output=Video, examples=({"on": True}, {"on": False}), timeout=30),
-            Resource(name="service/camera/look_at", moves=True, description="Have the gimbal keep a place in view while the vehicle moves; completes when it is accepted.", input=Region, output=Region, examples=({"latitude": -35.3631, "longitude": 149.1652},), timeout=15, max_age=30.0),
-            Resource(name="service/camera/look_ahead", moves=True, description="End `service/camera/look_at`; completes when it is accepted.", timeout=15, max_age=30.0),
         ]  # fmt: skip
 
     # One camera
@@ -174,27 +158,6 @@ class CameraControls:
                 if reports and holds(reports[-1]):
                     return
         raise DeviceTimeout(f"{what}: accepted, but {message} does not show it")
-
-    # The gimbal
-
-    async def look_at(self, given: Region, _: Progress) -> Region:
-        """Keep a place in view.
-
-        :raises PreconditionFailed: home is not known, from which its height is given.
-        """
-        home = self._vehicle.home
-        if home is None:
-            raise PreconditionFailed("look_at: home is not known yet")
-        command = Command(
-            _LOOK_AT, x=given.latitude, y=given.longitude, z=home[2] + given.altitude,
-            frame=_ABSOLUTE, place=True, whole=True,
-        )  # fmt: skip
-        await self._commands.send(command, "look_at")
-        return given
-
-    async def look_ahead(self, _: None, __: Progress) -> None:
-        """Keep no place in view any more."""
-        await self._commands.send(Command(_LOOK_AHEAD), "look_ahead")
 
 
 def _near(value: float, wanted: float) -> bool:

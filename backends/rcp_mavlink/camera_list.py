@@ -11,7 +11,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.model import READS, Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink.commands import Command, Commands
-from rcp_mavlink.frames import Frame
+from rcp_mavlink.frames import Frame, text_of
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.vehicle import Vehicle
 
@@ -112,8 +112,8 @@ class CameraList:
         stores = await self._told(component, _STORAGE, "storage_count")
         return Camera(
             camera=component,
-            vendor=_text(bytes(f["vendor_name"])),
-            model=_text(bytes(f["model_name"])),
+            vendor=text_of(bytes(f["vendor_name"])),
+            model=text_of(bytes(f["model_name"])),
             takes_pictures=bool(flags & _PICTURES),
             records_video=bool(flags & _VIDEO),
             zooms=bool(flags & _ZOOMS),
@@ -161,7 +161,7 @@ def _by(told: list[dict[str, Any]], field: str) -> list[dict[str, Any]]:
 def _stream(f: dict[str, Any]) -> VideoStream:
     protocol: Any = _PROTOCOLS.get(f["type"], "unknown")
     return VideoStream(
-        f["stream_id"], _text(f["name"]), _text(f["uri"]), protocol, bool(f["flags"] & _RUNS),
+        f["stream_id"], text_of(f["name"]), text_of(f["uri"]), protocol, bool(f["flags"] & _RUNS),
         bool(f["flags"] & _THERMAL), f["resolution_h"], f["resolution_v"], f["framerate"], f["bitrate"],
     )  # fmt: skip
 
@@ -172,7 +172,3 @@ def _store(f: dict[str, Any]) -> Store:
     if state != "ready":
         return Store(f["storage_id"], state, None, None, None)
     return Store(f["storage_id"], state, *(round(size * _MEBIBYTE) for size in sizes))
-
-
-def _text(raw: bytes) -> str:
-    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")

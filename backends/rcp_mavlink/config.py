@@ -10,7 +10,7 @@ from msgspec import Meta, Struct
 __all__ = ["LinkSpec", "MavlinkConfig", "TwinBox", "TwinConfig"]
 
 _NET = re.compile(r"(udpin|udpout|tcp|tcpin):(?:\[([^\]]+)\]|([^:\[\]]+)):(\d{1,5})\Z")
-_SIM = re.compile(r"sim:(copter|plane|rover|boat)\Z")
+_SIM = re.compile(r"sim:(copter|plane|rover|boat|px4)\Z")
 _SERIAL = re.compile(r"serial:(/[^:]+)(?::(\d+))?\Z")
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
 
@@ -41,7 +41,7 @@ class LinkSpec(Struct, frozen=True):
             return cls("sim", sim[1], 0)
         raise ValueError(
             f"{text!r} is not a link: use udpin, udpout, tcp or tcpin with host and port, "
-            "serial:DEVICE:BAUD, or sim:copter, plane, rover or boat"
+            "serial:DEVICE:BAUD, or sim:copter, plane, rover, boat or px4"
         )
 
 
@@ -108,6 +108,8 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Commands that `service/command` may send: patterns allow those of payloads, full names any."""
     messages: tuple[str, ...] = ()
     """Patterns of additional messages of the dialect to expose: `VIBRATION`, `GPS*`."""
+    terrain: str | None = None
+    """A folder with tiles of SRTM (`N47E008.hgt`): vehicles are sent the heights that they ask for."""
     forward: bool = False
     """Expose whole frames, for ground stations behind the gateway (`[plugins.ground_stations]`)."""
     sticks: bool = False

@@ -11,6 +11,8 @@ from rcp_mavlink.commands import Commands
 from rcp_mavlink.corrections import CORRECTIONS, Corrections
 from rcp_mavlink.flight_statistics import FlightStatistics
 from rcp_mavlink.flightmodes import Family
+from rcp_mavlink.follow import Follows
+from rcp_mavlink.follow_target import FOLLOW_TARGET, FollowTargets
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import Intervals
 from rcp_mavlink.journeys import Journeys
@@ -55,11 +57,14 @@ class Equipment:
         self._motors = MotorTests(vehicle, commands, intervals, motion)
         self._ongoing = (self._winches.ongoing, self._motors.ongoing)
         self._sticks = Sticks(hub, vehicle, motion)
+        targets = FollowTargets(hub, vehicle, motion.hold)
+        self._follows = Follows(hub, vehicle, motion, parameters, targets)
         self._statistics = FlightStatistics(vehicle, parameters)
         self.writes: dict[str, Callable[[Any], Awaitable[None]]] = {
             "actuator/position": PositionTargets(hub, vehicle, setpoints, parameters).write,
             "actuator/sticks": self._sticks.positions,
             "actuator/rc": self._sticks.pulses,
+            FOLLOW_TARGET: targets.write,
             CORRECTIONS: Corrections(hub, vehicle).write,
         }
         """The handler of each path that is written."""
@@ -77,7 +82,7 @@ class Equipment:
 
     def leading(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path that ends what the vehicle does."""
-        return {**self._turns.leading(), **self._orbits.leading()}
+        return {**self._turns.leading(), **self._orbits.leading(), **self._follows.leading()}
 
     @staticmethod
     def resources(family: Family, *, sticks: bool) -> list[Resource]:
@@ -85,6 +90,7 @@ class Equipment:
         found = [
             *Turns.resources(family),
             *Orbits.resources(family),
+            *Follows.resources(family),
             *Origins.resources(),
             *Payloads.resources(),
             *Winches.resources(),

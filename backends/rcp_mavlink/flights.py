@@ -81,7 +81,8 @@ class Flights:
             def report() -> bool:
                 now = fix_of(vehicle).height
                 progress(m.Height(now), fraction=part(now - start, altitude - start))
-                return now >= altitude - max(0.3, 0.03 * altitude)
+                aloft = vehicle.landed is not True  # it is told less often than the height
+                return aloft and now >= altitude - max(0.3, 0.03 * altitude)
 
             with unanswered(report):
                 await self._rise(altitude)

@@ -7,7 +7,7 @@ from typing import Any
 from rcp_mavlink.dialect import Definition, Dialect
 from rcp_mavlink.signing import Signing
 
-__all__ = ["Frame", "Framer", "Stats", "rebuilt"]
+__all__ = ["Frame", "Framer", "Stats", "rebuilt", "text_of"]
 
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
@@ -37,6 +37,11 @@ class Frame:
     def fields(self) -> dict[str, Any]:
         """Return its fields as on the wire."""
         return self.definition.fields_of(self.payload)
+
+
+def text_of(raw: bytes) -> str:
+    """Return the text in a field of bytes, up to its end."""
+    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
 class Stats:

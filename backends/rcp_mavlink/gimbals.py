@@ -1,75 +1,110 @@
-"""The gimbal: by its manager (protocol v2) if there is one, otherwise as a legacy mount."""
+"""Gimbals: turned by their manager (protocol v2) if there is one, otherwise as a legacy mount."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange, RcpError
+from rcp_kernel.errors import (
+    DeviceRejected,
+    DeviceTimeout,
+    OutOfRange,
+    PreconditionFailed,
+    RcpError,
+)
+from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.frames import Frame
+from rcp_mavlink.gimbal_list import GimbalKey, GimbalList
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import Intervals
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Gimbals"]
+__all__ = ["TURNING", "Gimbals", "is_close"]
 
-_TURNING = 10.0  # s
+TURNING = 10.0  # s
 _CLOSE = 0.035  # rad
-_MOUNT_CONTROL, _CONFIGURE, _PITCH_YAW = 205, 1001, 1000
-_STATUS, _INFORMATION = "GIMBAL_DEVICE_ATTITUDE_STATUS", "GIMBAL_MANAGER_INFORMATION"
+_MOUNT_CONTROL, _CONFIGURE, _PITCH_YAW, _INTERVAL = 205, 1001, 1000, 511
+_STATUS = "GIMBAL_DEVICE_ATTITUDE_STATUS"
 _YAW_LOCK, _IN_VEHICLE, _IN_EARTH = 16, 32, 64
 _FOLLOW = 0  # yaw is relative to the vehicle's heading
 _REPORTS = 5.0  # Hz
+_UNCHANGED, _GIVE_UP = -1.0, -3.0
 
 
 class Gimbals:
-    """The gimbal of one vehicle."""
+    """The gimbals of one vehicle."""
 
     def __init__(
-        self, hub: Hub, vehicle: Vehicle, commands: Commands, intervals: Intervals
+        self,
+        hub: Hub,
+        vehicle: Vehicle,
+        commands: Commands,
+        intervals: Intervals,
+        gimbals: GimbalList,
     ) -> None:
         self._hub, self._vehicle = hub, vehicle
         self._commands, self._intervals = commands, intervals
-        self._manager: Frame | None = None
+        self._list = gimbals
 
-    async def turn(self, given: m.Gimbal, progress: Progress) -> m.Gimbal:
+    def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
+        """Return the handler of each path."""
+        return {"action/gimbal": self.turn, "service/gimbal/release": self.release}
+
+    @staticmethod
+    def resources() -> list[Resource]:
+        """List what it serves."""
+        return [
+            Resource(name="action/gimbal", description="Point a camera.", timeout=30, max_age=30.0, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5}, {"pitch": -0.5, "gimbal": 1})),
+            Resource(name="service/gimbal/release", description="Give up the control of a gimbal that `action/gimbal` has taken; completes when its manager shows it.", input=m.ByGimbal | None, examples=(None, {"gimbal": 1}), timeout=30),
+        ]  # fmt: skip
+
+    async def turn(self, given: m.Gimbal, _: Progress) -> m.Gimbal:
         """Point the camera; completes when the gimbal confirms the direction."""
-        manager = self._manager or await self._find()
-        if manager is None:
+        key = await self._list.find(given.gimbal, given.manager)
+        if key is None:
             return await self._turn_mount(given)
-        self._manager = manager
-        info = manager.fields()
+        info = self._list.information(key)
         _check(given.pitch, info["pitch_min"], info["pitch_max"], "pitch")
         _check(given.yaw, info["yaw_min"], info["yaw_max"], "yaw")
-        return await self._turn_managed(given, manager.component, info["gimbal_device_id"])
+        return await self._turn_managed(given, key)
 
-    async def _find(self) -> Frame | None:
-        """Return the information of the gimbal manager; None if there is none."""
-        if _INFORMATION not in self._hub.dialect.by_name:
-            return None
-        found: list[Frame] = []
-        with self._vehicle.listening(_INFORMATION, found.append, anybody=True):
-            try:
-                await self._intervals.request(_INFORMATION)
-            except RcpError:
-                self._vehicle.check()
-                return None
-            await self._vehicle.until(lambda: bool(found), self._hub.config.timeout)
-        return found[0] if found else None
+    async def release(self, given: m.ByGimbal | None, _: Progress) -> None:
+        """Give up the control of a gimbal, for a pilot or another ground station.
+
+        :raises PreconditionFailed: no manager is there.
+        :raises DeviceTimeout: the manager does not show it.
+        """
+        given = given or m.ByGimbal()
+        key = await self._list.find(given.gimbal, given.manager)
+        if key is None:
+            raise PreconditionFailed(
+                "the vehicle has no gimbal manager",
+                remedy="A mount of the older protocol has no control to release.",
+            )
+        params = (_GIVE_UP, _GIVE_UP, _UNCHANGED, _UNCHANGED)
+        await self._configure(key, params)
+        status = await self._list.status(key)
+        if status is None or self._list.controls(status):
+            shown = "does not show it" if status is None else "still shows this gateway in control"
+            raise DeviceTimeout(f"gimbal: accepted, but the manager {shown}")
 
     # Protocol v2
 
-    async def _turn_managed(self, given: m.Gimbal, manager: int, device: int) -> m.Gimbal:
+    async def _configure(self, key: GimbalKey, params: tuple[float, float, float, float]) -> None:
+        command = Command(_CONFIGURE, params, z=float(key.device), component=key.manager)
+        await self._commands.send(command, "gimbal control")
+
+    async def _turn_managed(self, given: m.Gimbal, key: GimbalKey) -> m.Gimbal:
         config = self._hub.config
-        us = (float(config.source_system), float(config.source_component), -1.0, -1.0)
+        us = (float(config.source_system), float(config.source_component))
         try:
-            configure = Command(_CONFIGURE, us, z=float(device), component=manager)
-            await self._commands.send(configure, "gimbal control")
+            await self._configure(key, (*us, _UNCHANGED, _UNCHANGED))
         except DeviceRejected:  # a manager that accepts every sender does not implement control
             self._vehicle.check()
         pitch, yaw = math.degrees(given.pitch), math.degrees(given.yaw)
@@ -77,20 +112,51 @@ class Gimbals:
             _PITCH_YAW,
             (pitch, yaw, math.nan, math.nan),
             _FOLLOW,
-            z=float(device),
-            component=manager,
+            z=float(key.device),
+            component=key.manager,
         )
+        async with self.seen(key) as looks:
+            await self._commands.send(command, "gimbal")
+            looks.clear()
+            return await self._until(given, lambda: looks[0] if looks else None)
+
+    @asynccontextmanager
+    async def seen(self, key: GimbalKey) -> AsyncGenerator[list[m.Gimbal]]:
+        """Have a gimbal report while entered; yield its latest direction, relative to the vehicle."""
         looks: list[m.Gimbal] = []
 
         def take(frame: Frame) -> None:
-            looks[:] = [self._seen(frame.fields())]
+            fields = frame.fields()
+            if self._list.reports(key, frame, fields.get("gimbal_device_id", 0)):
+                looks[:] = [self._direction(fields, key)]
 
         with self._vehicle.listening(_STATUS, take, anybody=True):
-            await self._commands.send(command, "gimbal")
-            looks.clear()
-            return await self._until(given, _STATUS, lambda: looks[0] if looks else None)
+            if key.manager == self._vehicle.component:
+                async with self._reporting(_STATUS):
+                    yield looks
+                return
+            component = self._list.component(key)
+            number = float(self._hub.dialect.by_name[_STATUS].id)
+            with suppress(RcpError):  # most report by themselves
+                every = Command(_INTERVAL, (number, 1e6 / _REPORTS, 0.0, 0.0), component=component)
+                await self._commands.send(every, f"{_STATUS} of a gimbal")
+            try:
+                yield looks
+            finally:
+                usual = Command(_INTERVAL, (number, 0.0, 0.0, 0.0), component=component)
+                with suppress(RcpError):
+                    self._commands.send_once(usual)
 
-    def _seen(self, f: dict[str, Any]) -> m.Gimbal:
+    @asynccontextmanager
+    async def _reporting(self, message: str) -> AsyncGenerator[None]:
+        known = message in self._hub.dialect.by_name
+        release = self._intervals.want(message, _REPORTS) if known else lambda: None
+        try:
+            yield
+        finally:
+            release()
+
+    def _direction(self, f: dict[str, Any], key: GimbalKey) -> m.Gimbal:
         """Return the direction relative to the vehicle."""
         w, x, y, z = f["q"]
         pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
@@ -98,10 +164,11 @@ class Gimbals:
         flags = f["flags"]
         earth = flags & _IN_EARTH or (flags & _YAW_LOCK and not flags & _IN_VEHICLE)
         if earth:
-            yaw -= self._heading()
-        return m.Gimbal(pitch, math.remainder(yaw, math.tau))
+            yaw -= self.heading()
+        return m.Gimbal(pitch, math.remainder(yaw, math.tau), key.device, key.manager)
 
-    def _heading(self) -> float:
+    def heading(self) -> float:
+        """Return the heading of the vehicle, rad clockwise from north; 0 if it does not tell."""
         frame = self._vehicle.latest.get("ATTITUDE")
         if frame is not None:
             return frame.fields()["yaw"]
@@ -125,11 +192,10 @@ class Gimbals:
                 math.radians(f["pointing_a"] / 100), math.radians(f["pointing_c"] / 100)
             )
 
-        return await self._until(given, "MOUNT_STATUS", looks)
+        async with self._reporting("MOUNT_STATUS"):
+            return await self._until(given, looks)
 
-    async def _until(
-        self, given: m.Gimbal, message: str, looks: Callable[[], m.Gimbal | None]
-    ) -> m.Gimbal:
+    async def _until(self, given: m.Gimbal, looks: Callable[[], m.Gimbal | None]) -> m.Gimbal:
         """Wait until it reaches the direction; return the actual one.
 
         :raises DeviceTimeout: it does not reach the direction, or does not report one.
@@ -137,25 +203,21 @@ class Gimbals:
 
         def there() -> bool:
             now = looks()
-            return (
-                now is not None
-                and abs(now.pitch - given.pitch) < _CLOSE
-                and abs(math.remainder(now.yaw - given.yaw, math.tau)) < _CLOSE
-            )
+            return now is not None and is_close(now, given, _CLOSE)
 
-        known = message in self._hub.dialect.by_name
-        release = self._intervals.want(message, _REPORTS) if known else lambda: None
-        try:
-            seen = await self._vehicle.until(there, _TURNING)
-        finally:
-            release()
-        if not seen:
+        if not await self._vehicle.until(there, TURNING):
             now = looks()
             where = "it does not report its direction" if now is None else (
                 f"it points to {now.pitch:.2f}, {now.yaw:.2f} rad"
             )  # fmt: skip
             raise DeviceTimeout(f"gimbal: accepted, but {where}")
         return looks() or given
+
+
+def is_close(one: m.Gimbal, other: m.Gimbal, angle: float) -> bool:
+    """Return whether two directions differ by less than an angle in pitch and in yaw."""
+    yaw = math.remainder(one.yaw - other.yaw, math.tau)
+    return abs(one.pitch - other.pitch) < angle and abs(yaw) < angle
 
 
 def _check(angle: float, least: float, most: float, what: str) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 from rcp_kernel.errors import NotReady
 from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.dialect import Dialect
+from rcp_mavlink.elevation import Elevation
 from rcp_mavlink.frames import Frame, Framer, rebuilt
 from rcp_mavlink.links import Link
 from rcp_mavlink.signing import Signing, key_of
@@ -36,8 +37,10 @@ class _Sink:
 class Hub:
     """Routes between links and vehicles."""
 
-    def __init__(self, config: MavlinkConfig, dialect: Dialect) -> None:
-        self.config, self.dialect = config, dialect
+    def __init__(
+        self, config: MavlinkConfig, dialect: Dialect, elevation: Elevation | None = None
+    ) -> None:
+        self.config, self.dialect, self.elevation = config, dialect, elevation
         self.vehicles: dict[int, Vehicle] = {}
         self.found: Callable[[Vehicle], None] = lambda _: None
         """Called with each newly detected vehicle."""
@@ -177,9 +180,11 @@ class Hub:
 async def open_hub(config: MavlinkConfig, dialect: Dialect) -> AsyncGenerator[Hub]:
     """Open the links while entered.
 
+    :raises ConfigError: the folder `terrain` does not exist.
     :raises NotReady: a port to listen on is in use.
     """
-    hub = Hub(config, dialect)
+    elevation = None if config.terrain is None else Elevation(config.terrain)
+    hub = Hub(config, dialect, elevation)
     running: asyncio.Task[None] | None = None
     try:
         for link in hub.links:
@@ -196,3 +201,5 @@ async def open_hub(config: MavlinkConfig, dialect: Dialect) -> AsyncGenerator[Hu
                 await running
         for link in hub.links:
             await link.close()
+        if elevation is not None:
+            elevation.close()

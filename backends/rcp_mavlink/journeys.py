@@ -37,12 +37,13 @@ from rcp_mavlink.places import (
     reach,
 )
 from rcp_mavlink.speeds import SpeedLimit
+from rcp_mavlink.terrain import Terrain, check_offered
 from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["Journeys", "holding"]
 
 _CHANGE_MODE = 1.0
-_RELATIVE, _ABSOLUTE = 6, 5
+_RELATIVE, _ABSOLUTE, _TERRAIN = 6, 5, 11
 _REPOSITION, _CHANGE_SPEED, _CONDITION_YAW = 192, 178, 115
 _AIRSPEED, _GROUNDSPEED = 0.0, 1.0
 _LEVEL = 10.0  # m of height tolerance, for a plane
@@ -61,8 +62,10 @@ class Journeys:
         motion: Motion,
         parameters: Parameters,
         limit: SpeedLimit,
+        terrain: Terrain,
     ) -> None:
         self._vehicle, self._commands = vehicle, commands
+        self._terrain = terrain
         self._motion, self._parameters, self._limit = motion, parameters, limit
         self._paced = False
         """Whether the speed of an earlier flight may still be in effect."""
@@ -77,6 +80,8 @@ class Journeys:
         if not await vehicle.until(lambda: vehicle.home is not None, _HOME_TIMEOUT):
             raise PreconditionFailed("move_to: home is not known yet")
         goal, (lat, lon), altitude = self._target(goal, fix)
+        if goal.above == "terrain":
+            altitude = await self._terrain.above_home(lat, lon, altitude)
         distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         wanted, limit = goal.speed, self._limit.usual
 
@@ -126,7 +131,10 @@ class Journeys:
 
         :raises RcpError: as `move_to`.
         """
-        _, place, altitude = self._target(goal, fix_of(self._vehicle))
+        fix = fix_of(self._vehicle)
+        goal, place, altitude = self._target(goal, fix)
+        if goal.above == "terrain":  # only the vehicle knows how high that is
+            altitude = fix.height
         if (why := beyond(self._vehicle, self._parameters, place, altitude)) is not None:
             raise DeviceRejected(f"move_to: {why}", remedy=_FENCED, details={"fence": why})
 
@@ -187,6 +195,8 @@ class Journeys:
         :raises InvalidValue: it accepts no yaw, or cannot fly at that speed.
         """
         family = self._vehicle.family
+        if goal.above == "terrain":
+            self._check_height(goal)
         if goal.yaw is not None and (family.drives or family.circles):
             raise InvalidValue(
                 f"move_to: a {family.kind} faces its direction of travel and accepts no yaw",
@@ -200,6 +210,16 @@ class Journeys:
                     f"move_to: its airspeed range is {least:g} to {most:g} m/s, not {goal.speed:g}",
                     details={"pointer": "/speed"},
                 )
+
+    def _check_height(self, goal: m.MoveTo) -> None:
+        if self._vehicle.family.drives or goal.altitude is None:
+            why = "needs an altitude" if goal.altitude is None else "is not for ground vehicles"
+            raise InvalidValue(
+                f"move_to: a height above the ground {why}",
+                remedy="Give `altitude`, or leave `above` out.",
+                details={"pointer": "/above"},
+            )
+        check_offered(self._vehicle, "move_to")
 
     # Commands
 
@@ -245,6 +265,9 @@ class Journeys:
         await self._commands.send(Command(_CONDITION_YAW, (degrees, 0.0, 0.0, 0.0)), "move_to: yaw")
 
     async def _go(self, goal: m.MoveTo, fix: Fix, lat: float, lon: float, altitude: float) -> None:
+        if goal.above == "terrain":
+            await self._reposition(lat, lon, goal.altitude or 0.0, frame=_TERRAIN)
+            return
         if not self._vehicle.family.px4:
             await self._reposition(lat, lon, altitude)
             return

@@ -8,7 +8,7 @@ from msgspec import Meta, Struct, defstruct
 
 from rcp_kernel.types import PoseStamped
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "ByCamera", "Calibrate", "Calibrated", "Calibrating", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetItem", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "ByCamera", "ByGimbal", "Calibrate", "Calibrated", "Calibrating", "Gimbal", "Height", "Image", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Place", "Prearm", "Reached", "ReadParam", "SetItem", "SetMode", "StatusText", "TakeOff", "Underway", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
@@ -78,6 +78,9 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     east: Metres | None = None
     altitude: Over | None = None
     """Above home, m; default: the present height."""
+    above: Literal["home", "terrain"] = "home"
+    """What `altitude` or `z` counts from: `terrain` is the ground below, which an ArduPilot that knows it
+    also follows on the way. Not for ground vehicles."""
     yaw: Angle | None = None
     """Heading; default: free. Counter-clockwise from east with `position`, otherwise clockwise from
     north. Not for ground vehicles or planes."""
@@ -134,6 +137,19 @@ class Gimbal(Struct, frozen=True, forbid_unknown_fields=True):
     """Positive up."""
     yaw: Annotated[float, Meta(ge=-3.1416, le=3.1416, extra_json_schema={"unit": "rad"})] = 0.0
     """Relative to the vehicle's heading, clockwise."""
+    gimbal: Annotated[int, Meta(ge=1, le=255, extra_json_schema={"unit": "1"})] | None = None
+    """Device id, as in service/gimbal/list; default: the autopilot's first, or that of the first manager."""
+    manager: Annotated[int, Meta(ge=1, le=255, extra_json_schema={"unit": "1"})] | None = None
+    """Component id of the manager, where two managers have a gimbal of that id."""
+
+
+class ByGimbal(Struct, frozen=True, forbid_unknown_fields=True):
+    """The gimbal that is meant."""
+
+    gimbal: Annotated[int, Meta(ge=1, le=255, extra_json_schema={"unit": "1"})] | None = None
+    """Device id, as in service/gimbal/list; default: what the vehicle takes for its camera's."""
+    manager: Annotated[int, Meta(ge=1, le=255, extra_json_schema={"unit": "1"})] | None = None
+    """Component id of the manager, where two managers have a gimbal of that id."""
 
 
 class Calibrate(Struct, frozen=True, forbid_unknown_fields=True):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
@@ -21,6 +21,7 @@ _ACTIVE, _PAUSED, _COMPLETE = 3, 4, 5
 _STARTING = 5.0  # s
 _SET_CURRENT = 224
 _PAUSING = 15.0  # s
+_ENDING = 1.5  # s for the state of a mission to follow the mode
 
 
 class Missions:
@@ -78,7 +79,11 @@ class Missions:
                 over = vehicle.landed is True and not vehicle.armed
                 return now["mission_state"] == _COMPLETE or (flew and over)
 
-            await self._motion.follow(report, "mission", stays=lambda: vehicle.mode == auto)
+            try:
+                await self._motion.follow(report, "mission", stays=lambda: vehicle.mode == auto)
+            except DeviceRejected:
+                if not await self._is_finished():
+                    raise
         except asyncio.CancelledError:
             await self._motion.shielded(self._motion.hold)
             raise
@@ -86,7 +91,21 @@ class Missions:
 
     def _progress(self) -> m.MissionProgress:
         now = self._now()
-        return m.MissionProgress(now["seq"], now.get("total", 0), self._vehicle.mode)
+        # PX4 counts from 0; the first item of an ArduPilot is home.
+        item = now["seq"] + 1 if self._vehicle.family.px4 and now.get("total") else now["seq"]
+        return m.MissionProgress(item, now.get("total", 0), self._vehicle.mode)
+
+    async def _is_finished(self) -> bool:
+        """Return whether a PX4 that has left the mode did so at the end of its mission, as it always does."""
+        vehicle = self._vehicle
+        if not vehicle.family.px4 or vehicle.mode != vehicle.family.hold:
+            return False
+        return await vehicle.until(
+            lambda: (
+                self._now()["mission_state"] == _COMPLETE and vehicle.mode == vehicle.family.hold
+            ),
+            _ENDING,
+        )
 
     async def pause(self, _: None, progress: Progress) -> m.MissionProgress:
         """Stop at the current position, to resume later."""

@@ -14,6 +14,7 @@ from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.messages import Item
 from rcp_mavlink.plan_files import Names
+from rcp_mavlink.terrain import check_offered
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["FENCE", "MISSION", "RALLY", "Plans"]
@@ -97,7 +98,10 @@ class Plans:
         """Replace a plan; return how many items the vehicle accepted.
 
         :raises DeviceRejected: the vehicle refuses the plan; includes its reason.
+        :raises UnsupportedOperation: heights above the ground are for vehicles that know it.
         """
+        if any(item.frame == "terrain" for item in items):
+            check_offered(self._vehicle, "the plan")
         messages = self._messages(kind, items)
         vehicle, module = self._vehicle, self._hub.dialect.module
         count = module.MAVLink_mission_count_message(

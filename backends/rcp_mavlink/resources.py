@@ -9,8 +9,6 @@ from msgspec import Meta
 
 from rcp_kernel.model import READS, Resource
 from rcp_mavlink import messages as m
-from rcp_mavlink.camera_controls import CameraControls
-from rcp_mavlink.camera_list import CameraList
 from rcp_mavlink.derived import Derived
 from rcp_mavlink.direct_commands import DirectCommands
 from rcp_mavlink.equipment import Equipment
@@ -27,6 +25,7 @@ from rcp_mavlink.files import (
 )
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.imaging import Imaging
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import About, about
 from rcp_mavlink.paramcoding import bounds
@@ -36,6 +35,7 @@ from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
 from rcp_mavlink.sensors import Sensor
 from rcp_mavlink.speed_controllers import SpeedControllers
+from rcp_mavlink.terrain import Terrain
 from rcp_mavlink.traffic import Traffic
 from rcp_mavlink.vehicle import Vehicle
 from rcp_profiles import Offer
@@ -100,8 +100,9 @@ def resources(
     found += [*ParameterTransfer.resources(), *PlanTransfer.resources()]
     if not family.px4:
         found += ParameterDefaults.resources()
-    found += [*CameraControls.resources(), *CameraList.resources()]
+    found += Imaging.resources()
     found += Traffic.resources(hub.dialect) + SpeedControllers.resources(hub.dialect, family)
+    found += Terrain.resources(hub.dialect, family)
     found += Equipment.resources(family, sticks=hub.config.sticks)
     if hub.config.commands:
         found += DirectCommands.resources()
@@ -182,7 +183,6 @@ def _actions() -> list[Resource]:
         _action("mission/run", "Run the mission to its end; the vehicle must be armed.", 7200, output=m.MissionProgress, feedback=m.MissionProgress),
         _action("mission/pause", "Stop at the current position, to resume later.", 30, output=m.MissionProgress),
         _action("mission/resume", "Resume a paused mission.", 30, output=m.MissionProgress),
-        _action("gimbal", "Point the camera.", 30, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5},)),
         _action("camera/photo", "Take a picture of what the camera points at: `action/gimbal` turns it, pitch -1.57 straight down.", 60, input=m.ByCamera | None, output=m.Photo, examples=(None, {"camera": 101})),
         _action("calibrate", "Calibrate a sensor, disarmed; the feedback tells what the vehicle waits for.", 900, input=m.Calibrate | None, output=m.Calibrated, feedback=m.Calibrating, examples=(None, {"what": "compass"})),
     ]  # fmt: skip

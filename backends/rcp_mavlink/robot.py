@@ -23,9 +23,6 @@ from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
-from rcp_mavlink.camera_controls import CameraControls
-from rcp_mavlink.camera_list import CameraList
-from rcp_mavlink.cameras import Cameras
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.described import Described
 from rcp_mavlink.direct_commands import DirectCommands
@@ -34,9 +31,9 @@ from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
 from rcp_mavlink.forwarding import FRAMES, SEND, Forwarding
 from rcp_mavlink.frames import Frame
-from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.identity import describe
+from rcp_mavlink.imaging import Imaging
 from rcp_mavlink.intervals import FASTEST, Intervals
 from rcp_mavlink.journeys import Journeys
 from rcp_mavlink.logs import Logs
@@ -47,7 +44,6 @@ from rcp_mavlink.paramcoding import REAL
 from rcp_mavlink.parameter_defaults import ParameterDefaults
 from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.parameters import Parameters
-from rcp_mavlink.photofiles import PhotoFiles
 from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.recovery import Recovery
@@ -61,6 +57,7 @@ from rcp_mavlink.stop import Stop
 from rcp_mavlink.stop_plan import GuardPlan
 from rcp_mavlink.telemetry import TIMED, Telemetry
 from rcp_mavlink.telemetry_events import TelemetryEvents
+from rcp_mavlink.terrain import TERRAIN, Terrain
 from rcp_mavlink.traffic import TRAFFIC, Traffic
 from rcp_mavlink.vehicle import Vehicle
 from rcp_mavlink.watchdogs import Watchdogs
@@ -89,6 +86,7 @@ class Robot:
         self._commands = Commands(hub, vehicle)
         base = {name: config.rate if "POSITION" in name else min(2.0, config.rate) for name in BASE}
         base |= Traffic.base(hub.dialect)
+        base |= Terrain.base(hub.dialect, vehicle.family, served=hub.elevation is not None)
         if ESTIMATOR in hub.dialect.by_name and not vehicle.family.px4:
             base[ESTIMATOR] = min(2.0, config.rate)
         self.intervals = Intervals(vehicle, self._commands, base)
@@ -98,7 +96,12 @@ class Robot:
         self.parameters = Parameters(hub, vehicle, self._on_parameter)
         self.setpoints = Setpoints(hub, vehicle, self.motion, self.intervals.request)
         self.speed_limit = SpeedLimit(vehicle, self.parameters)
-        journeys = Journeys(vehicle, self._commands, self.motion, self.parameters, self.speed_limit)
+        self._terrain = Terrain(
+            hub, vehicle, self.intervals, self._publish, hub.elevation, self._start
+        )
+        journeys = Journeys(
+            vehicle, self._commands, self.motion, self.parameters, self.speed_limit, self._terrain
+        )
         self._equipment = Equipment(
             hub, vehicle, self._commands, self.intervals, self.motion, self.parameters,
             self.setpoints, self.speed_limit, journeys,
@@ -125,10 +128,13 @@ class Robot:
         )
         self.traffic = Traffic(self._publish)
         self.escs = SpeedControllers(vehicle, self.intervals, self._publish, config.timeout)
+        self._requested = {ESCS: self.escs, TERRAIN: self._terrain}
+        """What reads and subscriptions request from the vehicle, beside single messages."""
         self._heeded: dict[int, Callable[[Frame], None]] = {
             **dict.fromkeys(TelemetryEvents.heeded, self.telemetry_events.frame),
             **dict.fromkeys(self.escs.heeded, self.escs.frame),
             **dict.fromkeys(Traffic.heeded, self.traffic.frame),
+            **self._terrain.heeded,
             **dict.fromkeys(TIMED, self.telemetry.timed),
             0: self._heartbeat,
             22: self.parameters.take,  # PARAM_VALUE
@@ -156,16 +162,10 @@ class Robot:
             "action/set_mode": self._set_mode,
             **{name: self._ending(name, verb) for name, verb in leading.items()},
             **missions.verbs(),
+            **self._terrain.verbs(),
             **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
-            "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
-            **CameraList(hub, vehicle, self._commands).verbs(),
-            **CameraControls(
-                hub,
-                vehicle,
-                self._commands,
-                Cameras(hub, vehicle, self._commands, PhotoFiles(hub, vehicle, files)),
-            ).verbs(),
+            **Imaging(hub, vehicle, self._commands, self.intervals, files).verbs(),
             **Calibration(
                 vehicle, self._commands, self.intervals, self.motion, self.parameters
             ).verbs(),
@@ -467,8 +467,8 @@ class Robot:
             return self._value(own)
         if name == TRAFFIC:
             return self.traffic.value()
-        if name == ESCS:
-            return await self.escs.read()
+        if name in self._requested:
+            return await self._requested[name].read()
         value = self.telemetry_events.value(name)
         if value is None:
             raise AdapterUnavailable(f"no value for '{name}' received yet")
@@ -529,7 +529,8 @@ class Robot:
         if name == FRAMES:
             return self._tapped()
         rate = FASTEST if rate is None else min(rate, FASTEST)
-        return self.escs.watched(rate) if name == ESCS else self.telemetry.watched(name, rate)
+        source = self._requested.get(name)
+        return self.telemetry.watched(name, rate) if source is None else source.watched(rate)
 
     @asynccontextmanager
     async def _tapped(self) -> AsyncGenerator[None]:

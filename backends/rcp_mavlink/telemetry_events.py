@@ -129,8 +129,8 @@ class TelemetryEvents:
             case 1:
                 self._health()
             case 46:
-                reached = frame.fields()["seq"]
-                self._publish("event/mission", m.Reached(reached))
+                first = 1 if self._vehicle.family.px4 else 0  # it counts from 0, without home
+                self._publish("event/mission", m.Reached(frame.fields()["seq"] + first))
             case _:
                 pass
 

@@ -8,7 +8,7 @@ import sys
 from contextlib import AsyncExitStack, suppress
 from hashlib import sha256
 
-from rcp_mavlink_sim import Options, Vehicle, fly
+from rcp_mavlink_sim import Options, fly, vehicle_of
 from rcp_mavlink_sim.kinds import KINDS
 from rcp_mavlink_sim.parameters_table import table
 
@@ -16,7 +16,7 @@ from rcp_mavlink_sim.parameters_table import table
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m rcp_mavlink_sim",
-        description="A simulated ArduPilot vehicle that speaks MAVLink 2.",
+        description="A simulated vehicle with ArduPilot or PX4 that speaks MAVLink 2.",
     )
     parser.add_argument(
         "--link",
@@ -87,7 +87,7 @@ async def _run(given: argparse.Namespace) -> None:
     async with AsyncExitStack() as stack:
         for number in range(given.count):
             own = links if number == 0 else [link for link in links if link.startswith("udpout")]
-            twin = await stack.enter_async_context(fly(Vehicle(_options(given, number)), *own))
+            twin = await stack.enter_async_context(fly(vehicle_of(_options(given, number)), *own))
             for link, (host, port) in zip(own, twin.ports, strict=True):
                 print(f"vehicle {given.system + number} {link} from {host}:{port}", flush=True)  # noqa: T201
         await asyncio.Event().wait()

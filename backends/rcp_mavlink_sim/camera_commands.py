@@ -9,7 +9,8 @@ from rcp_mavlink_sim.wire import mav
 
 __all__ = ["DOERS"]
 
-_MYSELF = -2
+_MYSELF, _NOT_MINE = -2, -3
+_LAST = 255
 _RANGE, _AUTO = 2, (4, 5, 6)  # CAMERA_ZOOM_TYPE and SET_FOCUS_TYPE
 
 
@@ -24,19 +25,24 @@ def _mount(c: CommandRequest) -> int:
 
 def _pitch_yaw(c: CommandRequest) -> int:
     locked = bool(int(c.p[4]) & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
-    return (
-        mav.MAV_RESULT_ACCEPTED
-        if c.peer.vehicle.mount.turn(c.p[0], c.p[1], locked=locked)
-        else mav.MAV_RESULT_DENIED
-    )
+    mount = c.peer.vehicle.gimbal(c.p[6])
+    if mount is None:
+        return mav.MAV_RESULT_FAILED
+    turns = mount.turn(c.p[0], c.p[1], locked=locked)
+    return mav.MAV_RESULT_ACCEPTED if turns else mav.MAV_RESULT_DENIED
 
 
 def _take_gimbal(c: CommandRequest) -> int:
     system, component = int(c.p[0]), int(c.p[1])
+    mount = c.peer.vehicle.gimbal(c.p[6])
+    if mount is None or min(system, component) < _NOT_MINE or max(system, component) > _LAST:
+        return mav.MAV_RESULT_FAILED
     if system == _MYSELF:
-        system, component = c.sender
-    if system >= 0:
-        c.peer.vehicle.mount.control = (system, component)
+        mount.control = c.sender
+    elif system >= 0:
+        mount.control = (system, component)
+    elif system == _NOT_MINE and mount.control == c.sender:
+        mount.control = (0, 0)
     return mav.MAV_RESULT_ACCEPTED
 
 
@@ -72,6 +78,7 @@ def _video(c: CommandRequest) -> int:
 
 
 def _look_at(c: CommandRequest) -> int:
+    """Keep a place in view with the primary gimbal, whichever the command names, like ArduPilot."""
     lat, lon, height = c.p[4:]
     if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
         return mav.MAV_RESULT_DENIED

@@ -11,7 +11,7 @@ import sys
 
 import msgspec
 
-from rcp_mavlink_sim import Options, Vehicle, fly
+from rcp_mavlink_sim import Options, fly, vehicle_of
 from rcp_mavlink_sim.parameters_table import table
 
 __all__ = ["Start", "main"]
@@ -34,7 +34,7 @@ async def _run() -> None:
     unknown = sorted(start.options.parameters.keys() - table(start.options.vehicle).keys())
     if unknown:
         sys.exit(f"it has no parameter {', '.join(unknown)}")
-    async with fly(Vehicle(start.options), *start.links):
+    async with fly(vehicle_of(start.options), *start.links):
         while await owner.read(_LONGEST):
             pass
 

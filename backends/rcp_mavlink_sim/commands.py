@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcp_mavlink_sim import calibration_commands, camera_commands, payload_commands
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.requests import CommandRequest, Peer, outcome
-from rcp_mavlink_sim.telemetry import MAKERS
 from rcp_mavlink_sim.wire import mav
 
-__all__ = ["KNOWN", "run"]
+__all__ = ["DOERS", "KNOWN", "run"]
 
 _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_ACCEPTED,
@@ -29,11 +28,17 @@ _ERASE = 2  # PREFLIGHT_STORAGE
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
 """Modes that obey CONDITION_YAW; others accept it without effect."""
-_GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
+_GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True, 10: True, 11: True}
+_GROUND_FRAMES = frozenset({10, 11})
 
 
-def run(peer: Peer, message: Any) -> int:
-    """Execute it; return its MAV_RESULT."""
+def run(
+    peer: Peer,
+    message: Any,
+    doers: Mapping[int, Callable[[CommandRequest], int]] | None = None,
+    not_as_long: frozenset[int] = _NOT_AS_LONG,
+) -> int:
+    """Execute it, by default as ArduPilot; return its MAV_RESULT."""
     whole = message.get_type() == "COMMAND_INT"
     if whole:
         p5, p6, p7, frame = message.x / 1e7, message.y / 1e7, message.z, message.frame
@@ -41,9 +46,9 @@ def run(peer: Peer, message: Any) -> int:
             p5, p6 = float(message.x), float(message.y)
     else:
         p5, p6, p7, frame = message.param5, message.param6, message.param7, 3
-    if not whole and message.command in _NOT_AS_LONG:
+    if not whole and message.command in not_as_long:
         return _INT_ONLY
-    do = _DOERS.get(message.command)
+    do = (DOERS if doers is None else doers).get(message.command)
     if do is None:
         return _UNSUPPORTED
     p = (message.param1, message.param2, message.param3, message.param4, p5, p6, p7)
@@ -97,6 +102,12 @@ def _reposition(c: CommandRequest) -> int:
     if not abs(c.p[6]) <= _HIGHEST:
         return _DENIED
     height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
+    over_ground = c.frame in _GROUND_FRAMES and vehicle.kind.flies
+    if over_ground:
+        above_home = vehicle.above_ground(height, vehicle.place_of(lat, lon))
+        if above_home is None:
+            return _FAILED
+        height = above_home
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
         return _FAILED  # without a text, like ArduPilot
     if flight.mode is not Mode.GUIDED and not vehicle.flight.set_mode(Mode.GUIDED):
@@ -104,6 +115,7 @@ def _reposition(c: CommandRequest) -> int:
     if vehicle.kind.drives and c.p[0] > 0 and not flight.change_speed(c.p[0]):
         return _FAILED
     flight.aim(vehicle.place_of(lat, lon), -height)
+    flight.height_over_ground = c.p[6] if over_ground else None
     vehicle.pilot.passes = False
     return _OK
 
@@ -225,15 +237,15 @@ def _which_interval(c: CommandRequest) -> int:
 
 def _request(c: CommandRequest) -> int:
     number = int(c.p[0])
-    message = c.peer.vehicle.measure(number) if number in MAKERS else None
-    if message is None:
-        return _FAILED
-    c.peer.send(message)
-    return _OK
+    messages = c.peer.vehicle.measure(number) if number in c.peer.vehicle.makers else []
+    for message in messages:
+        c.peer.send(message)
+    return outcome(bool(messages))
 
 
 def _version(c: CommandRequest) -> int:
-    c.peer.send(MAKERS[mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION](c.peer.vehicle))
+    vehicle = c.peer.vehicle
+    c.peer.send(vehicle.makers[mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION](vehicle))
     return _OK
 
 
@@ -270,8 +282,8 @@ def _storage(c: CommandRequest) -> int:
     return _OK
 
 
-_PLACES = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 192, 195, 201})
-_DOERS: dict[int, Callable[[CommandRequest], int]] = {
+_PLACES = frozenset({16, 17, 18, 19, 21, 22, 34, 82, 179, 192, 195, 201})
+DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
     mav.MAV_CMD_NAV_TAKEOFF: _take_off,
     mav.MAV_CMD_NAV_LAND: _mode(Mode.LAND),
@@ -300,5 +312,6 @@ _DOERS: dict[int, Callable[[CommandRequest], int]] = {
     **calibration_commands.DOERS,
     **camera_commands.DOERS,
 }
-KNOWN = frozenset(_DOERS)
+"""What each command does."""
+KNOWN = frozenset(DOERS)
 """The supported commands."""

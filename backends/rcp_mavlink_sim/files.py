@@ -51,7 +51,7 @@ class Files:
     def read(self, path: str) -> bytes | None:
         """Return the content of a file; None if it does not exist."""
         plain, _, query = path.partition("?")
-        if plain == "@PARAM/param.pck":
+        if plain == "@PARAM/param.pck" and self._kind != "px4":
             return self._packed(query)
         if plain == "@SYS/uarts.txt":
             return b"UARTV1\nSERIAL0 OTG1\n"

@@ -14,6 +14,7 @@ __all__ = ["FORCE", "Flight", "Submode"]
 FORCE = (21196.0, 2989.0)
 """Second parameter of COMPONENT_ARM_DISARM: overrides all checks."""
 
+_GROUNDLESS = 5.0  # s (`FS_TERRAIN_TIMEOUT_MS`)
 Submode = Literal["", "takeoff", "place", "velocity", "attitude"]
 
 
@@ -26,6 +27,8 @@ class Flight(ABC):
     """Whether a mission starts in AUTO on arming."""
     patience = 3.0
     """Real seconds until a set-point expires."""
+    led = Mode.GUIDED
+    """The mode that follows set-points."""
     paced = frozenset({Mode.GUIDED, Mode.AUTO})
     """Modes that obey DO_CHANGE_SPEED; it fails in others."""
 
@@ -43,6 +46,9 @@ class Flight(ABC):
         self._speeds: dict[str, float] = {}
         """Speeds set by DO_CHANGE_SPEED, by the name of the limit."""
         self._setpoint_ends: float | None = None
+        self.height_over_ground: float | None = None
+        """Height above the ground to keep on the way to a target, m; None: that of the pilot."""
+        self._groundless = 0.0
 
     def set_mode(self, mode: Mode) -> bool:
         """Change the mode; return whether this succeeded."""
@@ -92,6 +98,7 @@ class Flight(ABC):
         vehicle, before = self._vehicle, self.mode
         self.mode = mode
         self.phase, self.taking_off, self._setpoint_ends = "", False, None
+        self.height_over_ground = None
         vehicle.pilot.hold()
         self._become("")
         if before is Mode.AUTO and mode is not Mode.AUTO:
@@ -138,6 +145,7 @@ class Flight(ABC):
         if self.submode != "place":
             self._become("place")
         self._setpoint_ends, self.taking_off = None, False
+        self.height_over_ground = None
         pilot.attitude, pilot.velocity, pilot.sinking = None, (0.0, 0.0), 0.0
         pilot.lean = None
         pilot.yaw_rate = 0.0
@@ -157,6 +165,7 @@ class Flight(ABC):
         if self.submode != submode:
             self._become(submode)
         self._setpoint_ends = self._vehicle.wall + self.patience
+        self.height_over_ground = None
         self.taking_off = False
 
     def _expire(self) -> None:
@@ -185,7 +194,19 @@ class Flight(ABC):
             self.mission.step(dt)
         else:
             self.lead(dt)
+        self._follow_ground(dt)
         self.rest()
+
+    def _follow_ground(self, dt: float) -> None:
+        """Keep a height above the ground; a copter that does not know it for a while returns."""
+        wanted, vehicle = self.height_over_ground, self._vehicle
+        height = None if wanted is None else vehicle.above_ground(wanted)
+        if height is not None:
+            vehicle.pilot.depth = -height
+        self._groundless = self._groundless + dt if wanted is not None and height is None else 0.0
+        if self._groundless > _GROUNDLESS and vehicle.kind.flies:
+            vehicle.send_text(2, "Failsafe: Terrain data missing")
+            self.retreat(return_home=True)
 
     def finished(self) -> None:  # noqa: B027 - a copter does nothing
         """Act at the end of a mission."""

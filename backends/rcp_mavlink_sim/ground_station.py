@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from rcp_mavlink_sim import commands, setpoints
 from rcp_mavlink_sim.ftp import Ftp
@@ -35,6 +35,9 @@ class _Sink:
 
 class GroundStation:
     """One connection of a ground station; `send_bytes` is called with one frame each."""
+
+    transfer: ClassVar[type[Transfer]] = Transfer
+    """Receives a plan."""
 
     def __init__(self, vehicle: Vehicle, send_bytes: Callable[[bytes], None]) -> None:
         self.vehicle = vehicle
@@ -77,6 +80,10 @@ class GroundStation:
             "FILE_TRANSFER_PROTOCOL": self._ftp.take,
             "GIMBAL_MANAGER_SET_PITCHYAW": self._pitch_yaw,
             "GPS_RTCM_DATA": self._corrections,
+            "FOLLOW_TARGET": self._leader,
+            "GLOBAL_POSITION_INT": self._leader,
+            "TERRAIN_DATA": self._terrain_data,
+            "TERRAIN_CHECK": self._terrain_check,
             "MANUAL_CONTROL": self._sticks,
             "RC_CHANNELS_OVERRIDE": self._sticks,
             "LOG_REQUEST_LIST": self._log_list,
@@ -144,10 +151,26 @@ class GroundStation:
     def _pitch_yaw(self, message: Any) -> None:
         locked = bool(message.flags & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
         pitch, yaw = math.degrees(message.pitch), math.degrees(message.yaw)
-        self.vehicle.mount.turn(pitch, yaw, locked=locked)
+        mount = self.vehicle.gimbal(message.gimbal_device_id)
+        if mount is not None:
+            mount.turn(pitch, yaw, locked=locked)
 
     def _corrections(self, message: Any) -> None:
         self.vehicle.corrections.take(message)
+
+    def _leader(self, message: Any) -> None:
+        vehicle = self.vehicle
+        if vehicle.home is not None and message.get_srcSystem() != vehicle.options.system:
+            vehicle.leader.take(message, vehicle.wall, vehicle.home[2])
+
+    def _terrain_data(self, message: Any) -> None:
+        self.vehicle.terrain.take(message)
+
+    def _terrain_check(self, message: Any) -> None:
+        vehicle = self.vehicle
+        if vehicle.position_ok and vehicle.terrain.enabled:
+            place, above = (message.lat, message.lon), -vehicle.body.d
+            self.send(vehicle.terrain.report(place, vehicle.ground_home, above))
 
     def _sticks(self, message: Any) -> None:
         vehicle = self.vehicle
@@ -161,9 +184,12 @@ class GroundStation:
             vehicle.sticks.override(message, until)
 
     def _command(self, message: Any) -> None:
-        result = commands.run(self, message)
+        result = self._run(message)
         system, component = message.get_srcSystem(), message.get_srcComponent()
         self.send(mav.MAVLink_command_ack_message(message.command, result, 0, 0, system, component))
+
+    def _run(self, message: Any) -> int:
+        return commands.run(self, message)
 
     def _set_mode(self, message: Any) -> None:
         done = self.vehicle.set_custom_mode(message.custom_mode)
@@ -208,7 +234,7 @@ class GroundStation:
             self._stored(plan, [])
             self.send(mav.MAVLink_mission_ack_message(*client, mav.MAV_MISSION_ACCEPTED, kind))
             return
-        self._transfer = Transfer(plan, message.count, client, self.vehicle.wall)
+        self._transfer = self.transfer(plan, message.count, client, self.vehicle.wall)
         self._transfer.request_next(self.send, self.vehicle.wall)
 
     def _mission_item(self, message: Any) -> None:
@@ -227,7 +253,8 @@ class GroundStation:
         if plan.kind == mav.MAV_MISSION_TYPE_MISSION:
             self.vehicle.flight.mission.changed()
             self.vehicle.params.set("MIS_TOTAL", len(items))
-            self.vehicle.send_text(6, "Flight plan received")
+            if self.vehicle.kind.counts_home:
+                self.vehicle.send_text(6, "Flight plan received")
 
     def _mission_list(self, message: Any) -> None:
         client = (message.get_srcSystem(), message.get_srcComponent())
@@ -236,7 +263,11 @@ class GroundStation:
             refused = mav.MAV_MISSION_UNSUPPORTED
             self.send(mav.MAVLink_mission_ack_message(*client, refused, message.mission_type))
             return
-        self.send(mav.MAVLink_mission_count_message(*client, len(plan.items), plan.kind))
+        self.send(mav.MAVLink_mission_count_message(*client, self._counted(plan), plan.kind))
+
+    def _counted(self, plan: Plan) -> int:
+        """Return how many items a plan has for a ground station."""
+        return len(plan.items)
 
     def _mission_request(self, message: Any) -> None:
         client = (message.get_srcSystem(), message.get_srcComponent())

@@ -13,9 +13,16 @@ __all__ = ["KINDS", "Kind", "Name"]
 
 Name = Literal["copter", "plane", "rover", "boat"]
 
-_COPTER = {0: Mode.STABILIZE, 2: Mode.ALT_HOLD, 3: Mode.AUTO, 4: Mode.GUIDED, 5: Mode.LOITER, 6: Mode.RTL, 7: Mode.CIRCLE, 9: Mode.LAND, 16: Mode.POSHOLD, 17: Mode.BRAKE}  # fmt: skip
+_COPTER = {0: Mode.STABILIZE, 2: Mode.ALT_HOLD, 3: Mode.AUTO, 4: Mode.GUIDED, 5: Mode.LOITER, 6: Mode.RTL, 7: Mode.CIRCLE, 9: Mode.LAND, 16: Mode.POSHOLD, 17: Mode.BRAKE, 23: Mode.FOLLOW}  # fmt: skip
 _PLANE = {0: Mode.MANUAL, 1: Mode.CIRCLE, 2: Mode.STABILIZE, 5: Mode.FBWA, 6: Mode.FBWB, 7: Mode.CRUISE, 10: Mode.AUTO, 11: Mode.RTL, 12: Mode.LOITER, 13: Mode.TAKEOFF, 15: Mode.GUIDED}  # fmt: skip
 _ROVER = {0: Mode.MANUAL, 3: Mode.STEERING, 4: Mode.HOLD, 5: Mode.LOITER, 10: Mode.AUTO, 11: Mode.RTL, 12: Mode.SMART_RTL, 15: Mode.GUIDED}  # fmt: skip
+_PX4 = {
+    1 << 16: Mode.MANUAL, 2 << 16: Mode.ALT_HOLD, 3 << 16: Mode.LOITER, 3 << 16 | 1 << 24: Mode.CIRCLE,
+    4 << 16 | 2 << 24: Mode.TAKEOFF, 4 << 16 | 3 << 24: Mode.GUIDED, 4 << 16 | 4 << 24: Mode.AUTO,
+    4 << 16 | 5 << 24: Mode.RTL, 4 << 16 | 6 << 24: Mode.LAND, 4 << 16 | 8 << 24: Mode.FOLLOW,
+    6 << 16: Mode.OFFBOARD, 7 << 16: Mode.STABILIZE,
+}  # fmt: skip
+"""Main and sub mode of PX4; its HOLD is GUIDED, in which a copter goes to targets or stays."""
 _BY_HAND = frozenset({Mode.MANUAL, Mode.STABILIZE, Mode.STEERING, Mode.ALT_HOLD, Mode.FBWA, Mode.FBWB, Mode.HOLD, Mode.LAND})  # fmt: skip
 
 
@@ -38,6 +45,8 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True):
     """The mode for holding."""
     down: Mode
     """The failsafe mode if the way home is unknown."""
+    counts_home: bool = True
+    """Whether home is item 0 of its missions."""
     own: dict[str, str] = {}
     """Its names for parameters that a copter names differently."""
 
@@ -77,3 +86,6 @@ KINDS: dict[str, Kind] = {
 KINDS["boat"] = msgspec.structs.replace(
     KINDS["rover"], name="boat", type=mav.MAV_TYPE_SURFACE_BOAT, hold=Mode.LOITER
 )
+KINDS["px4"] = msgspec.structs.replace(
+    KINDS["copter"], title="PX4", frame="", modes=_PX4, first=Mode.GUIDED, hold=Mode.GUIDED, counts_home=False
+)  # fmt: skip

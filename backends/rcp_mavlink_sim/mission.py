@@ -21,6 +21,8 @@ class Manoeuvres(Protocol):
 
     radius: float
     """Radius within which a waypoint counts as reached, m."""
+    height_over_ground: float | None
+    """Height above the ground to keep on the way, m; None: that of the pilot."""
 
     def lift(self, height: float) -> None:
         """Take off from here."""
@@ -119,7 +121,7 @@ class Mission:
         item = self.plan.items[self.current]
         if not self._began:
             self._began, self._waited = True, 0.0
-            self._vehicle.send_text(6, f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
+            self._say(f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
             self._begin(item)
         if self._done(item, dt):
             self._next(item)
@@ -127,8 +129,9 @@ class Mission:
     def _next(self, item: Item) -> None:
         if item.command in _TRAVELS or item.command in (21, 22):
             self.reached = self.current
-            self._vehicle.send_text(6, f"Reached command #{self.current}")
-            self._vehicle.broadcast(mav.MAVLink_mission_item_reached_message(self.current))
+            self._say(f"Reached command #{self.current}")
+            number = self.current if self._vehicle.kind.counts_home else self.current - 1
+            self._vehicle.broadcast(mav.MAVLink_mission_item_reached_message(number))
         self._began = False
         if item.command == mav.MAV_CMD_DO_JUMP and self._jump(item):
             return
@@ -138,6 +141,11 @@ class Mission:
             self.running, self.complete = False, True
             self._vehicle.pilot.hold()
             self._flight.finished()
+
+    def _say(self, text: str) -> None:
+        """Send what ArduPilot says of its missions."""
+        if self._vehicle.kind.counts_home:
+            self._vehicle.send_text(6, text)
 
     def _jump(self, item: Item) -> bool:
         done = self._jumps.get(self.current, 0)
@@ -150,6 +158,8 @@ class Mission:
 
     def _begin(self, item: Item) -> None:
         vehicle = self._vehicle
+        if item.command < _LAST_MOVE:
+            self._flight.height_over_ground = None
         pilot = vehicle.pilot
         match item.command:
             case mav.MAV_CMD_NAV_TAKEOFF:
@@ -177,6 +187,8 @@ class Mission:
         if distance > 2:
             pilot.yaw = math.atan2(place[1] - body.e, place[0] - body.n)
         pilot.place, pilot.depth, pilot.attitude = place, self._depth(item), None
+        over_ground = item.frame == mav.MAV_FRAME_GLOBAL_TERRAIN_ALT
+        self._flight.height_over_ground = item.alt if over_ground else None
         pilot.passes = item.command in (16, 82)
         pilot.spinning = pilot.spinning or not body.landed or not self._vehicle.kind.flies
 
@@ -189,6 +201,9 @@ class Mission:
         height = item.alt
         if item.frame in (0, 5):
             height -= self._vehicle.origin[2]
+        elif item.frame == mav.MAV_FRAME_GLOBAL_TERRAIN_ALT:
+            above_home = self._vehicle.above_ground(height, self._place(item))
+            return self._vehicle.body.d if above_home is None else -above_home
         return -height
 
     def _done(self, item: Item, dt: float) -> bool:

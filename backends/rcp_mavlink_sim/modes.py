@@ -28,9 +28,11 @@ class Mode(Enum):
     POSHOLD = auto()
     BRAKE = auto()
     HOLD = auto()
+    FOLLOW = auto()
+    OFFBOARD = auto()
 
 
-_NOT_ARMABLE = frozenset({Mode.RTL, Mode.SMART_RTL, Mode.LAND, Mode.BRAKE})
+_NOT_ARMABLE = frozenset({Mode.RTL, Mode.SMART_RTL, Mode.LAND, Mode.BRAKE, Mode.FOLLOW})
 _BLIND = frozenset(
     {Mode.MANUAL, Mode.STABILIZE, Mode.ALT_HOLD, Mode.LAND, Mode.FBWA, Mode.FBWB, Mode.HOLD}
 )

@@ -1,8 +1,9 @@
-"""The camera mount: a gimbal with a limited rate, and a trigger. Angles are in degrees."""
+"""Camera mounts: gimbals with a limited rate, and a trigger. Angles are in degrees."""
 
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from rcp_mavlink_sim.state import VehicleState
 from rcp_mavlink_sim.wire import mav
@@ -18,8 +19,10 @@ _IN_VEHICLE = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 class Mount:
     """Direction of the camera, and its pictures."""
 
-    def __init__(self, vehicle: VehicleState) -> None:
+    def __init__(self, vehicle: VehicleState, number: int = 1) -> None:
         self._vehicle = vehicle
+        self.number = number
+        """Its device id: 1 or 2."""
         self.roll = self.pitch = self.yaw = 0.0
         """Yaw relative to the vehicle's heading."""
         self._wanted = (0.0, 0.0, 0.0)
@@ -35,8 +38,7 @@ class Mount:
         if not all(map(math.isfinite, (pitch, yaw, roll))):
             return False
         self.region = None
-        p = self._vehicle.params
-        self._wanted = (roll, _within(pitch, p["MNT1_PITCH_MIN"], p["MNT1_PITCH_MAX"]), yaw)
+        self._wanted = (roll, _within(pitch, *self.range("PITCH")), yaw)
         self._locked = locked
         return True
 
@@ -48,25 +50,34 @@ class Mount:
         roll, pitch, yaw = self._wanted
         if self._locked:
             yaw -= math.degrees(self._vehicle.body.yaw)
-        p = self._vehicle.params
-        yaw = _within(math.remainder(yaw, 360.0), p["MNT1_YAW_MIN"], p["MNT1_YAW_MAX"])
+        yaw = _within(math.remainder(yaw, 360.0), *self.range("YAW"))
         self.roll += _within(roll - self.roll, -most, most)
         self.pitch += _within(pitch - self.pitch, -most, most)
         self.yaw += _within(yaw - self.yaw, -most, most)
 
     def _look_at(self, region: tuple[float, float, float]) -> None:
-        v, p = self._vehicle, self._vehicle.params
+        v = self._vehicle
         north, east = v.place_of(*region[:2])
         north, east = north - v.body.n, east - v.body.e
         below = v.origin[2] - v.body.d - region[2]
         pitch = math.degrees(math.atan2(-below, math.hypot(north, east)))
         yaw = math.degrees(math.atan2(east, north))
-        self._wanted = (0.0, _within(pitch, p["MNT1_PITCH_MIN"], p["MNT1_PITCH_MAX"]), yaw)
+        self._wanted = (0.0, _within(pitch, *self.range("PITCH")), yaw)
         self._locked = True
 
     def look_ahead(self) -> None:
         """Keep no place in view any more, and turn ahead."""
         self.region, self._wanted, self._locked = None, (0.0, 0.0, 0.0), False
+
+    @property
+    def fitted(self) -> bool:
+        """Whether it is there (`MNTn_TYPE`)."""
+        return bool(self._vehicle.params[f"MNT{self.number}_TYPE"])
+
+    def range(self, axis: Literal["PITCH", "YAW"]) -> tuple[float, float]:
+        """Return the least and the largest angle around an axis."""
+        p, name = self._vehicle.params, f"MNT{self.number}_{axis}"
+        return p[f"{name}_MIN"], p[f"{name}_MAX"]
 
     def flags(self) -> int:
         """Return the GIMBAL_DEVICE_FLAGS in effect; yaw is reported relative to the vehicle."""

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_mavlink_sim.camera import HEIGHT, WIDTH
-from rcp_mavlink_sim.mount import quaternion
+from rcp_mavlink_sim.mount import Mount, quaternion
 from rcp_mavlink_sim.sensing import milliseconds
 from rcp_mavlink_sim.systems import Systems
 from rcp_mavlink_sim.wire import mav
 
 __all__ = ["MAKERS"]
 
-_DEVICE = 1
 _ABLE = (
     mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_RETRACT
     | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_NEUTRAL
@@ -33,37 +32,43 @@ def _status(v: Systems) -> Any:
     )
 
 
-def _device(v: Systems) -> Any:
-    roll, pitch, yaw = (math.radians(a) for a in (v.mount.roll, v.mount.pitch, v.mount.yaw))
+def _each(make: Callable[[Systems, Mount], Any]) -> Callable[[Systems], list[Any]]:
+    """Make a message for each gimbal that is fitted."""
+    return lambda v: [make(v, mount) for mount in v.mounts if mount.fitted]
+
+
+def _device(v: Systems, mount: Mount) -> Any:
+    roll, pitch, yaw = (math.radians(a) for a in (mount.roll, mount.pitch, mount.yaw))
     q = quaternion(roll, pitch, yaw)
     nan = math.nan
     return mav.MAVLink_gimbal_device_attitude_status_message(
-        0, 0, milliseconds(v), v.mount.flags(), q, nan, nan, nan, 0, v.body.yaw, nan, _DEVICE
+        0, 0, milliseconds(v), mount.flags(), q, nan, nan, nan, 0, v.body.yaw, nan, mount.number
     )
 
 
-def _manager(v: Systems) -> Any:
-    p = v.params
-    pitch = (math.radians(p["MNT1_PITCH_MIN"]), math.radians(p["MNT1_PITCH_MAX"]))
-    yaw = (math.radians(p["MNT1_YAW_MIN"]), math.radians(p["MNT1_YAW_MAX"]))
+def _ranges(mount: Mount) -> tuple[float, ...]:
+    """Return roll, pitch and yaw, each from the least to the largest, rad."""
+    degrees = (0.0, 0.0, *mount.range("PITCH"), *mount.range("YAW"))
+    return tuple(math.radians(angle) for angle in degrees)
+
+
+def _manager(v: Systems, mount: Mount) -> Any:
     return mav.MAVLink_gimbal_manager_information_message(
-        milliseconds(v), _ABLE, _DEVICE, 0.0, 0.0, *pitch, *yaw
+        milliseconds(v), _ABLE, mount.number, *_ranges(mount)
     )
 
 
-def _manager_status(v: Systems) -> Any:
+def _manager_status(v: Systems, mount: Mount) -> Any:
     return mav.MAVLink_gimbal_manager_status_message(
-        milliseconds(v), v.mount.flags(), _DEVICE, *v.mount.control, 0, 0
+        milliseconds(v), mount.flags(), mount.number, *mount.control, 0, 0
     )
 
 
-def _gimbal(v: Systems) -> Any:
-    p = v.params
-    pitch = (math.radians(p["MNT1_PITCH_MIN"]), math.radians(p["MNT1_PITCH_MAX"]))
-    yaw = (math.radians(p["MNT1_YAW_MIN"]), math.radians(p["MNT1_YAW_MAX"]))
+def _gimbal(v: Systems, mount: Mount) -> Any:
+    ranges = _ranges(mount)
     return mav.MAVLink_gimbal_device_information_message(
-        milliseconds(v), b"rcp", b"simulated", b"", 0, 0, 0, _ABLE, 0, 0.0, 0.0, *pitch, *yaw, _DEVICE
-    )  # fmt: skip
+        milliseconds(v), b"rcp", b"simulated", b"", 0, 0, 0, _ABLE, 0, *ranges, mount.number
+    )
 
 
 def _camera(v: Systems) -> Any:
@@ -91,10 +96,10 @@ def _settings(v: Systems) -> Any:
 
 MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_MOUNT_STATUS: _status,
-    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: _device,
-    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: _manager,
-    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION: _gimbal,
-    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: _manager_status,
+    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: _each(_device),
+    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: _each(_manager),
+    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION: _each(_gimbal),
+    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: _each(_manager_status),
     mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: _camera,
     mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: _captures,
     mav.MAVLINK_MSG_ID_CAMERA_SETTINGS: _settings,

@@ -23,7 +23,8 @@ class Box(msgspec.Struct, frozen=True):
 class Options(msgspec.Struct, frozen=True, kw_only=True):
     """One simulated vehicle."""
 
-    vehicle: Literal["copter", "plane", "rover", "boat"] = "copter"
+    vehicle: Literal["copter", "plane", "rover", "boat", "px4"] = "copter"
+    """All with ArduPilot, but `px4`, a copter with PX4."""
     system: int = 1
     """MAVLink system id; its component is 1, the autopilot."""
     home: tuple[float, float, float] = (-35.3632621, 149.1652374, 584.0)

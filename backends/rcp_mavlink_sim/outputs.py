@@ -44,7 +44,7 @@ class Outputs:
 
     def set_relay(self, relay: float, value: float) -> bool:
         """Switch a relay, from 0; return whether this succeeded."""
-        bit = 1 << int(relay) if relay >= 0 else 0
+        bit = 1 << int(relay) if 0 <= relay < _RELAYS else 0
         if not bit & self.present or value not in (0, 1):
             return False
         self.relays = self.relays | bit if value else self.relays & ~bit

@@ -5,8 +5,10 @@ Types: b int8, h int16, i int32, f float. `{}` stands for the numbers of the gro
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
+
+from rcp_mavlink_sim.px4_parameters import PX4
 
 __all__ = ["CASTS", "table"]
 
@@ -37,6 +39,7 @@ EK3_SRC1_POSXY b 3|EK3_SRC1_POSZ b 1|EK3_SRC1_VELXY b 3|EK3_SRC1_VELZ b 3|EK3_SR
 ESC_CALIBRATION b 0|FENCE_ACTION b 1|FENCE_ALT_MAX f 100|FENCE_ALT_MIN f -10|FENCE_AUTOENABLE b 0|FENCE_ENABLE b 0
 FENCE_MARGIN f 2|FENCE_OPTIONS h 1|FENCE_RADIUS f 300|FENCE_RET_ALT h 0|FENCE_RET_RALLY b 0|FENCE_TOTAL b 0|FENCE_TYPE b 7
 FLTMODE1 b 7|FLTMODE2 b 9|FLTMODE3 b 6|FLTMODE4 b 3|FLTMODE5 b 5|FLTMODE6 b 0|FLTMODE_CH b 5|FLIGHT_OPTIONS i 0
+FOLL_ENABLE b 0|FOLL_SYSID h 0|FOLL_DIST_MAX f 100|FOLL_OFS_TYPE b 0|FOLL_OFS_X f 0|FOLL_OFS_Y f 0|FOLL_OFS_Z f 0|FOLL_YAW_BEHAVE b 1|FOLL_POS_P f 0.1|FOLL_ALT_TYPE b 1
 FORMAT_VERSION h 120|FRAME_CLASS b 1|FRAME_TYPE b 1|FS_CRASH_CHECK b 1|FS_DR_ENABLE b 2|FS_DR_TIMEOUT h 30
 FS_EKF_ACTION b 1|FS_EKF_THRESH f 0.8|FS_GCS_ENABLE b 0|FS_GCS_TIMEOUT f 5|FS_OPTIONS i 16|FS_THR_ENABLE b 1
 FS_THR_VALUE h 975|FS_VIBE_ENABLE b 1|GCS_PID_MASK h 0|GND_EFFECT_COMP b 1|GPS1_TYPE b 1|GPS2_TYPE b 0|GPS_AUTO_CONFIG b 1
@@ -49,6 +52,7 @@ LAND_SPEED_HIGH h 0|LGR_ENABLE b 0|LOG_BACKEND_TYPE b 1|LOG_BITMASK i 176126|LOG
 LOG_FILE_DSRMROT b 0|LOG_FILE_TIMEOUT h 5|LOG_REPLAY b 0|LOIT_ACC_MAX f 500|LOIT_ANG_MAX f 0|LOIT_BRK_ACCEL f 250
 LOIT_BRK_DELAY f 1|LOIT_BRK_JERK f 500|LOIT_SPEED f 1250|MAV_GCS_SYSID h 255|MAV_OPTIONS h 0|MAV_SYSID h 1
 MIS_OPTIONS h 0|MIS_RESTART b 0|MIS_TOTAL h 0|MNT1_TYPE b 1|MNT1_PITCH_MAX h 20|MNT1_PITCH_MIN h -90|MNT1_YAW_MAX h 180|MNT1_YAW_MIN h -180
+MNT2_TYPE b 0|MNT2_PITCH_MAX h 20|MNT2_PITCH_MIN h -90|MNT2_YAW_MAX h 180|MNT2_YAW_MIN h -180
 MOT_BAT_CURR_MAX f 0|MOT_BAT_CURR_TC f 5|MOT_BAT_VOLT_MAX f 12.8|MOT_BAT_VOLT_MIN f 9.6|MOT_HOVER_LEARN b 2|MOT_PWM_MAX h 2000
 MOT_PWM_MIN h 1000|MOT_PWM_TYPE b 0|MOT_SPIN_ARM f 0.1|MOT_SPIN_MAX f 0.95|MOT_SPIN_MIN f 0.15|MOT_SPOOL_TIME f 0.5
 MOT_THST_EXPO f 0.65|MOT_THST_HOVER f 0.39|MOT_YAW_HEADROOM h 200|NTF_BUZZ_TYPES b 5|NTF_LED_BRIGHT b 3|NTF_LED_TYPES i 199
@@ -85,7 +89,7 @@ _COPTER_ONLY = (
     "ACRO_", "ANGLE_MAX", "ATC_", "AUTOTUNE_", "CIRCLE_", "DISARM_DELAY", "FLTMODE", "FRAME_", "FS_THR_VALUE", "GUID_", "LAND_",
     "LOIT_", "MOT_", "PHLD_", "PILOT_", "PSC_", "RTL_", "SIMPLE", "SRTL_", "SUPER_", "THROW_", "TUNE", "WPNAV_", "WP_", "ZIGZ_",
 )  # fmt: skip
-_PLANE_NO = (*_COPTER_ONLY, "FS_GCS_", "FS_THR_", "FS_EKF_", "FS_VIBE", "FS_CRASH")
+_PLANE_NO = (*_COPTER_ONLY, "FOLL_", "FS_GCS_", "FS_THR_", "FS_EKF_", "FS_VIBE", "FS_CRASH")
 _PLANE = """
 AIRSPEED_CRUISE f 22|AIRSPEED_MAX f 30|AIRSPEED_MIN f 12|AIRSPEED_STALL f 11|ARSPD_TYPE b 1|CRASH_DETECT b 0|FS_GCS_ENABL b 0
 FS_LONG_ACTN b 0|FS_LONG_TIMEOUT f 5|FS_SHORT_ACTN b 0|FS_SHORT_TIMEOUT f 1.5|LAND_DISARMDELAY b 20|LAND_FLARE_ALT f 3
@@ -107,6 +111,8 @@ _OTHER["boat"] = (_COPTER_ONLY, _ROVER.replace("FRAME_CLASS b 1", "FRAME_CLASS b
 @cache
 def table(vehicle: str) -> dict[str, tuple[str, float]]:
     """Return type and default of each parameter by name, in the order of the list."""
+    if vehicle == "px4":
+        return _read(entry for line in PX4.split("\n") for entry in line.split("|") if entry)
     plain = [entry for line in _PLAIN.split("\n") for entry in line.split("|") if entry]
     for numbers, text in _GROUPS:
         plain += [e.format(number) for number in numbers for e in text.split("|")]
@@ -114,10 +120,14 @@ def table(vehicle: str) -> dict[str, tuple[str, float]]:
     entries = [entry for entry in plain if not (lacks and entry.startswith(lacks))]
     more = (own + _SIMULATED).replace("\n", "|").split("|")
     entries += [entry for entry in more if entry]
-    found = {
-        name: (kind, float(value)) for name, kind, value in (entry.split() for entry in entries)
-    }
+    found = _read(entries)
     outputs = {"copter": (33, 34, 35, 36), "plane": (4, 19, 70, 21)}.get(vehicle, (26, 0, 70))
     for output, function in enumerate(outputs, 1):
         found[f"SERVO{output}_FUNCTION"] = ("h", float(function))
     return dict(sorted(found.items()))
+
+
+def _read(entries: Iterable[str]) -> dict[str, tuple[str, float]]:
+    return {
+        name: (kind, float(value)) for name, kind, value in (entry.split() for entry in entries)
+    }

@@ -98,7 +98,7 @@ class Transfer:
         if message.command not in _KNOWN[self._plan.kind] and not self._is_home(message):
             self._end(send, mav.MAV_MISSION_UNSUPPORTED)
             return True
-        if (wrong := _wrong(message)) is not None:
+        if (wrong := self._wrong(message)) is not None:
             self._end(send, wrong)
             return True
         self._items.append(_item(message, self._plan.kind))
@@ -106,9 +106,15 @@ class Transfer:
         if len(self._items) < self._count:
             self.request_next(send, now)
             return False
-        self._plan.replace(self._items)
+        self._plan.replace(self._stored())
         self._end(send, mav.MAV_MISSION_ACCEPTED)
         return True
+
+    def _wrong(self, message: Any) -> int | None:
+        return _wrong(message)
+
+    def _stored(self) -> list[Item]:
+        return self._items
 
     def _is_home(self, message: Any) -> bool:
         return self._plan.kind == mav.MAV_MISSION_TYPE_MISSION and message.seq == 0

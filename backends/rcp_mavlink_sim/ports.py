@@ -8,6 +8,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from rcp_mavlink_sim.factory import station_of
 from rcp_mavlink_sim.faults import Faults
 from rcp_mavlink_sim.ground_station import GroundStation
 from rcp_mavlink_sim.vehicle import Vehicle
@@ -58,7 +59,7 @@ class Twin:
             if not self.faults.downlink_cut:  # cut while in transit
                 send_bytes(frame)
 
-        peer = GroundStation(self.vehicle, send)
+        peer = station_of(self.vehicle, send)
         self.peers.append(peer)
         return peer
 

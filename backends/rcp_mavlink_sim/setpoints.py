@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from rcp_mavlink.geo import shifted
-from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.vehicle import Vehicle
 
 __all__ = ["take"]
@@ -24,7 +23,7 @@ _OFFSET_FRAMES = frozenset({7, 9})
 def take(vehicle: Vehicle, message: Any) -> None:
     """Handle a set-point; there is no reply in any case."""
     grounded = vehicle.body.landed and vehicle.kind.flies
-    if vehicle.flight.mode is not Mode.GUIDED or not vehicle.armed or grounded:
+    if vehicle.flight.mode is not vehicle.flight.led or not vehicle.armed or grounded:
         return
     if message.get_type() == "SET_ATTITUDE_TARGET":
         if vehicle.kind.name == "copter":

@@ -11,6 +11,7 @@ from rcp_mavlink_sim.adsb import AdsbReceiver
 from rcp_mavlink_sim.crafts import body_of, pilot_of
 from rcp_mavlink_sim.faults import Faults
 from rcp_mavlink_sim.flight_statistics import FlightStatistics
+from rcp_mavlink_sim.follow import Leader
 from rcp_mavlink_sim.gnss_corrections import GnssCorrections
 from rcp_mavlink_sim.kinds import KINDS
 from rcp_mavlink_sim.noise import Noise
@@ -20,6 +21,7 @@ from rcp_mavlink_sim.parameters import Parameters
 from rcp_mavlink_sim.plans import Plan
 from rcp_mavlink_sim.power import Battery
 from rcp_mavlink_sim.sticks import Sticks
+from rcp_mavlink_sim.terrain import Place, Terrain
 from rcp_mavlink_sim.wire import mav
 
 __all__ = ["VehicleState"]
@@ -33,7 +35,7 @@ class VehicleState:
         self.kind = KINDS[options.vehicle]
         self.on_message: list[Callable[[Any], None]] = []
         """Called with each broadcast message."""
-        self.params = Parameters(options.vehicle, options.parameters)
+        self.params = self.make_parameters(options)
         self.noise = Noise(options.seed, options.noise)
         self.wall = 0.0
         """Real seconds, by the clock of `advance`."""
@@ -42,6 +44,10 @@ class VehicleState:
         """Injected faults; they survive a reboot."""
         self.rally = Plan(mav.MAV_MISSION_TYPE_RALLY)
         self.begin(math.radians(options.heading))
+
+    def make_parameters(self, options: Options) -> Parameters:
+        """Return its parameters."""
+        return Parameters(options.vehicle, options.parameters)
 
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""
@@ -65,6 +71,8 @@ class VehicleState:
         self.adsb = AdsbReceiver()
         self.corrections = GnssCorrections()
         self.statistics = FlightStatistics(self.params)
+        self.terrain = Terrain(self.params)
+        self.leader = Leader(self.params)
 
     # Position
 
@@ -82,6 +90,21 @@ class VehicleState:
     def geographic(self) -> tuple[float, float]:
         """Return latitude and longitude, deg."""
         return shifted(self.body.n, self.body.e, self.origin[:2])
+
+    def ground_place(self, place: tuple[float, float] | None = None) -> Place:
+        """Return a position from the origin, m, as the terrain counts it; by default its own."""
+        north, east = place or (self.body.n, self.body.e)
+        lat, lon = shifted(north, east, self.origin[:2])
+        return round(lat * 1e7), round(lon * 1e7)
+
+    @property
+    def ground_home(self) -> Place | None:
+        """The position of home, as the terrain counts it."""
+        return None if self.home is None else (round(self.home[0] * 1e7), round(self.home[1] * 1e7))
+
+    def above_ground(self, height: float, place: tuple[float, float] | None = None) -> float | None:
+        """Return a height above the ground at a position as one above home, m; None if it is not known."""
+        return self.terrain.above_home(self.ground_place(place), self.ground_home, height)
 
     def place_of(self, lat: float, lon: float) -> tuple[float, float]:
         """Return a position relative to the origin, north and east, m."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_mavlink_sim.telemetry import MAKERS
 from rcp_mavlink_sim.vehicle import Vehicle
 from rcp_mavlink_sim.wire import mav
 
@@ -20,9 +19,8 @@ _GROUPS: dict[int, tuple[int, ...]] = {
     10: (_M.MAVLINK_MSG_ID_ATTITUDE,),
     11: (_M.MAVLINK_MSG_ID_VFR_HUD,),
     12: (_M.MAVLINK_MSG_ID_BATTERY_STATUS, _M.MAVLINK_MSG_ID_EKF_STATUS_REPORT, _M.MAVLINK_MSG_ID_VIBRATION,
-         _M.MAVLINK_MSG_ID_SYSTEM_TIME, _M.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS),
+         _M.MAVLINK_MSG_ID_SYSTEM_TIME, _M.MAVLINK_MSG_ID_TERRAIN_REPORT, _M.MAVLINK_MSG_ID_TERRAIN_REQUEST, _M.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS),
 }  # fmt: skip
-_HEARTBEAT = 1.0  # s
 _FASTEST = 0.0025  # s
 
 
@@ -31,7 +29,7 @@ class Streams:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
-        self._intervals: dict[int, float] = {mav.MAVLINK_MSG_ID_HEARTBEAT: _HEARTBEAT}
+        self._intervals: dict[int, float] = dict(vehicle.usual)
         self._due: dict[int, float] = {}
         if vehicle.options.streaming:
             for group in _GROUPS:
@@ -39,18 +37,17 @@ class Streams:
 
     def every(self, number: int, microseconds: float) -> bool:
         """Handle SET_MESSAGE_INTERVAL; return whether the message exists."""
-        if number not in MAKERS:
+        if number not in self._vehicle.makers:
             return False
         if microseconds == 0:
-            default = _HEARTBEAT if number == mav.MAVLINK_MSG_ID_HEARTBEAT else None
-            self._set(number, default)
+            self._set(number, self._vehicle.usual.get(number))
         else:
             self._set(number, max(_FASTEST, microseconds / 1e6) if microseconds > 0 else None)
         return True
 
     def interval(self, number: int) -> int:
         """Return the interval as in MESSAGE_INTERVAL, µs; -1 is never, 0 unknown."""
-        if number not in MAKERS:
+        if number not in self._vehicle.makers:
             return 0
         seconds = self._intervals.get(number)
         return -1 if seconds is None else round(seconds * 1e6)
@@ -60,7 +57,7 @@ class Streams:
         numbers = _GROUPS.get(number, ())
         if number == 0:
             numbers = tuple(n for group in _GROUPS.values() for n in group)
-        for message in numbers:
+        for message in self._vehicle.makers.keys() & set(numbers):
             self._set(message, 1 / rate if on and rate > 0 else None)
 
     def _set(self, number: int, seconds: float | None) -> None:
@@ -78,7 +75,5 @@ class Streams:
             if wall < due:
                 continue
             self._due[number] = due + seconds if wall - due < seconds else wall + seconds
-            message = self._vehicle.measure(number)
-            if message is not None:
-                found.append(message)
+            found += self._vehicle.measure(number)
         return found

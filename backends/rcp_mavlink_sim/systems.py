@@ -36,24 +36,41 @@ class Systems(VehicleState):
     def __init__(self, options: Options) -> None:
         self.log = FlightLog()
         super().__init__(options)
-        self.files = Files(self.kind.name, self.params, self.log)
+        self.files = Files(options.vehicle, self.params, self.log)
         self.camera = Camera(self, self.files)
 
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""
         super().begin(heading)
-        self.flight = _FLIGHTS[self.kind.name](self)
+        self.flight = self.make_flight()
         self.flight.limits()
-        self.failsafes = Failsafes(self, self.flight)
+        self.failsafes = self.make_failsafes()
         self.fence = Fence(self, self.flight)
-        self.mount = Mount(self)
+        self.mount, second = Mount(self), Mount(self, 2)
+        self.mounts = (self.mount, second)
+        """Those of `MNT1_*` and `MNT2_*`; the first is the primary one, with the camera."""
         self.payloads = Payloads(self)
         self.motor_test = MotorTest(self)
         self.calibrations = Calibrations(self)
 
+    def make_flight(self) -> Flight:
+        """Return its flight logic."""
+        return _FLIGHTS[self.kind.name](self)
+
+    def make_failsafes(self) -> Failsafes:
+        """Return its failsafes."""
+        return Failsafes(self, self.flight)
+
     def complaints(self) -> list[str]:
         """List what prevents arming, in ArduPilot's words; empty if it may arm."""
         return complaints(self, self.flight, self.failsafes, self.fence)
+
+    def gimbal(self, device: float) -> Mount | None:
+        """Return the mount of a gimbal device id; 0 is the primary one, None if it is not fitted."""
+        number = device or 1
+        return next(
+            (mount for mount in self.mounts if mount.fitted and mount.number == number), None
+        )
 
     @property
     def ready(self) -> bool:

@@ -15,7 +15,7 @@ from rcp_mavlink_sim.sensing import milliseconds as _ms
 from rcp_mavlink_sim.systems import Systems
 from rcp_mavlink_sim.wire import mav
 
-__all__ = ["MAKERS", "heartbeat"]
+__all__ = ["MAKERS", "heartbeat", "state_of"]
 
 _GPS, _LEVEL, _PLACE, _MOTORS, _FENCE, _AHRS, _BATTERY = (
     mav.MAV_SYS_STATUS_SENSOR_GPS,
@@ -63,11 +63,12 @@ def heartbeat(v: Systems) -> Any:
     flags |= 0 if v.kind.by_hand(mode) else mav.MAV_MODE_FLAG_GUIDED_ENABLED
     flags |= mav.MAV_MODE_FLAG_SAFETY_ARMED if v.armed or v.motor_test.motor else 0
     return mav.MAVLink_heartbeat_message(
-        v.kind.type, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, v.kind.number(mode), _state(v), 3
+        v.kind.type, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, v.kind.number(mode), state_of(v), 3
     )
 
 
-def _state(v: Systems) -> int:
+def state_of(v: Systems) -> int:
+    """Return its MAV_STATE."""
     if v.failsafes.any:
         return mav.MAV_STATE_CRITICAL
     moving = v.armed and (not v.body.landed or not v.kind.flies)
@@ -222,12 +223,33 @@ def _winch(v: Systems) -> Any:
     )  # fmt: skip
 
 
+def _terrain(v: Systems) -> Any:
+    if not v.position_ok or not v.terrain.enabled:
+        return None
+    return v.terrain.report(v.ground_place(), v.ground_home, -v.body.d)
+
+
+def _terrain_request(v: Systems) -> Any:
+    return v.terrain.request(v.ground_place(), v.wall) if v.position_ok else None
+
+
 def _version(v: Systems) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
     hashed, nothing = list(b"70746572"), [0] * 8
     own = list(f"twin {v.options.system}".encode().ljust(18, b"\0"))
     return mav.MAVLink_autopilot_version_message(  # ArduPilot leaves all ids but `uid2` empty
-        _CAPABLE, release, 0, 0, 0, hashed, nothing, nothing, 0, 0, 0, own
+        _CAPABLE | (mav.MAV_PROTOCOL_CAPABILITY_TERRAIN if v.terrain.enabled else 0),
+        release,
+        0,
+        0,
+        0,
+        hashed,
+        nothing,
+        nothing,
+        0,
+        0,
+        0,
+        own,
     )
 
 
@@ -266,6 +288,8 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_WINCH_STATUS: _winch,
     mav.MAVLINK_MSG_ID_MAG_CAL_PROGRESS: lambda v: v.calibrations.progress(),
     mav.MAVLINK_MSG_ID_MAG_CAL_REPORT: lambda _: None,  # sent when it is there
+    mav.MAVLINK_MSG_ID_TERRAIN_REPORT: _terrain,
+    mav.MAVLINK_MSG_ID_TERRAIN_REQUEST: _terrain_request,
     **mount_messages.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from rcp_mavlink_sim.arming import mode_complaint
 from rcp_mavlink_sim.flight import FORCE
@@ -30,10 +30,17 @@ _BOOT = (
 class Vehicle(Systems):
     """One simulated vehicle; `advance` steps its time, `on_message` receives its messages."""
 
+    makers: ClassVar[dict[int, Any]] = MAKERS
+    """Builders of its messages, by id."""
+    usual: ClassVar[dict[int, float]] = {mav.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+    """Seconds between two of a message that it sends without a request."""
+    boot_texts: ClassVar[tuple[tuple[float, str], ...]] = _BOOT
+    ready_text: ClassVar[str] = "EKF3 IMU0 is using GPS"
+
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""
         super().begin(heading)
-        self._last_messages: dict[int, Any] = {}
+        self._last_messages: dict[int, list[Any]] = {}
         self._announced = 0
         self._chattered = 0.0
         self._left = 0.0
@@ -56,12 +63,13 @@ class Vehicle(Systems):
             if text:
                 send(mav.MAVLink_statustext_message(6, text.encode()))
 
-    def measure(self, number: int) -> Any:
-        """Build a telemetry message by its id; None if it has no value now."""
+    def measure(self, number: int) -> list[Any]:
+        """Build a telemetry message by its id, one for each gimbal; none if it has no value now."""
         telemetry = self.faults.telemetry
         if telemetry == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
-            self._last_messages[number] = MAKERS[number](self)
-        return None if telemetry == "silent" and number else self._last_messages.get(number)
+            made = self.makers[number](self)
+            self._last_messages[number] = made if isinstance(made, list) else [made] if made else []
+        return [] if telemetry == "silent" and number else self._last_messages.get(number, [])
 
     # Commands
 
@@ -84,13 +92,17 @@ class Vehicle(Systems):
             for reason in reasons:
                 self.send_text(2, f"Arm: {reason}")
             return False
-        self.send_text(6, "Arming motors")
+        self.begin_armed("Arming motors")
+        return True
+
+    def begin_armed(self, text: str) -> None:
+        """Start the motors without any check."""
+        self.send_text(6, text)
         self.armed, self.armed_for = True, 0.0
         self.pilot.reset()
         if self.position_ok:
             self.set_home(None)
         self.log.begin(self.time)
-        return True
 
     # Time
 
@@ -122,18 +134,23 @@ class Vehicle(Systems):
         if self.home is None and self.position_ok:
             self.set_origin(self.origin)
             self.set_home(None)
-            self.send_text(6, "EKF3 IMU0 is using GPS")
+            self.send_text(6, self.ready_text)
         self.sticks.expire(self.wall)
         flying = self.armed and (not self.body.landed or not self.kind.flies)
         self.statistics.step(seconds, flying=flying)
         self.noise.step(seconds)
-        self.mount.step(seconds)
+        for mount in self.mounts:
+            mount.step(seconds)
         self.payloads.step(seconds)
         self.motor_test.check()
         self.calibrations.step(seconds)
         self._blow()
         self.fence.check()
         self.failsafes.check(seconds)
+        self.step_checks()
+
+    def step_checks(self) -> None:
+        """Send now and then what prevents arming."""
         if not self.armed and self.time - self._chattered > _CHATTER:
             self._chattered = self.time
             for reason in self.complaints():
@@ -141,10 +158,10 @@ class Vehicle(Systems):
 
     def _announce_boot(self) -> None:
         while (
-            self._announced < len(_BOOT)
-            and self.time >= _BOOT[self._announced][0] * self.options.warmup
+            self._announced < len(self.boot_texts)
+            and self.time >= self.boot_texts[self._announced][0] * self.options.warmup
         ):
-            self.send_text(6, _BOOT[self._announced][1])
+            self.send_text(6, self.boot_texts[self._announced][1])
             self._announced += 1
 
     def _blow(self) -> None:

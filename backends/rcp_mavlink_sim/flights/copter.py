@@ -12,6 +12,7 @@ __all__ = ["CopterFlight"]
 
 _ON_THE_FLOOR = 1.0  # s until it counts as landed
 _HIGHEST_WITHOUT_CLIMB = 2.0  # m
+_FACES_IT = 1  # FOLL_YAW_BEHAVE
 _BY_STICK = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
 
 
@@ -54,6 +55,8 @@ class CopterFlight(Flight):
         landed = vehicle.armed and vehicle.body.landed
         if mode is Mode.AUTO and landed and self.mission.flyable and not self.mission.takes_off:
             return "Auto: Missing Takeoff Cmd"
+        if mode is Mode.FOLLOW and not vehicle.params["FOLL_ENABLE"]:
+            return "Set FOLL_ENABLE = 1"
         return super().refusal(mode)
 
     def take_off(self, height: float) -> bool:
@@ -93,6 +96,8 @@ class CopterFlight(Flight):
                 self.descend()
             case Mode.CIRCLE:
                 self._circle(dt)
+            case Mode.FOLLOW:
+                self._follow()
             case mode if mode in _BY_STICK:
                 self._by_stick(mode)
             case _:
@@ -101,6 +106,7 @@ class CopterFlight(Flight):
     def enter(self, mode: Mode) -> None:
         """Enter a mode; the centre of a circle is ahead by its radius."""
         super().enter(mode)
+        self._vehicle.leader.forget_offset()
         if mode is Mode.CIRCLE:
             body, radius = self._vehicle.body, self._vehicle.params["CIRCLE_RADIUS"] / 100
             self._centre = (
@@ -121,6 +127,35 @@ class CopterFlight(Flight):
         pilot.place = (self._centre[0] + radius * c, self._centre[1] + radius * s)
         pilot.velocity = (-radius * rate * s, radius * rate * c)
         pilot.yaw = self._angle + math.pi
+
+    def _follow(self) -> None:
+        """Stay beside the target; one that is lost or too far away stops the copter where it is."""
+        vehicle, pilot, body = self._vehicle, self._vehicle.pilot, self._vehicle.body
+        found = vehicle.leader.estimate(vehicle.wall)
+        if found is None:
+            self._stop()
+            return
+        estimate, age = found
+        vn, ve, vd = estimate.velocity
+        north, east = vehicle.place_of(estimate.lat, estimate.lon)
+        n, e, d = north + vn * age, east + ve * age, vd * age - estimate.altitude
+        away = math.dist((n, e, d), (body.n, body.e, body.d))
+        if away > vehicle.params["FOLL_DIST_MAX"] > 0:
+            self._stop()
+            return
+        dn, de, dd = vehicle.leader.offset((body.n - n, body.e - e, body.d - d))
+        pilot.place, pilot.depth = (n + dn, e + de), d + dd
+        pilot.velocity = (vn, ve)
+        if (
+            vehicle.params["FOLL_YAW_BEHAVE"] == _FACES_IT
+            and math.hypot(n - body.n, e - body.e) > 1
+        ):
+            pilot.yaw = math.atan2(e - body.e, n - body.n)
+
+    def _stop(self) -> None:
+        pilot = self._vehicle.pilot
+        pilot.place, pilot.velocity = None, (0.0, 0.0)
+        pilot.depth, pilot.sinking = None, 0.0
 
     def _by_stick(self, mode: Mode) -> None:
         vehicle = self._vehicle

@@ -26,6 +26,7 @@ from hurry import Hurried
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
+from rcp_mavlink.follow_target import Target
 from rcp_mavlink.messages import Calibrate
 from rcp_mavlink_sim import Twin, Vehicle
 from rcp_mavlink_sim.modes import Mode
@@ -39,7 +40,7 @@ HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), roun
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
 PAYLOADS = {
     "DISARM_DELAY": 0.0, "SERVO9_FUNCTION": 0.0, "RELAY1_FUNCTION": 1.0, "GRIP_ENABLE": 1.0,
-    "WINCH_TYPE": 2.0, "CHUTE_ENABLED": 1.0,
+    "WINCH_TYPE": 2.0, "CHUTE_ENABLED": 1.0, "FOLL_ENABLE": 1.0,
 }  # fmt: skip
 ON_THE_GROUND = (
     "action/motor_test", "service/calibrate/continue",
@@ -95,6 +96,9 @@ class MavlinkRig(Hurried, StopRig):
             return int(value) if name == "param/RTL_ALT" else value
         if name == "actuator/gnss_corrections":
             return {"data": self.vehicle.corrections.received[-1]}
+        if name == "actuator/follow_target":
+            found = self.vehicle.leader.estimate(self.vehicle.wall)
+            return {} if found is None else {"latitude": found[0].lat, "longitude": found[0].lon}
         if name == "actuator/velocity":
             yaw, (vn, ve) = self.vehicle.body.yaw, pilot.velocity
             x, right = (
@@ -128,6 +132,10 @@ class MavlinkRig(Hurried, StopRig):
 
     def values(self, name: str) -> Sequence[Any]:
         return {
+            "actuator/follow_target": (
+                {"latitude": LAT, "longitude": LON},
+                {"latitude": LAT + 1e-4, "longitude": LON},
+            ),
             "actuator/gnss_corrections": ({"data": "0wAGPs0AAAAA"}, {"data": "0wAGPs0BAAAA"}),
             "param/WPNAV_SPEED": (500.0, 800.0),
             "param/RTL_ALT": (2000, 3000),
@@ -168,6 +176,7 @@ class MavlinkRig(Hurried, StopRig):
             "action/mission/pause": Goal(good=None),
             "action/mission/resume": Goal(good=None),
             "action/gimbal": Goal(good={"pitch": -0.5}),
+            "service/gimbal/release": Goal(good=None, bad={"gimbal": 3}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
             "service/calibrate/continue": Goal(good=None),
@@ -177,6 +186,7 @@ class MavlinkRig(Hurried, StopRig):
                 bad={"radius": 2.0, "latitude": 1.0},
                 long={"radius": 10.0, "turns": 100},
             ),
+            "action/follow": Goal(good={"seconds": 1.0}, bad={"vehicle": "nobody"}, long={}),
             "service/mission/set_current": Goal(good={"item": 2}, bad={"item": 9}),
             "action/motor_test": Goal(
                 good={"motor": 1}, bad={"motor": 9}, long={"motor": 1, "seconds": 3.0}
@@ -223,6 +233,8 @@ class MavlinkRig(Hurried, StopRig):
             else:
                 skip(vehicle, lambda: mission.current > 0)
         await agrees(self.backend, vehicle)
+        if name == "action/follow":
+            await self.backend.write("actuator/follow_target", Target(LAT, LON))
         if name == "service/calibrate/continue":
             await self._wait_for_a_position()
 
@@ -280,7 +292,7 @@ class MavlinkRig(Hurried, StopRig):
                 return vehicle.calibrations.position == 2
             case "action/turn":
                 return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < KEPT
-            case "action/orbit":
+            case "action/orbit" | "action/follow":
                 return flight.mode is Mode.BRAKE
             case "service/mission/set_current":
                 return flight.mission.current == result["item"]

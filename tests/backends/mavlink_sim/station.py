@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink_sim import Options, Vehicle
-from rcp_mavlink_sim.ground_station import GroundStation
+from rcp_mavlink_sim import Options, vehicle_of
+from rcp_mavlink_sim.factory import station_of
 from rcp_mavlink_sim.wire import mav
 
 TURN = 0.05  # s
@@ -24,13 +24,13 @@ class Station:
     """One vehicle and one peer of it."""
 
     def __init__(self, **options: Any) -> None:
-        self.vehicle = Vehicle(Options(**{"warmup": 1.0, **options}))
+        self.vehicle = vehicle_of(Options(**{"warmup": 1.0, **options}))
         self.heard: list[Any] = []
         self._out = _Out()
         self.mav: Any = mav.MAVLink(self._out, 255, 190)
         self._in: Any = mav.MAVLink(None)
         self._in.robust_parsing = True
-        self.peer = GroundStation(self.vehicle, self._hear)
+        self.peer = station_of(self.vehicle, self._hear)
 
     def _hear(self, frame: bytes) -> None:
         self.heard.extend(self._in.parse_buffer(frame) or ())

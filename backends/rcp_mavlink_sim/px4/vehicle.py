@@ -1,0 +1,71 @@
+"""The whole copter with PX4."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from rcp_mavlink_sim.failsafes import Failsafes
+from rcp_mavlink_sim.flight import FORCE, Flight
+from rcp_mavlink_sim.modes import Mode, needs_position
+from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.parameters import Parameters
+from rcp_mavlink_sim.px4.failsafes import Px4Failsafes
+from rcp_mavlink_sim.px4.flight import Px4Flight
+from rcp_mavlink_sim.px4.parameters import Px4Parameters
+from rcp_mavlink_sim.px4.telemetry import MAKERS, USUAL
+from rcp_mavlink_sim.vehicle import Vehicle
+
+__all__ = ["Px4Vehicle"]
+
+_NOT_ARMABLE = frozenset({Mode.RTL, Mode.LAND, Mode.CIRCLE, Mode.FOLLOW})
+
+
+class Px4Vehicle(Vehicle):
+    """One simulated copter with PX4."""
+
+    makers: ClassVar[dict[int, Any]] = MAKERS
+    usual: ClassVar[dict[int, float]] = USUAL
+    boot_texts: ClassVar[tuple[tuple[float, str], ...]] = ()
+    ready_text: ClassVar[str] = "Ready for takeoff!"
+
+    def make_parameters(self, options: Options) -> Parameters:
+        """Return its parameters."""
+        return Px4Parameters(options.parameters)
+
+    def make_flight(self) -> Flight:
+        """Return its flight logic."""
+        return Px4Flight(self)
+
+    def make_failsafes(self) -> Failsafes:
+        """Return its failsafes."""
+        return Px4Failsafes(self, self.flight)
+
+    def complaints(self) -> list[str]:
+        """List what prevents arming, in PX4's words; empty if it may arm."""
+        found: list[str] = []
+        warm = self.time / self.options.warmup if self.options.warmup > 0 else 1.0
+        if warm < 0.2:
+            found.append("Attitude failure (roll)")
+        elif not self.position_ok and needs_position(self.flight.mode):
+            found.append("ekf2 missing data" if warm < 0.5 else "GPS fix too low")
+        if self.failsafes.battery_critical:
+            found.append("Battery unhealthy")
+        return found
+
+    def arm(self, force: float = 0.0) -> bool:
+        """Start the motors; return whether this succeeded."""
+        if self.armed:
+            return True
+        if force not in FORCE and (reasons := self.complaints()):
+            for reason in reasons:
+                self.send_text(2, f"Preflight Fail: {reason}")
+            self.send_text(2, "Arming denied: Resolve system health failures first")
+            return False
+        if self.flight.mode in _NOT_ARMABLE:
+            self.send_text(2, "Arming denied: Mode not suitable for takeoff")
+            return False
+        self.begin_armed("Armed by external command")
+        return True
+
+    def step_checks(self) -> None:
+        """Send no reasons by itself: PX4 tells them when it is asked to arm."""
