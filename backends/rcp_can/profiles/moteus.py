@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,6 +44,7 @@ _OWN = "servo.default_timeout_s, 0.1 s unless configured otherwise: zero velocit
 _WRAPS = 2**31 - 60_000  # ms: near its end the clock may wrap around
 _UNDER_WAY = 64  # requests that may have been lost, or wait to be sent
 _TOO_MANY = 4  # unsolicited responses
+_STRAY = 0.5  # s after a reboot in which an earlier set-point may still arrive
 _PROBED = 0.3  # s for a drive to answer
 _IDENTITY = "model", "firmware", "serial_1", "serial_2", "serial_3"
 NODES = range(1, 127)
@@ -91,6 +93,7 @@ class MoteusDrive(Drive):
         self._target: dict[str, float] = {}
         self.protection = Protection(_OWN, _OWN_TIMEOUT)
         self._clock = math.nan
+        self._rebooted_at = -math.inf
         self._stream = Stream(bus, options.source, self._send_text)
 
     def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
@@ -180,6 +183,9 @@ class MoteusDrive(Drive):
             if access.kind == Kind.REPLY and access.register in _NAMES and access.value is not None:
                 values[_NAMES[access.register]] = access.value
         self._count()
+        if "mode" not in values:  # what it is, which says nothing about its state or its clock
+            self.status.reports += 1
+            return True
         self._look_at_the_watchdog(values.get("watchdog", math.nan))
         self._look_for_a_boot(values.get("milliseconds", math.nan))
         status = self.status
@@ -212,6 +218,7 @@ class MoteusDrive(Drive):
         before, self._clock = self._clock, milliseconds
         if milliseconds < before < _WRAPS:
             self.status.resets += 1
+            self._rebooted_at = time.monotonic()
             if self.status.enabled:
                 self._moving = False
                 self._write({"mode": Mode.STOPPED}, urgent=True)
@@ -338,7 +345,9 @@ class MoteusDrive(Drive):
     def stop(self) -> None:
         """Brake with all available torque and hold velocity zero; a drive that is off stays off."""
         self._moving = False
-        if self._mode in _ON:
+        # One that has rebooted may be on by a set-point that was under way, and is to be off.
+        rebooted = time.monotonic() - self._rebooted_at < _STRAY
+        if self._mode in _ON and not rebooted:
             self._drive(_STILL, urgent=True)
         elif self._mode != Mode.TIMEOUT:  # the time-out mode brakes by itself
             self._write({"mode": Mode.STOPPED}, urgent=True)

@@ -6,9 +6,11 @@ import asyncio
 from typing import Any
 
 import anyio
+import can
 import pytest
 
 from backends.can.rig import MOTORS, motor
+from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Width, build, pad, parse
 from rcp_can.sim import make_twin
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -245,6 +247,20 @@ async def test_a_drive_that_boots_in_motion_is_not_set_going_again(profile: str)
         assert rig.axis.state == "disabled"
         await rig.enable()
         await rig.ran("action/m/move_to", {"position": rig.axis.position + 0.2})
+
+
+async def test_a_moteus_that_a_stray_set_point_enables_after_its_boot_is_stopped_by_off() -> None:
+    async with motor("moteus") as rig:
+        await rig.enable()
+        drive, sent = rig.axis.drive, list[can.Message]()
+        rig.backend.buses["can0"].taps.append(sent.append)
+        for clock in (10_000_000.0, 5.0):  # ms: it has rebooted, and is on all the same
+            told = (("mode", Width.INT8, 10.0), ("milliseconds", Width.INT32, clock))
+            accesses = [Access(Kind.REPLY, REGISTERS[n].number, w, value) for n, w, value in told]
+            drive.take(can.Message(arbitration_id=0x100, data=pad(build(accesses)), is_fd=True))
+        drive.stop()  # as a command does that the reboot ended
+        writes = [a for frame in sent for a in parse(bytes(frame.data)) if a.kind == Kind.WRITE]
+        assert [(a.register, a.value) for a in writes] == [(0, 0.0), (0, 0.0)]
 
 
 @pytest.mark.parametrize("profile", ZEROES)
