@@ -69,13 +69,17 @@ def resources() -> list[Resource]:
 class Crowd:
     """The robots, by their number."""
 
-    def __init__(self) -> None:
+    def __init__(self, robots: int) -> None:
+        self.robots = robots
         self.hosts: list[Host] = []
+        self.complete = asyncio.Event()
 
     @asynccontextmanager
     async def opened(self, _: Nothing, host: Host) -> AsyncGenerator[ScriptedRobot]:
         robot = ScriptedRobot(host, *resources(), values={"param/limit": 1.0})
         self.hosts.append(host)
+        if len(self.hosts) == self.robots:
+            self.complete.set()
         host.publish("sensor/mode", MODES[0])
         yield robot
 
@@ -126,7 +130,7 @@ async def stopping(url: str, robots: int) -> None:
 async def main(robots: int) -> None:
     """Serve so many robots."""
     configure("error", "json")
-    crowd = Crowd()
+    crowd = Crowd(robots)
     backends = "".join(
         f'[[backends]]\nuse = "crowd"\nname = "robot-{at:03}"\ntenant = "t{at % TENANTS}"\nrobot = "robot-{at:03}"\n'
         for at in range(robots)
@@ -134,8 +138,7 @@ async def main(robots: int) -> None:
     kind = BackendKind("crowd", Nothing, crowd.opened)
     async with serve(parse(_HEAD + backends, "benchmark"), kind) as served:
         url = next(facts["url"] for facts in served.server.status.transports if "url" in facts)
-        while len(crowd.hosts) < robots:
-            await asyncio.sleep(0.1)
+        await crowd.complete.wait()
         with collected_at_rest(asyncio.get_running_loop(), moving=lambda: False):  # as in `rcpd`
             print(url.rpartition(":")[2], flush=True)
             async with asyncio.TaskGroup() as group:

@@ -2,8 +2,9 @@
 
 Fleet and Overview are open in a window each, a third window goes from page to page, and a fourth one is empty. Fleet and
 Overview are scrolled and searched meanwhile. What a page's main thread computes, and how long it waits for a core, is read
-from `/proc` fifty times a second. So a long frame is told apart: of the page, if its thread computed for 100 ms between two
-frames, else of the machine. Frames of the empty window say what the machine alone does.
+from `/proc` fifty times a second. So a long frame is told apart. It is the page's, if its thread computed for 100 ms between two
+frames; the machine's, if without what its thread waited for a core it would not have been long, or if the empty window had none
+at the same time either; else that of what draws, in the browser's other threads.
 
 Run: python benchmarks/dashboard_soak.py [--seconds 1800] [--robots 500] [--json FILE] [--axe]
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -48,7 +50,7 @@ WATCH = """
   window.frames = 0;
   const next = (now) => {
     window.frames += 1;
-    if (now - last > 100) found.frames.push([at(last), at(now)]);
+    if (now - last > 50) found.frames.push([at(last), at(now)]);
     last = now;
     requestAnimationFrame(next);
   };
@@ -70,7 +72,7 @@ BURN = (
 VIOLATIONS = """
 async () => (await axe.run(document, { resultTypes: ["violations"],
   runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"] })).violations
-  .map((one) => `${one.impact} ${one.id}: ${one.nodes.length} × ${one.nodes[0].html.slice(0, 160)}`)
+  .map((one) => `${one.impact} ${one.id}: ${one.nodes.length} of ${one.nodes[0].html.slice(0, 160)}`)
 """
 
 
@@ -116,6 +118,10 @@ class Threads:
             self._thread.join()
 
 
+Pauses = list[tuple[float, float]]
+"""Begin and end of each time without a frame for more than 50 ms, in ms since the epoch."""
+
+
 @dataclass
 class Window:
     """A page that is watched, and what was found of it."""
@@ -134,10 +140,12 @@ class Window:
     rate: list[float] = field(default_factory=list)
     """Frames a second."""
     machine: int = 0
-    """Frames of more than 100 ms in which it did not compute for 100 ms."""
+    """Frames of more than 100 ms that are the machine's."""
+    drawing: list[float] = field(default_factory=list)
+    """The ms of those of other threads of the browser."""
     longest: float = 0.0
     own: list[dict[str, Any]] = field(default_factory=list)
-    """Frames in which it did."""
+    """Frames in which its main thread computed for as long."""
     _counted: tuple[float, float, float, int] | None = None
 
     async def count(self) -> None:
@@ -158,19 +166,23 @@ class Window:
         self._counted = (*now, frames)
         await self.page.evaluate(TAKE)  # what the collection took is not the page's
 
-    async def take(self, threads: Threads) -> None:
-        """Note the long frames since the last time, and whose they are."""
+    async def take(self, threads: Threads, empty: Pauses) -> Pauses:
+        """Note the long frames since the last time, and whose they are; return the pauses between frames."""
         found = await self.page.evaluate(TAKE)
         for begun, ended in found["frames"]:
+            if ended - begun <= LONG:
+                continue
             ran, waited = threads.between(self.name, begun, ended)
             self.longest = max(self.longest, ended - begun)
-            if ran < LONG:
+            if ran >= LONG:
+                scripts = [one for one in found["scripts"] if begun - 50 <= one[0] <= ended]
+                told = {"ms": ended - begun, "ran": ran, "waited": waited}
+                self.own.append(told | {"at": self.page.url.rpartition("#")[2], "scripts": scripts})
+            elif ended - begun - waited <= LONG or any(a < ended and begun < b for a, b in empty):
                 self.machine += 1
-                continue
-            scripts = [one for one in found["scripts"] if begun - 50 <= one[0] <= ended]
-            url = self.page.url.rpartition("#")[2]
-            told = {"ms": ended - begun, "ran": ran, "waited": waited, "at": url}
-            self.own.append(told | {"scripts": scripts})
+            else:
+                self.drawing.append(ended - begun)
+        return found["frames"]
 
 
 @contextmanager
@@ -239,23 +251,30 @@ async def walk(window: Window, until: float) -> None:
             await asyncio.sleep(6)
 
 
+async def take(windows: dict[str, Window], threads: Threads) -> None:
+    """Note the long frames of all."""
+    found = await windows["empty"].take(threads, [(0.0, math.inf)])
+    for window in windows.values():
+        if window.name != "empty":
+            await window.take(threads, found)
+
+
 async def look(windows: dict[str, Window], threads: Threads, until: float) -> None:
     """Note what there is each minute, and long frames each second, until then."""
     minute = 0.0
     while time.monotonic() < until:
         if time.monotonic() >= minute:
+            await take(windows, threads)
             for window in windows.values():
-                await window.take(threads)
                 await window.count()
             threads.forget()
             minute = time.monotonic() + MINUTE
             load = os.getloadavg()[0]
             heaps = " ".join(f"{name} {one.heap[-1]:.1f}" for name, one in windows.items())
-            own = " ".join(str(len(one.own)) for one in windows.values())
+            own = " ".join(f"{len(one.own)}/{len(one.drawing)}" for one in windows.values())
             print(f"  load {load:.1f}; MB {heaps}; long frames {own}", file=sys.stderr, flush=True)
         await asyncio.sleep(1)
-        for window in windows.values():
-            await window.take(threads)
+        await take(windows, threads)
 
 
 async def check(window: Window) -> dict[str, list[str]]:
@@ -326,8 +345,8 @@ def table(found: dict[str, Any]) -> None:
             f"{sum(one['rate']) / max(1, len(one['rate'])):.0f} frames/s"
         )
         print(
-            f"            frames over 100 ms: {len(one['own'])} of the page, {one['machine']} of the machine, "
-            f"longest {one['longest']:.0f} ms"
+            f"            frames over 100 ms: {len(one['own'])} of the page, {len(one['drawing'])} of drawing, "
+            f"{one['machine']} of the machine, longest {one['longest']:.0f} ms"
         )
         for frame in sorted(one["own"], key=lambda frame: -frame["ran"])[:5]:
             print(f"            {frame['ran']:.0f} ms of {frame['ms']:.0f} at {frame['at']}")
