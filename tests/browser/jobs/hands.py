@@ -14,7 +14,7 @@ from browser.input_helpers import Touch
 __all__ = ["Fingers", "Hands", "Keys"]
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-STEP = 60  # px that an arrow key moves a map, or about that
+STEP = 40  # px between places that fingers choose
 MOST = 400  # presses of Tab on the way to anything
 _WAY = """
 (wanted) => {
@@ -59,7 +59,7 @@ class Hands(ABC):
 
     @abstractmethod
     async def point(self, chart: Locator, right: int, up: int = 0) -> None:
-        """Choose a place on a map or a scene, so many pixels beside its middle; keys move the middle there."""
+        """Choose a place on a map or a scene, so many steps beside its middle; keys move the middle there."""
 
     @abstractmethod
     async def go(self, name: str) -> None:
@@ -129,7 +129,7 @@ class Keys(Hands):
     async def point(self, chart: Locator, right: int, up: int = 0) -> None:
         await self.reach(chart)
         for way, keys in ((right, ("ArrowRight", "ArrowLeft")), (up, ("ArrowUp", "ArrowDown"))):
-            for _ in range(abs(way) // STEP):
+            for _ in range(abs(way)):
                 await self.page.keyboard.press(keys[way < 0])
         await self.page.keyboard.press("Enter")
 
@@ -178,7 +178,7 @@ class Fingers(Hands):
     async def point(self, chart: Locator, right: int, up: int = 0) -> None:
         box = await chart.bounding_box()
         assert box is not None
-        x, y = box["width"] / 2 + right, box["height"] / 2 - up
+        x, y = box["width"] / 2 + right * STEP, box["height"] / 2 - up * STEP
         await chart.tap(position={"x": x, "y": y})
 
     async def go(self, name: str) -> None:

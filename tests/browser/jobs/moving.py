@@ -140,7 +140,7 @@ async def go_to(hands: Hands, site: Site) -> None:
     chart = page.get_by_test_id("map")
     await expect(chart).to_have_attribute("data-homes", "1")
     await hands.press(page.get_by_test_id("aim"))
-    await hands.point(chart, 60)
+    await hands.point(chart, 1)
     await expect(page.get_by_test_id("goal-status")).to_contain_text("completed")
     after = await site.value(f"{DRONE}/sensor/position/global")
     assert after["lon"] > before["lon"]
@@ -154,7 +154,7 @@ async def set_goal(hands: Hands, site: Site) -> None:
     await hands.choose(page.get_by_role("combobox", name="Robot"), "rover")
     await expect(page.get_by_test_id("where")).to_contain_text("in map")
     await hands.press(page.get_by_test_id("aim"))
-    await hands.point(page.get_by_test_id("scene").locator("canvas"), 60)
+    await hands.point(page.get_by_test_id("scene").locator("canvas"), 1)
     await expect(page.get_by_test_id("goal-status")).to_contain_text("completed")
     after = (await site.value(f"{ROVER}/sensor/pose"))["position"]
     assert math.hypot(after["x"] - before["x"], after["y"] - before["y"]) > 0.5
@@ -177,7 +177,7 @@ async def draw(hands: Hands, what: str, *places: tuple[int, int]) -> None:
 @job("Draw a mission and upload it")
 async def plan_mission(hands: Hands, site: Site) -> None:
     page = hands.page
-    await draw(hands, "Mission", (60, 0), (0, 60))
+    await draw(hands, "Mission", (1, 0), (0, 1))
     await hands.press(hands.button("+ Take off"))
     await hands.press(page.get_by_test_id("upload"))
     await expect(page.get_by_test_id("onboard")).to_contain_text("3 items")
@@ -189,7 +189,7 @@ async def plan_mission(hands: Hands, site: Site) -> None:
 @job("Draw a fence and upload it")
 async def plan_fence(hands: Hands, site: Site) -> None:
     page = hands.page
-    await draw(hands, "Fence", (60, 60), (0, -120), (-120, 0))
+    await draw(hands, "Fence", (1, 1), (0, -1), (-1, 0))
     await hands.press(page.get_by_test_id("upload"))
     await expect(page.get_by_test_id("onboard")).to_contain_text("1 area")
     stored = (await site.ask(f"{DRONE}/service/fence/download"))["items"]
