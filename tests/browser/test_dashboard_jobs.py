@@ -18,7 +18,7 @@ from browser.jobs.site import KEYS, Site, site
 from browser.watched import Watched, log_in, watched
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=40_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 PHONE: dict[str, Any] = {
     "viewport": {"width": 390, "height": 844},
     "has_touch": True,

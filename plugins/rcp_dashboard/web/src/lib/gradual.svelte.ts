@@ -6,7 +6,9 @@ export class Gradual {
   constructor(step: number, total: () => number) {
     this.made = step;
     $effect(() => {
-      if (this.made >= total()) return;
+      const wanted = total();
+      if (this.made > wanted + step) this.made = wanted + step; // what comes again is made bit by bit again
+      if (this.made >= wanted) return;
       const next = requestAnimationFrame(() => (this.made += step));
       return () => cancelAnimationFrame(next);
     });
