@@ -70,9 +70,10 @@ async def test_a_layout_is_made_by_keyboard_alone_and_kept(
 ) -> None:
     async with person(browser, site, "otto", "layout/new") as tab:
         page = tab.page
-        add = page.get_by_label("Add a panel")
-        await add.focus()
-        await add.select_option("note")
+        kind = page.get_by_label("Panel to add")
+        add = page.get_by_role("button", name="Add a panel")
+        await kind.select_option("note")
+        await add.press("Enter")
         settings = page.get_by_role("button", name="Settings of Note")
         await settings.focus()
         await page.keyboard.press("Enter")
@@ -80,7 +81,8 @@ async def test_a_layout_is_made_by_keyboard_alone_and_kept(
         await title.focus()
         await page.keyboard.type("Mind")
         await page.keyboard.press("Enter")
-        await add.select_option("value")
+        await kind.select_option("value")
+        await add.press("Enter")
         await page.get_by_role("button", name="Settings of Value").press("Enter")
         await page.get_by_label("Resource").fill("pose one")
         await page.keyboard.press("Enter")
@@ -114,7 +116,8 @@ async def test_who_saves_an_older_version_is_told_and_can_save_it_as_another(
         page = tab.page
         await expect(page.get_by_role("link", name="gate")).to_have_attribute("href", "#/map")
         await page.get_by_role("button", name="Edit").click()
-        await page.get_by_label("Add a panel").select_option("commands")
+        await page.get_by_label("Panel to add").select_option("commands")
+        await page.get_by_role("button", name="Add a panel").click()
         await expect(page.get_by_test_id("layout-status")).to_have_text("Not saved.")
         later = {"columns": [{"panels": [{"kind": "note", "text": "ada was here"}]}]}
         save = {"do": "save", "name": "Day", "tenant": "alpha"}

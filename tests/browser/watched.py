@@ -101,9 +101,8 @@ def require_pages() -> None:
 async def watched(browser: Browser, url: str, **options: Any) -> AsyncGenerator[Watched]:
     """Open a tab of its own for the dashboard at `url`; check it when left without an error."""
     require_pages()
-    context = await browser.new_context(
-        viewport={"width": 1366, "height": 860}, service_workers="block", **options
-    )
+    desk: dict[str, Any] = {"viewport": {"width": 1366, "height": 860}, "service_workers": "block"}
+    context = await browser.new_context(**(desk | options))
     context.set_default_timeout(60_000)  # ms
     await context.add_init_script(_VIOLATION)
     try:

@@ -35,6 +35,13 @@ export class Inventory {
   /** Its paths as one text: it changes only when robots come or go. */
   readonly #paths = $derived(JSON.stringify(this.#listed.map((one) => one.path)));
   readonly #scopes = $derived(scopesOf(app.robots, new Set<string>(JSON.parse(this.#paths))));
+  /** The scopes that several robots share. */
+  readonly #shared = $derived.by(() => {
+    const met = new Set<string>();
+    const shared = new Set<string>();
+    for (const scopes of this.#scopes.values()) for (const one of scopes) (met.has(one) ? shared : met).add(one);
+    return shared;
+  });
   readonly #byPath = $derived(new Map(this.#listed.map((one) => [one.path, one])));
   /** What words have found at the gateway; undefined where it is not asked. */
   #found = $state.raw<ReadonlySet<string>>();
@@ -71,8 +78,7 @@ export class Inventory {
   of(robot: Robot): Listed | undefined {
     const [scope, ...more] = this.#scopes.get(robot.name) ?? [];
     if (scope === undefined || more.length) return undefined;
-    const shared = [...this.#scopes].some(([name, scopes]) => name !== robot.name && scopes.includes(scope));
-    return shared ? undefined : this.#byPath.get(scope);
+    return this.#shared.has(scope) ? undefined : this.#byPath.get(scope);
   }
 
   #matches(robot: Robot): boolean {

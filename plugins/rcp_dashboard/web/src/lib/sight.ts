@@ -1,10 +1,25 @@
 const MARGIN = "300px"; // what is about to come into sight is there when it does
 
-/** Tell whether an element can be seen, each time that changes. */
-export function inSight(told: (seen: boolean) => void): (element: Element) => () => void {
+type Told = (seen: boolean, height: number) => void;
+
+const told = new Map<Element, Told>();
+/** One for all elements: of hundreds, each would be looked at again in every frame. */
+const observer = new IntersectionObserver(
+  (entries) => {
+    const newest = new Map(entries.map((one) => [one.target, one]));
+    for (const [element, one] of newest) told.get(element)?.(one.isIntersecting, one.boundingClientRect.height);
+  },
+  { rootMargin: MARGIN },
+);
+
+/** Tell whether an element can be seen, and how high it is (px), each time that the former changes. */
+export function inSight(tell: Told): (element: Element) => () => void {
   return (element) => {
-    const observer = new IntersectionObserver((entries) => told(entries.at(-1)?.isIntersecting ?? false), { rootMargin: MARGIN });
+    told.set(element, tell);
     observer.observe(element);
-    return () => observer.disconnect();
+    return () => {
+      observer.unobserve(element);
+      told.delete(element);
+    };
   };
 }

@@ -128,6 +128,31 @@ export class View {
     this.changed();
   }
 
+  /** What is in the middle, on the floor or as high as what was looked at. */
+  get middle(): { x: number; y: number } {
+    return { x: this.#controls.target.x, y: this.#controls.target.y };
+  }
+
+  /** Move by parts of the height of the view, to the right and up, or away where it is seen from the side. */
+  pan(right: number, up: number): void {
+    const { target } = this.#controls;
+    const away = target.clone().sub(this.camera.position).setZ(0);
+    const length = this.tall * (this.mode === "2d" ? 1 : target.distanceTo(this.camera.position));
+    if (this.mode === "2d") away.set(0, 1, 0);
+    else away.normalize();
+    const by = away.clone().multiplyScalar(up * length).add(new Vector3(away.y, -away.x, 0).multiplyScalar(right * length));
+    this.look(target.x + by.x, target.y + by.y, target.z);
+  }
+
+  /** Show what is in the middle so many times as large. */
+  zoom(by: number): void {
+    if (this.mode === "2d") {
+      this.#flat.zoom *= by;
+      this.#flat.updateProjectionMatrix();
+    } else this.#deep.position.sub(this.#controls.target).divideScalar(by).add(this.#controls.target);
+    this.changed();
+  }
+
   colours(ground: string, line: string): void {
     this.scene.background = new Color(ground);
     if (this.#grid) this.scene.remove(this.#grid);
