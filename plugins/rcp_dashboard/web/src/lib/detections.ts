@@ -2,6 +2,7 @@
 import type { Resource } from "rcp-client";
 
 import { caption, classOf, hueOf } from "./scene/asmarkers.ts";
+import { many } from "./words.ts";
 
 export const MOST = 200; // boxes that are drawn over one image
 export const OLD = 1; // s between an image and what was detected before it is not drawn
@@ -36,7 +37,7 @@ export function foundIn(value: any): { boxes: Found[]; problem: string } {
     boxes.push({ x, y, width, height, turned, text: caption(told), hue: hueOf(told.label) });
   }
   const left = Math.max(0, list.length - MOST);
-  const problem = [wrong > 0 && `${wrong} boxes are not drawn: their place or size is no number, or negative`, left > 0 && `${left} more boxes are not drawn: ${MOST} is the most`].filter(Boolean).join("; ");
+  const problem = [wrong > 0 && `${many(wrong, "box is", "boxes are")} not drawn: no number, or a negative size`, left > 0 && `${many(left, "more box is", "more boxes are")} not drawn: ${MOST} is the most`].filter(Boolean).join("; ");
   return { boxes, problem };
 }
 
@@ -49,11 +50,17 @@ export function belongs(image: { resource: Resource; value: any }, found: { reso
   return a && b ? a === b : only || folder(image.resource.path) === folder(found.resource.path);
 }
 
-/** Draw the boxes with their classes and scores on a canvas as large as the image. */
-export function drawFound(pen: CanvasRenderingContext2D, boxes: readonly Found[]): void {
-  const { width, height } = pen.canvas;
-  const thick = Math.max(1.5, width / 320);
-  const letter = Math.max(11, Math.round(Math.min(width, height) / 26));
+const SHARP = 640; // pixels from which on words can be read
+
+/** How many pixels the drawing needs for one of an image. */
+export const finer = (width: number): number => Math.max(1, Math.ceil(SHARP / width));
+
+/** Draw the boxes with their classes and scores on a canvas that has so many pixels for each of the image. */
+export function drawFound(pen: CanvasRenderingContext2D, boxes: readonly Found[], scale: number): void {
+  const [width, height] = [pen.canvas.width / scale, pen.canvas.height / scale];
+  const thick = Math.max(1.5 / scale, width / 320);
+  const letter = Math.max(11 / scale, Math.min(width, height) / 26);
+  pen.setTransform(scale, 0, 0, scale, 0, 0);
   pen.clearRect(0, 0, width, height);
   pen.lineWidth = thick;
   pen.font = `600 ${letter}px system-ui, sans-serif`;

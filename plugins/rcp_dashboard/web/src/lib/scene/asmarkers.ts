@@ -3,7 +3,7 @@
 const REPLACE = { action: 3 }; // what was there before goes
 const ARROW = { x: 0.3, y: 0.025, z: 0.025 }; // m
 const OUTLINE = 0.03; // m
-const LETTER = 0.22; // m
+const LETTER = 0.45; // m
 const HUES = [[1, 0.62, 0.2], [0.3, 0.75, 1], [0.5, 0.9, 0.4], [1, 0.45, 0.6], [0.8, 0.6, 1], [1, 0.9, 0.3]] as const;
 
 /** The colour of a class, always the same one: red, green and blue up to 1. */

@@ -121,6 +121,6 @@ function originOf(grid: any): Matrix4 {
 function cellsOf(grid: any): Uint8Array<ArrayBuffer> {
   const { width, height } = grid.info ?? grid;
   const cells = Array.isArray(grid.data) ? Uint8Array.from(grid.data) : bytesOf(grid.data).slice(); // -1 becomes 255
-  if (cells.length !== width * height || cells.length === 0) throw new Error(`it has ${cells.length} cells, not ${width} × ${height}`);
+  if (cells.length !== width * height || cells.length === 0) throw new Error(`it has ${cells.length} cells, not ${width} x ${height}`);
   return cells;
 }

@@ -1,5 +1,6 @@
 import { Group, Matrix4, MeshPhongMaterial, type Object3D, Quaternion, Vector3 } from "three";
 
+import { many } from "../words.ts";
 import { Batches, type Solid } from "./batches.ts";
 import { discard } from "./discard.ts";
 import { type Marker, Markers } from "./markers.ts";
@@ -83,7 +84,7 @@ export class MarkerLayer {
   }
 
   problems(fixed: string): string[] {
-    const lost = [...this.#lost].map(([frame, count]) => `no transform from ${frame || "the robot"} to ${fixed} (${count.toLocaleString("en")} markers)`);
+    const lost = [...this.#lost].map(([frame, count]) => `no transform from ${frame || "the robot"} to ${fixed} (${many(count, "marker", "markers")})`);
     return [...lost, ...this.#store.problems, ...(this.#tooMany ? [this.#tooMany] : []), ...[...this.#meshProblems].map(([uri, why]) => `${uri}: ${why}`)];
   }
 
@@ -151,7 +152,7 @@ export class MarkerLayer {
     }
     this.#batches.end();
     for (const [key, single] of this.#singles) if (!singles.has(key)) this.#remove(key, single);
-    this.#tooMany = [texts > MOST_TEXTS && `${texts - MOST_TEXTS} texts are not drawn: ${MOST_TEXTS} is the most`, meshes > MOST_MESHES && `${meshes - MOST_MESHES} meshes are not drawn: ${MOST_MESHES} is the most`].filter(Boolean).join("\n");
+    this.#tooMany = [texts > MOST_TEXTS && `${many(texts - MOST_TEXTS, "text is", "texts are")} not drawn: ${MOST_TEXTS} is the most`, meshes > MOST_MESHES && `${many(meshes - MOST_MESHES, "mesh is", "meshes are")} not drawn: ${MOST_MESHES} is the most`].filter(Boolean).join("\n");
   }
 
   #count(at: Vector3): void {

@@ -1,5 +1,7 @@
 import { Matrix4, Quaternion, Vector3 } from "three";
 
+import { many } from "../words.ts";
+
 export const MOST = 5000; // markers of one source that are drawn
 export const MOST_POINTS = 100_000; // points of all markers of one source
 
@@ -131,7 +133,7 @@ export class Markers {
     for (const [key, why] of this.#refused) add(`not drawn: ${why}`, key);
     for (const { key, notes } of this.#all.values()) for (const why of notes) add(why, key);
     const made = [...reasons].map(([why, keys]) => `${keys[0]}${keys.length > 1 ? ` and ${(keys.length - 1).toLocaleString("en")} more` : ""}: ${why}`);
-    if (this.#left.size > 0) made.unshift(`${this.#left.size.toLocaleString("en")} markers are not drawn: ${MOST.toLocaleString("en")} is the most`);
+    if (this.#left.size > 0) made.unshift(`${many(this.#left.size, "marker is", "markers are")} not drawn: ${MOST.toLocaleString("en")} is the most`);
     return made;
   }
 }
@@ -210,7 +212,7 @@ function pointsOf(kind: Kind, told: any, room: number, notes: string[]): Pick<Ma
   if (!Array.isArray(list)) throw new Error("it has no points");
   if (kind === "arrow" && list.length !== 2) throw new Error(`an arrow has 2 points or none, and this has ${list.length}`);
   const stride = STRIDE[kind] ?? 1;
-  if (list.length % stride > 0) throw new Error(`${list.length} points are no multiple of ${stride}`);
+  if (list.length % stride > 0) throw new Error(`the number of its points, ${list.length}, is no multiple of ${stride}`);
   const most = Math.min(list.length, Math.max(0, Math.floor(room / stride) * stride));
   if (most < list.length) notes.push(`${most.toLocaleString("en")} of ${list.length.toLocaleString("en")} points are drawn: ${MOST_POINTS.toLocaleString("en")} of all markers is the most`);
   const given = Array.isArray(told.colors) && told.colors.length > 0 ? told.colors : undefined;
@@ -226,6 +228,6 @@ function pointsOf(kind: Kind, told: any, room: number, notes: string[]): Pick<Ma
     points.set(good ? [x, y, z] : [NaN, NaN, NaN], at * 3);
     if (colours) colours.set(colourOf(given[Math.floor(at / (each as number))]), at * 4);
   }
-  if (wrong > 0) notes.push(`${wrong.toLocaleString("en")} points are not numbers, and left out`);
+  if (wrong > 0) notes.push(`${wrong === 1 ? "a point that is no number is" : `${wrong.toLocaleString("en")} points that are no numbers are`} left out`);
   return { points, colours };
 }
