@@ -108,7 +108,10 @@ async def test_markers_of_a_type_that_is_not_installed_are_drawn_in_their_frames
 ) -> None:
     await scene(tab)
     things = layer(tab, "markers", "/things")
-    await expect(things).to_have_attribute("data-count", "2")
+    await expect(things).to_have_attribute("data-count", "3")
+    await expect(things.locator(".bad")).to_have_text(
+        "⚠ no transform from nowhere to map (1 marker)"
+    )
     for lift in (0.5, 1.5):
         eyes.tell("raise_mast", lift=lift)
         await stands(things, 0, 2.9, (lift + 1) / 2)  # halfway between the two

@@ -4,188 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator
 from io import BytesIO
 from typing import Any
 
-import msgspec
 import pytest
 from PIL import Image
-from playwright.async_api import Browser, Locator, expect
+from playwright.async_api import Browser, expect
 
-from browser.scenery import hues, layer, stands
-from browser.watched import Watched, log_in, watched
-from browser.worlds import KEY, World, world
-from rcp_kernel.model import Resource
+from browser.scenery import layer, stands
+from browser.scenes import BLUE, GREEN, RED, ROBOTS, Site, listed, mark, points, shows
+from browser.watched import log_in, watched
+from browser.worlds import KEY, world
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms
-MIDDLE = (0.0, 0.0)
-FAR = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"w": 1.0}}
-RED, GREEN, BLUE = (
-    {"r": r, "g": g, "b": b, "a": 1.0} for r, g, b in ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-)
-MANY = 120_000
-
-
-class Pose(msgspec.Struct):
-    """Where something is."""
-
-    position: Any = None
-    orientation: Any = None
-    header: Any = None
-
-
-class Marker(msgspec.Struct):
-    """Has the fields of a marker, of whatever type."""
-
-    header: Any = None
-    ns: Any = None
-    id: Any = None
-    type: Any = None
-    action: Any = None
-    scale: Any = None
-    pose: Any = None
-    color: Any = None
-    lifetime: Any = None
-    points: Any = None
-    colors: Any = None
-    text: Any = None
-
-
-class Markers(msgspec.Struct):
-    markers: list[Marker]
-
-
-class Grid(msgspec.Struct):
-    header: Any = None
-    info: Any = None
-    data: Any = None
-
-
-class Update(msgspec.Struct):
-    x: Any = None
-    y: Any = None
-    width: Any = None
-    height: Any = None
-    data: Any = None
-
-
-class Poses(msgspec.Struct):
-    poses: list[Pose]
-    header: Any = None
-
-
-class Polygon(msgspec.Struct):
-    polygon: Any = None
-    header: Any = None
-
-
-class Box(msgspec.Struct):
-    center: Any = None
-    size: Any = None
-
-
-class Flat(msgspec.Struct):
-    center: Any = None
-    size_x: Any = None
-    size_y: Any = None
-
-
-class Thing(msgspec.Struct):
-    bbox: Box
-    results: Any = None
-
-
-class Seen(msgspec.Struct):
-    bbox: Flat
-    results: Any = None
-
-
-class Things(msgspec.Struct):
-    detections: list[Thing]
-    header: Any = None
-
-
-class Sights(msgspec.Struct):
-    detections: list[Seen]
-    header: Any = None
-
-
-class Picture(msgspec.Struct):
-    width: Any = None
-    height: Any = None
-    encoding: Any = None
-    data: Any = None
-    header: Any = None
-
-
-def told(name: str, value: Any) -> Resource:
-    return Resource(name=f"sensor/{name}", description="Whatever it is.", value=value, live=True)
-
-
-ROBOTS: dict[str, tuple[str, list[Resource]]] = {
-    "marks": ("alpha", [told("pose", Pose), told("markers", Markers), told("single", Marker)]),
-    "plans": (
-        "beta",
-        [
-            told("pose", Pose),
-            told("map", Grid),
-            told("global_costmap/costmap", Grid),
-            told("local_costmap/costmap", Grid),
-            told("local_costmap/costmap_updates", Update),
-            told("particles", Poses),
-            told("footprint", Polygon),
-            told("things", Things),
-        ],
-    ),
-    "eyes": (
-        "gamma",
-        [told("left/image", Picture), told("right/image", Picture), told("found", Sights)],
-    ),
-}
-
-
-class Site:
-    """The gateway, and a page that is logged in to it."""
-
-    def __init__(self, gateway: World, tab: Watched) -> None:
-        self.gateway = gateway
-        self.tab = tab
-
-    def tell(self, robot: str, name: str, **value: Any) -> None:
-        self.gateway.publish(robot, f"sensor/{name}", value)
-
-    async def scene(self, robot: str) -> None:
-        """Open the scene with the robot in the middle of the map."""
-        await self.tab.open(f"scene?robot={robot}")
-        self.tell(robot, "pose", header={"frame_id": "map"}, **FAR)
-        await expect(self.tab.page.get_by_test_id("where")).to_contain_text("in map")
-
-    async def seen(
-        self, x: float, y: float, so: Callable[[dict[str, int]], bool], told: str
-    ) -> None:
-        """Wait until the picture has the colours that it ought to have near a place."""
-        await self.all_seen({told: (x, y, so)})
-
-    async def all_seen(
-        self, wanted: dict[str, tuple[float, float, Callable[[dict[str, int]], bool]]]
-    ) -> None:
-        """Wait until the picture has the colours that it ought to have near several places."""
-        found: dict[str, dict[str, int]] = {}
-        try:
-            async with asyncio.timeout(60):
-                while True:
-                    shot = await self.tab.page.screenshot()
-                    found = {
-                        told: counted
-                        for told, (x, y, so) in wanted.items()
-                        if not so(counted := await hues(self.tab, x, y, MIDDLE, shot))
-                    }
-                    if not found:
-                        return
-        except TimeoutError:
-            pytest.fail(f"not as they ought to be: {found}")
 
 
 @pytest.fixture(scope="module")
@@ -194,26 +27,6 @@ async def site(browser: Browser) -> AsyncGenerator[Site]:
         await tab.open()
         await log_in(tab.page, KEY)
         yield Site(gateway, tab)
-
-
-def mark(kind: int, x: float, y: float, colour: Any, **more: Any) -> dict[str, Any]:
-    """Describe a marker in the map, one metre in size."""
-    position = {"x": float(x), "y": float(y), "z": 0.1}
-    size = {"x": 0.8, "y": 0.8, "z": 0.8}
-    same = {"header": {"frame_id": "map"}, "ns": "all", "action": 0, "scale": size}
-    return same | {"id": kind, "type": kind, "pose": {"position": position}, "color": colour} | more
-
-
-def points(*places: tuple[float, float]) -> list[dict[str, float]]:
-    return [{"x": x, "y": y, "z": 0.0} for x, y in places]
-
-
-def shows(hue: str) -> Callable[[dict[str, int]], bool]:
-    return lambda found: found[hue] > 5
-
-
-async def listed(row: Locator, count: int) -> None:
-    await expect(row).to_have_attribute("data-count", str(count))
 
 
 async def test_markers_of_every_type_are_drawn_where_and_as_they_are_told(site: Site) -> None:
@@ -301,15 +114,9 @@ async def test_wrong_markers_are_named_and_the_others_drawn(site: Site) -> None:
     ):
         await expect(row.locator(".bad")).to_contain_text(words)
     await site.seen(4, 4, lambda found: found["green"] > 20, "the one that is right")
-    big = mark(8, 0, 0, RED, points=points(*[(n / MANY, 1.0) for n in range(MANY)]))
-    site.tell("marks", "markers", markers=[{"action": 3}, big])
-    await expect(row.locator(".bad")).to_contain_text("100,000 of 120,000 points are drawn")
     crowd = [mark(1, 0, 0, GREEN, id=n) for n in range(5003)]
     site.tell("marks", "markers", markers=[{"action": 3}, *crowd])
     await expect(row.locator(".bad")).to_contain_text("3 markers are not drawn: 5,000 is the most")
-    site.tell("marks", "single", **mark(1, 4, -4, BLUE, header={"frame_id": "nowhere"}))
-    single = layer(site.tab, "markers", "/sensor/single")
-    await expect(single.locator(".bad")).to_contain_text("no transform from nowhere to map")
     site.tell("marks", "markers", markers=[{"action": 3}])
     await expect(row.locator(".bad")).to_have_count(0)
 
@@ -412,3 +219,38 @@ async def test_what_was_detected_is_drawn_over_the_image_it_was_found_in(site: S
     await site.tab.shoot("camera-detections")
     await left.get_by_label("detections").uncheck()
     await expect(frame).to_have_attribute("data-boxes", "")
+
+
+async def test_names_do_not_cover_each_other_and_those_without_room_are_counted(site: Site) -> None:
+    await site.tab.open("scene?robot=eyes")
+    page = site.tab.page
+
+    def stand(apart: float) -> None:
+        frames = [
+            {
+                "header": {"frame_id": "map"},
+                "child_frame_id": f"frame_{n}",
+                "transform": {"translation": {"x": 0.0, "y": apart * (n - 3), "z": 0.0}},
+            }
+            for n in range(6)
+        ]
+        site.tell("eyes", "frames", transforms=frames)
+
+    stand(0.0)
+    await expect(page.get_by_test_id("unnamed")).to_have_text("3 names have no room: zoom in")
+    await site.tab.shoot("scene-names")
+    stand(3.0)
+    await expect(page.get_by_test_id("unnamed")).to_have_count(0)
+
+
+async def test_names_on_the_map_do_not_cover_each_other(site: Site) -> None:
+    await site.tab.open("map")
+    canvas = site.tab.page.get_by_test_id("map")
+    for apart, names in ((0.0, "4"), (0.001, "6")):
+        for n in range(6):
+            site.tell(f"rover{n}", "gps", latitude=47.0 + apart * n, longitude=8.0)
+        await expect(site.tab.page.get_by_test_id("map")).to_have_attribute("data-tracks", "6")
+        if apart:
+            await site.tab.page.get_by_role("button", name="Fit").click()
+        await expect(canvas).to_have_attribute("data-named", names)
+        await site.tab.shoot(f"map-names-{names}")

@@ -159,7 +159,11 @@ class Eyes(Node):
         )
         self.things = self.create_publisher(load(MARKERS), "/things", LATCHED)
         self.things.publish(
-            markers(("map", 1, 1, (-3.0, 5.0, 0.0), False), ("mast", 2, 2, (0.0, 0.0, 1.0), True))
+            markers(
+                ("map", 1, 1, (-3.0, 5.0, 0.0), False),
+                ("mast", 2, 2, (0.0, 0.0, 1.0), True),
+                ("nowhere", 3, 1, (0.0, 0.0, 0.0), False),
+            )
         )
         self.caster.static.publish(
             transforms(

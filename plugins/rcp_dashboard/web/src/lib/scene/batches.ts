@@ -1,7 +1,7 @@
 /** Many things of one kind that are drawn at once, made anew whenever one of them changes. */
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, ConeGeometry, CylinderGeometry, DoubleSide, Group, InstancedBufferAttribute, InstancedMesh, LineBasicMaterial, LineSegments, type Material, Matrix4, Mesh, MeshBasicMaterial,
-  MeshStandardMaterial, type Object3D, Points as PointsObject, PointsMaterial, SphereGeometry,
+  MeshLambertMaterial, type Object3D, Points as PointsObject, PointsMaterial, SphereGeometry,
 } from "three";
 
 import { discard } from "./discard.ts";
@@ -84,7 +84,7 @@ class Copies {
     form.setAttribute("color", new InstancedBufferAttribute(new Float32Array(room * 4), 4));
     const look = { vertexColors: true, transparent: this.#clear, depthWrite: !this.#clear };
     // Lines have the colour that was asked for, from wherever the light comes.
-    const material: Material = this.#form === "bar" ? new MeshBasicMaterial(look) : new MeshStandardMaterial(look);
+    const material: Material = this.#form === "bar" ? new MeshBasicMaterial(look) : new MeshLambertMaterial(look);
     this.object = new InstancedMesh(form, material, room);
     this.object.frustumCulled = false;
     this.#parent.add(this.object);
@@ -105,7 +105,7 @@ class Corners {
     const geometry = new BufferGeometry();
     if (kind === "lines") this.object = new LineSegments(geometry, new LineBasicMaterial(look));
     else if (kind === "dots") this.object = new PointsObject(geometry, new PointsMaterial({ ...look, size: DOT, sizeAttenuation: false }));
-    else this.object = new Mesh(geometry, new MeshStandardMaterial({ ...look, side: DoubleSide, flatShading: true }));
+    else this.object = new Mesh(geometry, new MeshLambertMaterial({ ...look, side: DoubleSide, flatShading: true }));
     this.object.frustumCulled = false;
     parent.add(this.object);
   }
