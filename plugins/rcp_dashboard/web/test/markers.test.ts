@@ -145,6 +145,7 @@ describe("what is drawn as markers", () => {
     expect(box!.ns).toBe("dog");
     expect(box!.points).toHaveLength(24 * 3);
     expect(text!.text).toBe("dog 88 %");
+    expect([...store.all.values()]).toHaveLength(3);
     expect(store.problems.join()).toContain("24 points that are no numbers are left out");
     expect(() => detectionsAsMarkers({ detections: 3 })).toThrow("it has no detections");
   });

@@ -4,13 +4,18 @@ const REPLACE = { action: 3 }; // what was there before goes
 const ARROW = { x: 0.3, y: 0.025, z: 0.025 }; // m
 const OUTLINE = 0.03; // m
 const LETTER = 0.45; // m
-const HUES = [[1, 0.62, 0.2], [0.3, 0.75, 1], [0.5, 0.9, 0.4], [1, 0.45, 0.6], [0.8, 0.6, 1], [1, 0.9, 0.3]] as const;
+
+const SPREAD = 0.618; // of the circle of hues between two neighbours, so that these differ
 
 /** The colour of a class, always the same one: red, green and blue up to 1. */
 export function hueOf(label: string): readonly [number, number, number] {
   let sum = 0;
   for (const letter of label) sum = (sum * 31 + letter.codePointAt(0)!) % 100_003;
-  return HUES[sum % HUES.length]!;
+  const part = (from: number): number => {
+    const at = (from + ((sum * SPREAD) % 1) * 12) % 12;
+    return 0.62 - 0.38 * Math.max(-1, Math.min(at - 3, 9 - at, 1));
+  };
+  return [part(0), part(8), part(4)];
 }
 
 /** The most likely class of a detection, and how sure it is (0 to 1), by either version of `vision_msgs`. */
@@ -59,8 +64,8 @@ export function detectionsAsMarkers(value: any): any {
     const corner = (at: number): any => ({ x: at & 1 ? x / 2 : -x / 2, y: at & 2 ? y / 2 : -y / 2, z: at & 4 ? z / 2 : -z / 2 });
     markers.push({ ...same, id, type: 5, scale: { x: Math.min(x, y, z) < 0 ? -1 : OUTLINE }, points: EDGES.map(corner) });
     const { position } = center ?? {};
-    const top = { position: { ...position, z: (position?.z ?? 0) + (Number.isFinite(z) ? z / 2 : 0) + LETTER } };
-    markers.push({ ...same, id: -1 - id, type: 9, pose: top, scale: { z: LETTER }, text: caption(told) });
+    const top = { position: { ...position, z: (position?.z ?? 0) + z / 2 + LETTER } };
+    if (Math.min(x, y, z) >= 0) markers.push({ ...same, id: -1 - id, type: 9, pose: top, scale: { z: LETTER }, text: caption(told) });
   });
   return { markers };
 }

@@ -10,12 +10,14 @@ import type { Rgba } from "./markers.ts";
 export type Solid = "box" | "ball" | "rod" | "tip" | "bar";
 const DOT = 4; // pixels
 
-/** Each fills a cube of one metre; what has an axis has it along z. */
-const FORMS: Record<Solid, () => BufferGeometry> = {
+const CROWD = 64; // from which on each is drawn with fewer corners
+
+/** Each fills a cube of one metre, with so many corners around; what has an axis has it along z. */
+const FORMS: Record<Solid, (around: number) => BufferGeometry> = {
   box: () => new BoxGeometry(1, 1, 1),
-  ball: () => new SphereGeometry(0.5, 20, 12),
-  rod: () => new CylinderGeometry(0.5, 0.5, 1, 20).rotateX(Math.PI / 2),
-  tip: () => new ConeGeometry(0.5, 1, 16).rotateX(Math.PI / 2),
+  ball: (around) => new SphereGeometry(0.5, around, around / 2),
+  rod: (around) => new CylinderGeometry(0.5, 0.5, 1, around).rotateX(Math.PI / 2),
+  tip: (around) => new ConeGeometry(0.5, 1, around).rotateX(Math.PI / 2),
   bar: () => new BoxGeometry(1, 1, 1),
 };
 
@@ -80,7 +82,7 @@ class Copies {
       discard(this.object);
       this.object.dispose();
     }
-    const form = FORMS[this.#form]();
+    const form = FORMS[this.#form](room > CROWD ? 10 : 24);
     form.setAttribute("color", new InstancedBufferAttribute(new Float32Array(room * 4), 4));
     const look = { vertexColors: true, transparent: this.#clear, depthWrite: !this.#clear };
     // Lines have the colour that was asked for, from wherever the light comes.

@@ -66,6 +66,11 @@ export class MarkerLayer {
     return this.#store.all.size;
   }
 
+  /** How many are no texts. */
+  get things(): number {
+    return [...this.#store.all.values()].filter(({ kind }) => kind !== "text").length;
+  }
+
   /** The middle of all that is drawn; undefined where nothing is. */
   get middle(): Vector3 | undefined {
     return this.#drawn > 0 ? this.#sum.clone().divideScalar(this.#drawn) : undefined;

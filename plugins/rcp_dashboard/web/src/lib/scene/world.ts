@@ -105,7 +105,6 @@ export class World {
       item.count = item.dots.count;
     } else if (item.markers) {
       item.markers.take(AS_MARKERS[item.layer]!(value));
-      item.count = item.markers.count;
     } else if (item.layer === "map" || item.layer === "costmap") {
       const { width, height } = value.info ?? value;
       if (!item.grid?.take(value)) {
@@ -331,7 +330,7 @@ export class World {
     const visible = !this.#hidden.has(item.layer) && !this.#off.has(path);
     if (item.markers) {
       item.markers.settle((frame) => item.body.place(frame || undefined, this.fixed), moved);
-      item.count = item.markers.count;
+      item.count = item.layer === "detections" ? item.markers.things : item.markers.count;
       item.object.visible = visible;
       return;
     }
