@@ -184,8 +184,8 @@ async def test_poses_polygons_and_detections_are_drawn(site: Site) -> None:
     await stands(layer(site.tab, "polygon", "/sensor/footprint"), 2.8, 2.8, 0)
     things = layer(site.tab, "detections", "/sensor/things")
     await expect(things.locator(".bad")).to_contain_text("its scale is negative")
-    await things.get_by_text("namespaces").click()
-    await expect(things.get_by_test_id("namespace").first).to_contain_text("person")
+    await things.get_by_text("1 namespace").click()
+    await expect(things.get_by_test_id("namespace")).to_contain_text("person")
     await site.tab.shoot("scene-detections")
 
 
