@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-LINE, POLYGON = 2, 3
+POINT, LINE, POLYGON = 1, 2, 3
 EXTENT = 4096  # steps along the side of a tile
 MARGIN = 64  # steps beyond it, so that no edge shows
 GZIP, VECTOR = 2, 1
@@ -19,7 +19,7 @@ Point = tuple[float, float]
 
 
 class Feature(NamedTuple):
-    """A line, or the outer ring of a polygon; its places are parts of the map of the world."""
+    """A point, a line, or the outer ring of a polygon; its places are parts of the map of the world."""
 
     what: int
     tags: Mapping[str, str]
@@ -42,7 +42,9 @@ def written(
     about = {
         "name": name,
         "attribution": attribution,
-        "vector_layers": [{"id": layer, "fields": {"kind": "String"}} for layer in layers],
+        "vector_layers": [
+            {"id": layer, "fields": {"kind": "String", "name": "String"}} for layer in layers
+        ],
     }
     return _archive(tiles, about, layers, zooms)
 
@@ -78,7 +80,7 @@ def _tile(layers: Mapping[str, Layer], zoom: int, x: int, y: int) -> bytes:
             tags: list[int] = []
             for key, value in shape.tags.items():
                 tags += [_index(keys, key), _index(values, value)]
-            geometry = _polygon(places) if shape.what == POLYGON else _line(places)
+            geometry = _ENCODERS[shape.what](places)
             if geometry:
                 body = _packed(2, tags) + _varints([3 << 3, shape.what]) + _packed(4, geometry)
                 features += _field(2, body)
@@ -88,6 +90,12 @@ def _tile(layers: Mapping[str, Layer], zoom: int, x: int, y: int) -> bytes:
             head = _varints([15 << 3, 2]) + _field(1, name.encode())
             found += _field(3, head + features + told + _varints([5 << 3, EXTENT]))
     return found
+
+
+def _point(places: Sequence[Point]) -> list[int]:
+    """Encode a point that is within the tile: its name is written from there, once."""
+    (x, y), *_ = _whole(places)
+    return _path([(x, y)]) if 0 <= x < EXTENT and 0 <= y < EXTENT else []
 
 
 def _index(known: list[str], word: str) -> int:
@@ -145,6 +153,9 @@ def _line(places: Sequence[Point]) -> list[int]:
             found += _path(corners, at)
             at = corners[-1]
     return found
+
+
+_ENCODERS = {POINT: _point, LINE: _line, POLYGON: _polygon}
 
 
 def _clipped(start: Point, end: Point) -> tuple[Point, Point] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import subprocess
 import sys
 from collections.abc import AsyncGenerator, Callable
@@ -159,6 +160,11 @@ async def test_tiles_of_the_gateway_lie_below_the_robots(browser: Browser, url: 
         async with asyncio.timeout(60):
             while await _colour(page, spot) != GRASS:  # noqa: ASYNC110 - it is a picture
                 await asyncio.sleep(0.05)
+        for _ in range(6):
+            await page.get_by_role("button", name="Zoom out").click()
+        ground = page.get_by_test_id("ground")
+        await expect(ground).to_have_attribute("data-names", re.compile("Testville"))
+        await expect(ground).to_have_attribute("data-names", re.compile("Field Road"))
         await tab.shoot("map-tiles")
 
 

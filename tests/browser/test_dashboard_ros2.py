@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import importlib.util
 import os
 import re
 from collections.abc import AsyncGenerator, Generator
-from typing import Any
 
 import pytest
 from playwright.async_api import Browser, Locator, expect
+from rosbags.typesys import Stores, get_typestore
 
+from browser.scenery import hues, layer, stands
 from browser.watched import Watched, log_in, watched
 from configuration import backend, key, listener, table
 from serving import serving
@@ -26,23 +26,7 @@ from browser.meshes import HUES, PACKAGE, PLACES, visuals, write
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s
 _KEY = "operator-of-the-eyes"
-_HUES = """
-async ([png, x, y, half]) => {
-  const bytes = Uint8Array.from(atob(png), (letter) => letter.charCodeAt(0));
-  const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
-  const pen = new OffscreenCanvas(image.width, image.height).getContext("2d");
-  pen.drawImage(image, 0, 0);
-  const { data } = pen.getImageData(x - half, y - half, 2 * half, 2 * half);
-  const found = { red: 0, green: 0, blue: 0 };
-  for (let at = 0; at < data.length; at += 4) {
-    const [r, g, b] = data.subarray(at, at + 3);
-    if (r > g + 60 && r > b + 60) found.red += 1;
-    if (g > r + 60 && g > b + 60) found.green += 1;
-    if (b > r + 60 && b > g + 60) found.blue += 1;
-  }
-  return found;
-}
-"""
+MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +50,11 @@ def url(eyes: Eyes, domain: int, tmp_path_factory: pytest.TempPathFactory) -> Ge
     folder = tmp_path_factory.mktemp("eyes")
     write(folder)
     assets = {"paths": {PACKAGE: folder}}
+    types = {MARKERS: get_typestore(Stores.ROS2_JAZZY).generate_msgdef(MARKERS, ros_version=2)[0]}
     text = (
         listener()
         + table("plugins.dashboard")
-        + backend("eyes", use="ros2", domain_id=domain, expose=["/**"], assets=assets)
+        + backend("eyes", use="ros2", domain_id=domain, expose=["/**"], assets=assets, types=types)
         + key("eyes-operator", _KEY, role="operator")
     )
     with serving(folder / "rcp.toml", text) as found:
@@ -83,42 +68,6 @@ async def tab(browser: Browser, url: str) -> AsyncGenerator[Watched]:
         await found.connected()
         await log_in(found.page, _KEY)
         yield found
-
-
-def layer(tab: Watched, kind: str, path: str) -> Locator:
-    match = "=" if kind in ("frames", "link") else "$="
-    return tab.page.locator(f"[data-testid=layer][data-layer={kind}][data-path{match}'{path}']")
-
-
-async def stands(row: Locator, *place: float) -> None:
-    """Wait until something is drawn at a place of the fixed frame."""
-    attribute: Any = None
-    try:
-        async with asyncio.timeout(_BOUND):
-            while True:
-                attribute = await row.get_attribute("data-at")
-                found = [float(word) for word in (attribute or "").split()]
-                if len(found) == 3 and all(
-                    abs(a - b) < 0.02 for a, b in zip(found, place, strict=True)
-                ):
-                    return
-                await asyncio.sleep(0.05)
-    except TimeoutError:
-        pytest.fail(f"it stands at {attribute}, not at {place}")
-
-
-async def hues(tab: Watched, x: float, y: float, middle: tuple[float, float]) -> dict[str, int]:
-    """Count the pixels of each hue near a place in the flat view, `middle` being its middle."""
-    scene = tab.page.get_by_test_id("scene")
-    box = await scene.bounding_box()
-    assert box is not None
-    metre = box["height"] / 24
-    png = base64.b64encode(await tab.page.screenshot()).decode()
-    at = (
-        box["x"] + box["width"] / 2 + (x - middle[0]) * metre,
-        box["y"] + box["height"] / 2 - (y - middle[1]) * metre,
-    )
-    return await tab.page.evaluate(_HUES, [png, round(at[0]), round(at[1]), round(0.4 * metre)])
 
 
 async def scene(tab: Watched, query: str = "") -> None:
@@ -152,6 +101,22 @@ async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
     await tab.page.get_by_role("button", name="3D").click()
     await expect(tab.page.get_by_test_id("scene")).to_have_attribute("data-drawn", "3d")
     await tab.shoot("ros2-scene-3d")
+
+
+async def test_markers_of_a_type_that_is_not_installed_are_drawn_in_their_frames(
+    tab: Watched, eyes: Eyes
+) -> None:
+    await scene(tab)
+    things = layer(tab, "markers", "/things")
+    await expect(things).to_have_attribute("data-count", "3")
+    await expect(things.locator(".bad")).to_have_text(
+        "⚠ no transform from nowhere to map (1 marker)"
+    )
+    for lift in (0.5, 1.5):
+        eyes.tell("raise_mast", lift=lift)
+        await stands(things, 0, 2.9, (lift + 1) / 2)  # halfway between the two
+    assert (await hues(tab, -3, 5, (3.0, 1.0)))["blue"] > 20
+    await tab.shoot("ros2-markers")
 
 
 async def test_another_frame_may_stand_still(tab: Watched) -> None:

@@ -16,6 +16,7 @@ import sys
 import threading
 from typing import Any
 
+import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
@@ -23,6 +24,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from robot_nodes import LATCHED, Caster, serve, transforms
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import (
     CameraInfo,
     CompressedImage,
@@ -34,6 +36,9 @@ from sensor_msgs.msg import (
     PointField,
 )
 from std_msgs.msg import String
+
+from rcp_ros2.definitions import define_text
+from rcp_ros2.idl import load
 
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 LEFT = math.sqrt(0.5)  # z and w of a quarter turn
@@ -72,6 +77,56 @@ def cloud(frame: str, extra: str, points: list[tuple[float, float, float, int]])
     return made
 
 
+MARKERS = "visualization_msgs/msg/MarkerArray"
+"""Which no package here has: it is made of its text, and encoded by what reads and writes recordings."""
+
+
+def markers(*told: tuple[str, int, int, tuple[float, float, float], bool]) -> bytes:
+    """Encode markers of one metre: frame, number, type, place, and whether it moves with its frame."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kinds = store.types
+
+    def made(name: str, **fields: Any) -> Any:
+        return kinds[name](**fields)
+
+    none = np.zeros(0, np.uint8)
+    stamp = made("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    bare = made("std_msgs/msg/Header", stamp=stamp, frame_id="")
+    picture = made("sensor_msgs/msg/CompressedImage", header=bare, format="", data=none)
+    file = made("visualization_msgs/msg/MeshFile", filename="", data=none)
+    found: list[Any] = []
+    for frame, number, kind, (x, y, z), locked in told:
+        pose = made(
+            "geometry_msgs/msg/Pose",
+            position=made("geometry_msgs/msg/Point", x=x, y=y, z=z),
+            orientation=made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        marker = made(
+            "visualization_msgs/msg/Marker",
+            header=made("std_msgs/msg/Header", stamp=stamp, frame_id=frame),
+            ns="things",
+            id=number,
+            type=kind,
+            action=0,
+            pose=pose,
+            scale=made("geometry_msgs/msg/Vector3", x=1.0, y=1.0, z=1.0),
+            color=made("std_msgs/msg/ColorRGBA", r=0.0, g=0.0, b=1.0, a=1.0),
+            lifetime=made("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+            frame_locked=locked,
+            points=[],
+            colors=[],
+            texture_resource="",
+            texture=picture,
+            uv_coordinates=[],
+            text="dock",
+            mesh_resource="",
+            mesh_file=file,
+            mesh_use_embedded_materials=False,
+        )
+        found.append(marker)
+    return bytes(store.serialize_cdr(made(MARKERS, markers=found), MARKERS))
+
+
 def type_of(publisher: Any) -> Any:
     """Return the type of a topic that no package has."""
     return publisher.msg_type
@@ -98,6 +153,18 @@ class Eyes(Node):
         self.made: list[tuple[Any, Any]] = []
         self.latched()
         self.streams()
+        define_text(
+            MARKERS,
+            get_typestore(Stores.ROS2_JAZZY).generate_msgdef(MARKERS, ros_version=2)[0],
+        )
+        self.things = self.create_publisher(load(MARKERS), "/things", LATCHED)
+        self.things.publish(
+            markers(
+                ("map", 1, 1, (-3.0, 5.0, 0.0), False),
+                ("mast", 2, 2, (0.0, 0.0, 1.0), True),
+                ("nowhere", 3, 1, (0.0, 0.0, 0.0), False),
+            )
+        )
         self.caster.static.publish(
             transforms(
                 ("base_link", "laser", 0, [0.2, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0]),
@@ -175,8 +242,6 @@ class Eyes(Node):
         self.offer(image("16UC1", "H", steps * HEIGHT), "/depth/image_raw")
         metres = [math.nan if x < 8 else 0.5 if x < 32 else 4.0 for x in range(WIDTH)]
         self.offer(image("32FC1", "f", metres * HEIGHT), "/far/image_raw")
-        import numpy as np
-
         grey = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
         packed = CompressedImage(format="jpeg")
         packed.data = array.array("B", simplejpeg.encode_jpeg(grey))

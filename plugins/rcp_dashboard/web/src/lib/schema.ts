@@ -131,6 +131,15 @@ export function properties(resource: Resource, of: "value" | "input" | "output" 
   return new Set(Object.keys(whole["properties"] ?? {}));
 }
 
+/** The fields of each item of a list in the value. */
+export function itemProperties(resource: Resource, list: string): Set<string> {
+  const root = resource.schemas?.value;
+  const field = root && main(resolve(root, root), root).schema["properties"]?.[list];
+  if (!field) return new Set();
+  const items = main(resolve(field, root), root).schema["items"];
+  return new Set(Object.keys((items && main(resolve(items, root), root).schema["properties"]) ?? {}));
+}
+
 /** The unit of a field, given by dots, or of the value itself. */
 export function unitOf(resource: Resource | undefined, field = ""): string {
   const root = resource?.schemas?.value;

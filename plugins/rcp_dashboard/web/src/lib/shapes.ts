@@ -1,10 +1,11 @@
 import type { Resource } from "rcp-client";
 
-import { properties } from "./schema.ts";
+import { itemProperties, properties } from "./schema.ts";
 
 /** What a page can make of a resource, told by the fields of its schema and not by its name. */
 export type Shape =
-  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets" | "ned" | "attitude" | "frame";
+  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets" | "ned" | "attitude" | "frame"
+  | "gridUpdate" | "poses" | "polygon" | "markers" | "detections" | "detections2d";
 
 const cache = new WeakMap<Resource, Set<Shape>>();
 
@@ -17,6 +18,9 @@ export function shapes(resource: Resource): Set<Shape> {
 function* look(resource: Resource): Generator<Shape> {
   const has = properties(resource);
   const all = (...names: string[]): boolean => names.every((name) => has.has(name));
+  if (itemProperties(resource, "markers").has("ns") || all("ns", "type", "action", "scale")) return yield "markers";
+  if (has.has("detections")) return yield /"size_x"/.test(JSON.stringify(resource.schemas?.value ?? {})) ? "detections2d" : "detections";
+  if (all("x", "y", "width", "height", "data")) return yield "gridUpdate";
   if (all("position", "orientation")) yield "pose";
   if (all("pose", "twist")) yield "odometry";
   else if (all("pose") && resource.kind === "sensor") yield "pose";
@@ -31,7 +35,8 @@ function* look(resource: Resource): Generator<Shape> {
   if (has.has("transforms")) yield "transforms";
   if (all("transform", "child_frame_id")) yield "transform";
   if (all("name", "position") && !has.has("orientation")) yield "joints";
-  if (has.has("poses")) yield "path";
+  if (has.has("poses")) yield itemProperties(resource, "poses").has("position") ? "poses" : "path";
+  if (has.has("polygon")) yield "polygon";
   if (has.has("percentage") || (has.has("voltage") && has.has("current"))) yield "battery";
   if (resource.kind === "actuator" && (all("linear", "angular") || has.has("twist"))) yield "twist";
   if (resource.kind === "action") {

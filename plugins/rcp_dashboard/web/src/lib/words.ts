@@ -47,3 +47,6 @@ export function errorWord(code: string | undefined): string {
   const text = ERRORS[code] ?? plain(code);
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
+
+/** A number of things in words. */
+export const many = (count: number, one: string, more: string): string => `${count.toLocaleString("en")} ${count === 1 ? one : more}`;

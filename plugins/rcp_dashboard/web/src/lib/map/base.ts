@@ -8,6 +8,7 @@ import type { Plane } from "./plane.ts";
 import { type Archive, styleOf, wordsOf } from "./style.ts";
 
 const MOST_ZOOM = 24;
+const MOST_NAMES = 20;
 
 const protocol = new Protocol();
 let ready = false;
@@ -54,6 +55,7 @@ export class Base {
     this.#map.on("error", ({ error }) => told.problem(error.message));
     this.#map.on("idle", () => {
       box.dataset["tiles"] = this.#archive ? "drawn" : "none";
+      box.dataset["names"] = this.#names();
     });
     this.#open(url, told).catch((error: Error) => told.problem(error.message));
   }
@@ -68,6 +70,13 @@ export class Base {
     this.#archive = { url, layers };
     told.attribution(wordsOf(about?.attribution));
     this.#draw();
+  }
+
+  /** Some of the names that are written now. */
+  #names(): string {
+    const layers = this.#map.getStyle().layers.filter(({ type }) => type === "symbol").map(({ id }) => id);
+    const found = layers.length > 0 ? this.#map.queryRenderedFeatures({ layers }) : [];
+    return [...new Set(found.map(({ properties }) => String(properties["name"])))].slice(0, MOST_NAMES).join(", ");
   }
 
   #draw(): void {

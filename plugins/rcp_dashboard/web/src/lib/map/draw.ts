@@ -1,5 +1,6 @@
 /** What lies above the map: robots with their tracks, homes, missions and fences, drawn on a canvas. */
 import type { Geo } from "../geo.ts";
+import { declutter } from "../labels.ts";
 import { type Fence, type Item, placed, wayOf } from "./items.ts";
 import type { Handle } from "./plan.svelte.ts";
 import type { Plane } from "./plane.ts";
@@ -51,8 +52,29 @@ export function drawTrack(pen: Pen, plane: Plane, track: Track, own: string, col
   pen.fillStyle = own;
   pen.fill();
   pen.restore();
-  pen.font = "600 14px system-ui, sans-serif";
-  word(pen, track.name, x + 14, y + 5, colour);
+}
+
+const NAME = 14; // pixels of a letter's height
+const ICON = 13; // pixels from a robot's place to the edge of its icon
+
+/** Write the names of robots that have room, each beside its icon; returns the side of each, to be told with the next picture. */
+export function drawNames(pen: Pen, plane: Plane, tracks: readonly Track[], before: ReadonlyMap<string, number>, colour: Colour): Map<string, number> {
+  pen.font = `600 ${NAME}px system-ui, sans-serif`;
+  const wishes = tracks
+    .map(({ name, at }) => ({ name, at: plane.toScreen(at) }))
+    .filter(({ at: [x, y] }) => x > -ICON && y > -ICON && x < plane.size.width + ICON && y < plane.size.height + ICON)
+    .map(({ name, at: [x, y] }) => ({ key: name, x, y, width: pen.measureText(name).width, height: NAME * 1.2 }));
+  const icons = wishes.map(({ x, y }) => ({ left: x - ICON, right: x + ICON, low: y - ICON, high: y + ICON }));
+  const sides = declutter(wishes, ({ width, height }) => [[-(ICON + 1) / width, 0.5], [1 + (ICON + 1) / width, 0.5], [0.5, -(ICON + 1) / height], [0.5, 1 + (ICON + 1) / height]], icons, before);
+  for (const { key, x, y, width, height } of wishes) {
+    const side = sides.get(key);
+    if (side === undefined) continue;
+    const left = [x + ICON + 1, x - ICON - 1 - width, x - width / 2, x - width / 2][side]!;
+    const middle = [y, y, y + ICON + 1 + height / 2, y - ICON - 1 - height / 2][side]!;
+    word(pen, key, left, middle + NAME * 0.35, colour);
+  }
+  pen.canvas.dataset["named"] = String(sides.size);
+  return sides;
 }
 
 /** Draw where something is to go. */

@@ -18,12 +18,14 @@ interface Colours {
   road: string;
   house: string;
   line: string;
+  name: string;
+  edge: string;
 }
 
-const LIGHT: Colours = { ground: "#e7ebef", land: "#f4f3ee", green: "#d5e5c8", bare: "#e2ddd2", water: "#a9cde8", road: "#ffffff", house: "#d3cbc1", line: "#9aa3ad" };
-const DARK: Colours = { ground: "#14171c", land: "#1d2227", green: "#1f3026", bare: "#2b2a27", water: "#163650", road: "#4a5360", house: "#39404a", line: "#5c6672" };
+const LIGHT: Colours = { ground: "#e7ebef", land: "#f4f3ee", green: "#d5e5c8", bare: "#e2ddd2", water: "#a9cde8", road: "#ffffff", house: "#d3cbc1", line: "#9aa3ad", name: "#3c4652", edge: "#ffffff" };
+const DARK: Colours = { ground: "#14171c", land: "#1d2227", green: "#1f3026", bare: "#2b2a27", water: "#163650", road: "#4a5360", house: "#39404a", line: "#5c6672", name: "#c3ccd6", edge: "#14171c" };
 
-type Part = keyof Omit<Colours, "ground">;
+type Part = keyof Omit<Colours, "ground" | "name" | "edge">;
 
 const PARTS: [Part, RegExp][] = [
   ["water", /water|ocean|lake|river|stream/],
@@ -35,6 +37,9 @@ const PARTS: [Part, RegExp][] = [
 ];
 const ORDER: Part[] = ["land", "green", "water", "road", "house", "line"];
 const BARE = ["runway", "aerodrome", "industrial", "commercial", "residential", "farmland", "sand", "beach", "parking", "pedestrian"];
+
+/** What has names, the most important last: it is the first to get room. Names of areas are left out, since each tile has a part of them. */
+const NAMED = [/road|transport|street/, /poi/, /water|peak/, /place|city|town|settlement/];
 
 function partOf(layer: string): Part {
   return PARTS.find(([, name]) => name.test(layer.toLowerCase()))![0];
@@ -55,7 +60,43 @@ export function styleOf(archive: Archive | undefined, dark: boolean): StyleSpeci
     };
   }
   const sorted = archive.layers.map((name) => ({ name, part: partOf(name) })).sort((a, b) => ORDER.indexOf(a.part) - ORDER.indexOf(b.part));
-  return { version: 8, sources: { tiles: { type: "vector", url } }, layers: [ground, ...sorted.flatMap(({ name, part }) => drawn(name, part, colours))] };
+  return { version: 8, sources: { tiles: { type: "vector", url } }, layers: [ground, ...sorted.flatMap(({ name, part }) => drawn(name, part, colours)), ...named(archive.layers, colours)] };
+}
+
+/** Names, drawn with the fonts of the browser: the style tells of no others. */
+function named(names: string[], colours: Colours): LayerSpecification[] {
+  return NAMED.flatMap((of, rank) =>
+    names
+      .filter((name) => of.test(name.toLowerCase()) && !NAMED.slice(rank + 1).some((other) => other.test(name.toLowerCase())))
+      .flatMap((name) => [along(name, colours), at(name, rank, colours)]),
+  );
+}
+
+const TEXT = ["coalesce", ["get", "name"], ["get", "name_en"], ["get", "name:en"], ""] as unknown as string;
+const SANS = ["sans-serif"];
+
+function along(name: string, { name: colour, edge }: Colours): LayerSpecification {
+  return {
+    id: `${name} names along`,
+    type: "symbol",
+    source: "tiles",
+    "source-layer": name,
+    filter: ["==", ["geometry-type"], "LineString"],
+    layout: { "symbol-placement": "line", "text-field": TEXT, "text-font": SANS, "text-size": 12 },
+    paint: { "text-color": colour, "text-halo-color": edge, "text-halo-width": 1.5 },
+  };
+}
+
+function at(name: string, rank: number, { name: colour, edge }: Colours): LayerSpecification {
+  return {
+    id: `${name} names`,
+    type: "symbol",
+    source: "tiles",
+    "source-layer": name,
+    filter: ["==", ["geometry-type"], "Point"],
+    layout: { "text-field": TEXT, "text-font": SANS, "text-size": rank === NAMED.length - 1 ? 15 : 12, "text-max-width": 8 },
+    paint: { "text-color": colour, "text-halo-color": edge, "text-halo-width": 1.5 },
+  };
 }
 
 function drawn(name: string, part: Part, colours: Colours): LayerSpecification[] {

@@ -1,10 +1,12 @@
 import {
-  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, type Camera, CanvasTexture, Color, ConeGeometry, CylinderGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
-  MeshBasicMaterial, MeshStandardMaterial, Points as PointsObject, PointsMaterial, RingGeometry, Sprite, SpriteMaterial, Vector3,
+  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, type Camera, Color, ConeGeometry, CylinderGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, Points as PointsObject, PointsMaterial, RingGeometry, type Sprite, Vector3,
 } from "three";
 
+import type { Anchor, Wish } from "../labels.ts";
 import { colour, type Colouring, type Points } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
+import { words } from "./words.ts";
 
 const TRAIL = 4000; // places
 const STEP = 0.03; // m between places of a trail
@@ -194,62 +196,52 @@ export function goalMark(): Group {
   return made;
 }
 
-/** A part of the picture, in normalised device coordinates. */
-export interface Area {
-  left: number;
-  right: number;
-  low: number;
-  high: number;
+/** Where a name is beside its place, in parts of its size. */
+const SIDES: readonly Anchor[] = [[-0.05, -0.1], [-0.05, 1.1], [1.05, -0.1], [1.05, 1.1]];
+
+/** A name beside a place, of one size however far away it is. */
+export class Name {
+  readonly object: Sprite;
+  readonly #wide: number;
+
+  constructor(name: string) {
+    const made = words(name, "#1b2733", "#ffffff", { attenuated: false, above: true });
+    this.object = made.object;
+    this.#wide = made.wide;
+    this.object.visible = false;
+  }
+
+  /** Write it so high. */
+  fit(height: number): void {
+    this.object.scale.set(height * this.#wide, height, 1);
+  }
+
+  /** What room it wants in the picture, in normalised device coordinates. */
+  wish(key: string, camera: Camera): Wish {
+    const { x, y } = new Vector3().setFromMatrixPosition(this.object.matrixWorld).project(camera);
+    const [across, up] = [camera.projectionMatrix.elements[0] as number, camera.projectionMatrix.elements[5] as number];
+    return { key, x, y, width: this.object.scale.x * across, height: this.object.scale.y * up };
+  }
+
+  /** Show it on a side of its place, or not at all. */
+  stand(side: number | undefined): void {
+    this.object.visible = side !== undefined;
+    if (side !== undefined) this.object.center.set(...(SIDES[side] as [number, number]));
+  }
 }
 
-const SHIFT = { x: -0.05, y: -0.1 }; // of a name from its frame, in parts of its size
-const TEXT = 44; // pixels of a letter's height before it is drawn small
+/** The sides on which a name may be. */
+export const sides = (): readonly Anchor[] => SIDES;
 
 /** A frame: its axes, x red, y green, z blue, and its name. */
 export class FrameMark {
   readonly object: AxesHelper;
-  readonly #label: Sprite;
-  readonly #wide: number;
+  readonly name: Name;
 
   constructor(name: string, size = 0.3) {
     this.object = new AxesHelper(size);
     this.object.matrixAutoUpdate = false;
-    const canvas = document.createElement("canvas");
-    const font = `600 ${TEXT}px system-ui, sans-serif`;
-    let pen = canvas.getContext("2d")!;
-    pen.font = font;
-    canvas.width = Math.ceil(pen.measureText(name).width) + 12;
-    canvas.height = TEXT * 1.4;
-    pen = canvas.getContext("2d")!;
-    pen.font = font;
-    pen.textBaseline = "middle";
-    pen.lineWidth = 7;
-    pen.strokeStyle = "#fff";
-    pen.fillStyle = "#1b2733";
-    pen.strokeText(name, 6, canvas.height / 2);
-    pen.fillText(name, 6, canvas.height / 2);
-    this.#wide = canvas.width / canvas.height;
-    this.#label = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), sizeAttenuation: false, depthTest: false }));
-    this.#label.center.set(SHIFT.x, SHIFT.y);
-    this.#label.renderOrder = 10;
-    this.object.add(this.#label);
-  }
-
-  /** Write the name so high. */
-  fit(height: number): void {
-    this.#label.scale.set(height * this.#wide, height, 1);
-  }
-
-  /** Show the name if its area is free, and take it. */
-  claim(camera: Camera, taken: Area[]): void {
-    const at = new Vector3().setFromMatrixPosition(this.object.matrix).project(camera);
-    const across = this.#label.scale.x * (camera.projectionMatrix.elements[0] as number);
-    const up = this.#label.scale.y * (camera.projectionMatrix.elements[5] as number);
-    const left = at.x - SHIFT.x * across;
-    const low = at.y - SHIFT.y * up;
-    const mine = { left, right: left + across, low, high: low + up };
-    const free = !taken.some((one) => one.left < mine.right && mine.left < one.right && one.low < mine.high && mine.low < one.high);
-    this.#label.visible = free;
-    if (free) taken.push(mine);
+    this.name = new Name(name);
+    this.object.add(this.name.object);
   }
 }

@@ -2,19 +2,27 @@ import type { Resource, SubscribeOptions } from "rcp-client";
 
 import { app } from "../app.svelte.ts";
 import { bytesOf } from "../bytes.ts";
+import { properties } from "../schema.ts";
 import { ofShape, poseOfNed, type Shape, shapes } from "../shapes.ts";
 import { watch } from "../watch.ts";
 import type { Fetch } from "./meshes.ts";
-import type { Layer } from "./report.ts";
+import type { Source } from "./report.ts";
 import type { World } from "./world.ts";
 
 const BYTES = { encoding: "msgpack" } as const; // of what is bytes: JSON is faster for all else
-const DRAWN: [Shape, Exclude<Layer, "trail" | "frames" | "robot">, SubscribeOptions][] = [
+// What adds to what came before is not left out; but what waits for a slow page must not hold up its commands.
+const FEW = { qos: { depth: 16 } } as const; // of what is large
+const MANY = { qos: { depth: 256 } } as const; // of what is small, and may come all at once
+const DRAWN: [Shape, Source, SubscribeOptions][] = [
   ["scan", "scan", { rate: 10 }],
   ["cloud", "cloud", { rate: 5, ...BYTES }],
-  ["grid", "map", { rate: 0.5, ...BYTES }],
   ["path", "path", { rate: 5 }],
+  ["poses", "poses", { rate: 5 }],
+  ["polygon", "polygon", { rate: 5 }],
+  ["detections", "detections", { rate: 10 }],
 ];
+const COSTS = /cost/; // in the name of a grid
+const UPDATES = /_updates$/;
 const STARS = ["base_link", "base_footprint", "odom", "map"];
 const NOT_ITS_OWN = /goal|target|initial/;
 
@@ -39,6 +47,7 @@ export class Sources {
 
   constructor(world: World) {
     this.#world = world;
+    world.fetch = (path) => this.#fetch(parentOf(belowBranch(path)));
   }
 
   /** Watch what is new, and no more what is gone. */
@@ -74,6 +83,19 @@ export class Sources {
     for (const [shape, layer, options] of DRAWN)
       for (const { path } of ofShape(resources, shape))
         yield [`${layer} ${path}`, () => watch(path, options, ({ body }) => world.take(layer, space(path), path, body))];
+    for (const one of ofShape(resources, "markers")) {
+      const options = properties(one).has("markers") ? FEW : MANY;
+      yield [`markers ${one.path}`, () => watch(one.path, options, ({ body }) => world.take("markers", space(one.path), one.path, body))];
+    }
+    const grids = ofShape(resources, "grid").map(({ path }) => path);
+    for (const path of grids) {
+      const [layer, rate] = COSTS.test(path) ? (["costmap", 2] as const) : (["map", 0.5] as const);
+      yield [`${layer} ${path}`, () => watch(path, { rate, ...BYTES }, ({ body }) => world.take(layer, space(path), path, body))];
+    }
+    for (const { path } of ofShape(resources, "gridUpdate")) {
+      const whole = path.replace(UPDATES, "");
+      if (grids.includes(whole)) yield [`update ${path}`, () => watch(path, { ...FEW, ...BYTES }, ({ body }) => world.patch(whole, body))];
+    }
     for (const star of stars) yield [`frames ${star}`, () => watch(star, { rate: 20 }, ({ body }) => world.transforms(spaceOf(star), star, body))];
     for (const { path } of ofShape(resources, "transforms"))
       yield [`frames ${path}`, () => watch(path, { rate: 20 }, ({ body }) => world.transforms(space(path), path, body))];

@@ -1,18 +1,24 @@
 import type { Group, Matrix4, Object3D } from "three";
 
 import type { Place } from "../goal.ts";
+import { past } from "../past.svelte.ts";
 import { type Pose, poseOf } from "../shapes.ts";
+import { detectionsAsMarkers, polygonAsMarkers, posesAsMarkers } from "./asmarkers.ts";
 import { Body, type Goal, type Model } from "./body.ts";
 import { discard } from "./discard.ts";
 import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
 import { Grid } from "./grid.ts";
-import { type Area, Dots, FrameMark, goalMark, pathLine, poseArrow } from "./layers.ts";
-import { type Item, type Layer, report, type Told } from "./report.ts";
+import { Dots, goalMark, pathLine, poseArrow } from "./layers.ts";
+import { MarkerLayer } from "./markerlayer.ts";
+import type { Fetch } from "./meshes.ts";
+import { Names } from "./names.ts";
+import { type Item, type Layer, report, type Source, type Told } from "./report.ts";
 import type { View } from "./view.ts";
 
 const FIXED = ["map", "world", "earth", "odom"];
-const LABEL = 0.022; // of the height of the view
+/** What is drawn as markers are, and how it is made of a value. */
+const AS_MARKERS: Partial<Record<Layer, (value: any) => any>> = { markers: (value) => value, poses: posesAsMarkers, polygon: polygonAsMarkers, detections: detectionsAsMarkers };
 
 /** The robots of one backend and what they perceive, in one frame that is taken to stand still. */
 export class World {
@@ -26,14 +32,22 @@ export class World {
   readonly #view: View;
   readonly #bodies = new Map<string, Body>();
   readonly #items = new Map<string, Item>();
-  readonly #marks = new Map<Body, Map<string, FrameMark>>();
   readonly #problems = new Map<string, string>();
   readonly #goal: Group = goalMark();
   readonly #hidden = new Set<Layer>();
+  /** Sources that are switched off. */
+  readonly #off = new Set<string>();
+  /** Grids that were put on top of others, the topmost last. */
+  #raised: string[] = [];
+  readonly #names: Names;
+  /** Gets the files that a source's meshes are in. */
+  fetch: (path: string) => Fetch | undefined = () => undefined;
   #dark = true;
+  #opacity = 0.7;
 
   constructor(view: View) {
     this.#view = view;
+    this.#names = new Names(view);
     this.#goal.visible = false;
     view.add(this.#goal);
     view.before = () => this.#settle();
@@ -43,7 +57,6 @@ export class World {
     let found = this.#bodies.get(space);
     if (!found) {
       this.#bodies.set(space, (found = new Body()));
-      this.#marks.set(found, new Map());
       for (const thing of [found.stand, found.trail.object, found.drop.object]) this.#view.add(thing);
     }
     return found;
@@ -62,7 +75,7 @@ export class World {
   }
 
   /** Take a value of a source; whatever is wrong with it is told, and the last one stays. */
-  take(layer: Exclude<Layer, "trail" | "frames" | "robot">, space: string, path: string, value: any): void {
+  take(layer: Source, space: string, path: string, value: any): void {
     try {
       const item = this.#items.get(path) ?? this.#make(layer, space, path);
       item.frame = value.header?.frame_id ?? value.frame_id;
@@ -80,6 +93,8 @@ export class World {
     if (layer === "scan") item.dots = new Dots(0xff5d5d, 3);
     if (layer === "cloud") item.dots = new Dots(0x36b8c4, 2);
     if (item.dots) this.#replace(item, item.dots.object);
+    if (AS_MARKERS[layer]) item.markers = new MarkerLayer(() => this.#view.changed(), () => this.fetch(path), () => past.at ?? Date.now());
+    if (item.markers) this.#replace(item, item.markers.object);
     this.#items.set(path, item);
     return item;
   }
@@ -88,13 +103,17 @@ export class World {
     if (item.dots) {
       item.dots.show(item.layer === "scan" ? scanPoints(value) : cloudPoints(value));
       item.count = item.dots.count;
-    } else if (item.layer === "map") {
+    } else if (item.markers) {
+      item.markers.take(AS_MARKERS[item.layer]!(value));
+    } else if (item.layer === "map" || item.layer === "costmap") {
       const { width, height } = value.info ?? value;
-      item.count = width * height;
       if (!item.grid?.take(value)) {
-        item.grid = new Grid(value, this.#dark);
+        item.grid = new Grid(value, this.#dark, item.layer === "costmap");
+        item.grid.fade(this.#opacity);
         this.#replace(item, item.grid.object);
+        this.#order();
       }
+      item.count = width * height;
     } else if (item.layer === "path") {
       item.count = value.poses?.length ?? 0;
       this.#replace(item, pathLine(value));
@@ -117,6 +136,39 @@ export class World {
     }
     item.object = object;
     this.#view.add(object);
+  }
+
+  /** Take a part of a grid that has changed. */
+  patch(path: string, update: any): void {
+    const grid = this.#items.get(path)?.grid;
+    if (!grid) return; // what it is a part of has not come
+    try {
+      grid.patch(update);
+    } catch (error) {
+      this.#problems.set(path, `cannot be drawn: ${(error as Error).message}`);
+    }
+    this.#view.changed();
+  }
+
+  /** Lay costs above maps and the small above the large, except for those that were put on top. */
+  #order(): void {
+    const rank = ([path, { layer, grid }]: [string, Item]): [number, number] => [this.#raised.indexOf(path) + (layer === "costmap" ? 0.5 : 0), -(grid as Grid).area];
+    const grids = [...this.#items].filter(([, one]) => one.grid).sort((a, b) => rank(a)[0] - rank(b)[0] || rank(a)[1] - rank(b)[1]);
+    grids.forEach(([, one], at) => (one.object.renderOrder = at - grids.length));
+  }
+
+  /** Draw a grid on top of the others. */
+  raise(path: string): void {
+    this.#raised = [...this.#raised.filter((one) => one !== path), path];
+    this.#order();
+    this.#view.changed();
+  }
+
+  /** How little can be seen through what driving costs, up to 1. */
+  fade(opacity: number): void {
+    this.#opacity = opacity;
+    for (const item of this.#items.values()) item.grid?.fade(opacity);
+    this.#view.changed();
   }
 
   /** Take where the robot is. */
@@ -149,6 +201,7 @@ export class World {
   /** What follows does not lead on from what was: trails begin anew. */
   leap(): void {
     for (const body of this.#bodies.values()) body.trail.clear();
+    for (const item of this.#items.values()) item.markers?.clear();
     this.#view.changed();
   }
 
@@ -179,6 +232,7 @@ export class World {
   /** Leave out what a source has brought. */
   forget(path: string): void {
     const item = this.#items.get(path);
+    item?.markers?.dispose();
     if (item?.object) this.#drop(item.object);
     this.#items.delete(path);
     this.#problems.delete(path);
@@ -215,6 +269,19 @@ export class World {
     this.#view.changed();
   }
 
+  /** Switch one source on or off, beside its layer. */
+  showSource(path: string, visible: boolean): void {
+    if (visible) this.#off.delete(path);
+    else this.#off.add(path);
+    this.#view.changed();
+  }
+
+  /** Switch the markers of one namespace on or off. */
+  showNamespace(path: string, name: string, visible: boolean): void {
+    this.#items.get(path)?.markers?.show(name, visible);
+    this.#view.changed();
+  }
+
   theme(dark: boolean): void {
     this.#dark = dark;
     for (const item of this.#items.values()) item.grid?.theme(dark);
@@ -238,17 +305,15 @@ export class World {
       const at = body.settle(fixed, !this.#hidden.has("robot"));
       body.trail.object.visible = !this.#hidden.has("trail");
       if (at && body === first && this.follow) this.#view.look(at.x, at.y, at.z);
-      this.#settleFrames(body);
     }
     this.place = first?.at(fixed);
-    for (const item of this.#items.values()) this.#settleItem(item, moved);
-    this.#settleNames();
+    for (const [path, item] of this.#items) this.#settleItem(path, item, moved);
+    this.#names.settle(this.#bodies, fixed, { frames: !this.#hidden.has("frames"), robots: !this.#hidden.has("robot") });
   }
 
-  /** Write the names of frames that have room: those of one robot often stand in one place. */
-  #settleNames(): void {
-    const taken: Area[] = [];
-    for (const marks of this.#marks.values()) for (const mark of marks.values()) if (mark.object.visible) mark.claim(this.#view.camera, taken);
+  /** How many names have no room now. */
+  get unnamed(): number {
+    return this.#names.left;
   }
 
   #choose(): string {
@@ -260,8 +325,15 @@ export class World {
     return usual ?? (base ? first.frames.root(base) : (first?.pose?.frame ?? "map"));
   }
 
-  #settleItem(item: Item, moved: boolean): void {
+  #settleItem(path: string, item: Item, moved: boolean): void {
     if (!item.object) return;
+    const visible = !this.#hidden.has(item.layer) && !this.#off.has(path);
+    if (item.markers) {
+      item.markers.settle((frame) => item.body.place(frame || undefined, this.fixed), moved);
+      item.count = item.layer === "detections" ? item.markers.things : item.markers.count;
+      item.object.visible = visible;
+      return;
+    }
     if (item.fresh || moved || !item.placed || !item.dots) {
       const at = item.body.place(item.frame, this.fixed);
       item.placed = at !== undefined;
@@ -273,35 +345,18 @@ export class World {
         item.fresh = false;
       }
     }
-    item.object.visible = item.placed && !this.#hidden.has(item.layer);
-  }
-
-  #settleFrames(body: Body): void {
-    const marks = this.#marks.get(body)!;
-    for (const [name, mark] of marks) if (!body.frames.names.includes(name)) mark.object.visible = false;
-    for (const name of body.frames.names) {
-      let mark = marks.get(name);
-      if (!mark) {
-        marks.set(name, (mark = new FrameMark(name)));
-        this.#view.add(mark.object);
-      }
-      const at = body.frames.between(name, this.fixed);
-      mark.object.visible = at !== undefined && !this.#hidden.has("frames");
-      if (!at) continue;
-      mark.object.matrix.copy(at);
-      mark.object.matrixWorldNeedsUpdate = true;
-      mark.fit(LABEL * this.#view.tall);
-    }
+    item.object.visible = item.placed && visible;
   }
 
   /** Give back what models hold beside what is drawn, which the view gives back. */
   dispose(): void {
+    for (const item of this.#items.values()) item.markers?.dispose();
     for (const body of this.#bodies.values()) for (const model of body.models.values()) model.dispose();
   }
 
   /** What is drawn, and where. */
   report(): Told[] {
-    return report(this.fixed, this.#bodies, this.#items, this.#problems);
+    return report(this.fixed, this.#bodies, this.#items, this.#problems, this.#off);
   }
 
   #drop(thing: Object3D): void {
