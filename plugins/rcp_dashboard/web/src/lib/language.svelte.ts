@@ -43,7 +43,7 @@ class Language {
       this.#texts = texts;
       this.#plurals = new Intl.PluralRules(code);
       this.code = code;
-      document.documentElement.lang = code;
+      if (globalThis.document) document.documentElement.lang = code; // tests have none
       return true;
     } catch {
       this.failed = true; // of an older page, or of a gateway that is away
