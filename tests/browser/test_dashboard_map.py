@@ -411,13 +411,15 @@ async def test_heights_typed_in_feet_arrive_in_metres(
         await page.get_by_test_id("map").focus()
         await page.keyboard.press("Enter")
         await expect(page.get_by_test_id("goal-status")).to_be_visible()
-        sent = await drone.get("/rcp/v1/context/system/commands")
-        assert [one["input"]["altitude"] for one in sent.json()["body"][-1:]] == [30.48]
+        commands = (await drone.get("/rcp/v1/context/system/commands")).json()["body"]
+        inputs = [one.get("input") or {} for one in commands]
+        assert [one["altitude"] for one in inputs if "altitude" in one] == [30.48], commands
         drawn = await planning(page)
         await page.get_by_label("Height of new waypoints in ft above home").fill("50")
         await drawn.click((100, 0))
         await expect(page.get_by_label("Altitude of item 1")).to_have_value("50")
-        await uploaded(page, "1 item")
+        await page.get_by_test_id("upload").click()
+        await expect(page.get_by_test_id("onboard")).to_have_text("On the vehicle: 1 item.")
         stored = (await execute(drone, f"{DRONE}/service/mission/download"))["items"]
         assert [one["altitude"] for one in stored] == [pytest.approx(15.24, abs=0.01)]
     await execute(drone, f"{DRONE}/service/mission/clear")
