@@ -226,10 +226,10 @@ class Walk {
 
   /** What the source itself looks up, or names to be looked up. */
   #named({ callee, arguments: given }: Node, place: Place): void {
-    const literal = given.filter((one: Node) => typeof one.value === "string").map((one: Node) => one.value as string);
+    const literal = given.flatMap(literals);
     if (callee.name === "counted") this.texts.push({ one: literal[0], many: literal[1] });
     else this.texts.push(...literal.map((one: string) => ({ one })));
-    for (const one of given) if (typeof one.value !== "string") this.visit(one, { ...place, shown: false });
+    for (const one of given) if (literals(one).length === 0) this.visit(one, { ...place, shown: false });
   }
 
   NewExpression(node: Node, place: Place): void {
@@ -296,6 +296,12 @@ class Walk {
   ExportNamedDeclaration(node: Node, place: Place): void {
     this.visit(node.declaration, place);
   }
+}
+
+/** The strings among which an expression chooses. */
+function literals(node: Node): string[] {
+  if (node.type === "ConditionalExpression") return [...literals(node.consequent), ...literals(node.alternate)];
+  return typeof node.value === "string" ? [node.value] : [];
 }
 
 function put(code: string, from: number, to: number, text: string): string {

@@ -53,7 +53,7 @@ class Language {
 
   text(source: string): string {
     const told = this.#texts[source];
-    return typeof told === "string" ? told : source;
+    return typeof told === "string" ? told : (source.split("¦")[0] as string);
   }
 
   counted(count: number, one: string, many: string): string {
@@ -68,7 +68,7 @@ const ORDER = ["zero", "one", "two", "few", "many", "other"];
 
 export const language = new Language();
 
-/** The text in the language of the page, with the values at its places. The build puts this call around every text of the source. */
+/** The text in the language of the page, with the values at its places; what follows `¦` tells words apart that are one in English. The build puts this call around every text of the source. */
 export function say(source: string, ...values: unknown[]): string {
   const told = language.text(source);
   return values.length ? told.replaceAll(/\{(\d+)\}/g, (_, at: string) => String(values[Number(at)] ?? "")) : told;

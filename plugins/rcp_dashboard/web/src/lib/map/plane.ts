@@ -1,3 +1,4 @@
+import { rounded } from "../format.ts";
 import { type Geo, round } from "../geo.ts";
 import { units } from "../units.svelte.ts";
 
@@ -127,13 +128,13 @@ export class Plane {
       const [px] = this.toScreen({ latitude: this.centre.latitude, longitude });
       pen.moveTo(px, 0);
       pen.lineTo(px, height);
-      pen.fillText(longitude.toFixed(digits), px + 4, height - 6);
+      pen.fillText(rounded(longitude, digits), px + 4, height - 6);
     }
     for (let latitude = Math.ceil(low.latitude / step) * step; latitude <= high.latitude; latitude += step) {
       const [, py] = this.toScreen({ latitude, longitude: this.centre.longitude });
       pen.moveTo(0, py);
       pen.lineTo(width, py);
-      pen.fillText(latitude.toFixed(digits), 6, py + 14);
+      pen.fillText(rounded(latitude, digits), 6, py + 14);
     }
     pen.stroke();
   }
