@@ -404,6 +404,33 @@ async def test_a_goal_is_not_sent_with_an_altitude_that_is_no_number(
         await expect(page.get_by_test_id("goal-status")).to_have_text("Not sent")
 
 
+async def test_heights_typed_in_feet_arrive_in_metres(
+    browser: Browser, url: str, drone: httpx.AsyncClient
+) -> None:
+    imperial = "localStorage.setItem('rcp.units', 'imperial')"
+    async with opened(browser, url, imperial) as tab:
+        page = tab.page
+        await execute(drone, f"{DRONE}/service/mission/clear")
+        height = page.get_by_label("Altitude of the goal in ft above home")
+        await height.fill("100")
+        await page.get_by_test_id("aim").click()
+        await page.get_by_test_id("map").focus()
+        await page.keyboard.press("Enter")
+        await expect(page.get_by_test_id("goal-status")).to_be_visible()
+        commands = (await drone.get("/rcp/v1/context/system/commands")).json()["body"]
+        inputs = [one.get("input") or {} for one in commands]
+        assert 30.48 in [one.get("altitude") for one in inputs], commands
+        drawn = await planning(page)
+        await page.get_by_label("Height of new waypoints in ft above home").fill("50")
+        await drawn.click((100, 0))
+        await expect(page.get_by_label("Altitude of item 1")).to_have_value("50")
+        await page.get_by_test_id("upload").click()
+        await expect(page.get_by_test_id("onboard")).to_have_text("On the vehicle: 1 item.")
+        stored = (await execute(drone, f"{DRONE}/service/mission/download"))["items"]
+        assert [one["altitude"] for one in stored] == [pytest.approx(15.24, abs=0.01)]
+    await execute(drone, f"{DRONE}/service/mission/clear")
+
+
 async def test_a_mission_is_made_without_a_pointer_and_suits_those_who_see_otherwise(
     browser: Browser, url: str, axe: str
 ) -> None:

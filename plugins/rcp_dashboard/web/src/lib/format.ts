@@ -1,25 +1,39 @@
 /** Numbers, times and values as people read them. */
+import { language, say } from "./language.svelte.ts";
+
+/** A number as the language writes it. For people: what is read again, by the page or by others, has a point. */
+const local = (text: string): string => (language.comma ? text.replace(".", ",") : text);
+
+/** A number of any size. */
+export function scientific(value: number): string {
+  return local(value.toExponential(2));
+}
+
+/** Numbers beside each other: commas do not part those that have commas of their own. */
+export function together(numbers: string[]): string {
+  return numbers.join(language.comma ? "; " : ", ");
+}
 
 /** With so many decimals; what rounds to nothing has no sign. */
 export function rounded(value: unknown, digits: number): string {
   if (typeof value !== "number") return "–"; // what is no number in JSON comes as null
-  if (Math.abs(value) >= 1e9) return value.toExponential(2);
+  if (Math.abs(value) >= 1e9) return scientific(value);
   const text = value.toFixed(digits);
-  return text.startsWith("-") && Number(text) === 0 ? text.slice(1) : text;
+  return text.startsWith("-") && Number(text) === 0 ? local(text.slice(1)) : local(text);
 }
 
 export function number(value: unknown, digits = 3): string {
   if (typeof value !== "number") return String(value);
   if (Number.isInteger(value)) return String(value);
   const size = Math.abs(value);
-  if (size !== 0 && (size >= 1e6 || size < 1e-3)) return value.toExponential(2);
+  if (size !== 0 && (size >= 1e6 || size < 1e-3)) return scientific(value);
   return rounded(value, size >= 100 ? 1 : digits);
 }
 
 /** A span in seconds, short. */
 export function span(seconds: number | undefined): string {
   if (seconds === undefined) return "–";
-  if (seconds < 0.95) return `${Math.round(seconds * 10) / 10} s`;
+  if (seconds < 0.95) return `${local(String(Math.round(seconds * 10) / 10))} s`;
   if (seconds < 100) return `${Math.round(seconds)} s`;
   if (seconds < 6000) return `${Math.round(seconds / 60)} min`;
   if (seconds < 172800) return `${Math.round(seconds / 3600)} h`;
@@ -31,23 +45,23 @@ export function clock(timestamp: string | undefined): string {
   const when = new Date(timestamp);
   if (Number.isNaN(when.getTime())) return "–"; // a robot may tell any words as a time
   const today = when.toDateString() === new Date().toDateString();
-  const time = when.toLocaleTimeString([], { hour12: false });
+  const time = when.toLocaleTimeString(language.locale, { hourCycle: "h23" });
   return today ? time : `${when.toISOString().slice(0, 10)} ${time}`;
 }
 
 /** A moment to the tenth of a second, with its day. */
 export function moment(ms: number): string {
   const when = new Date(ms);
-  const day = when.toLocaleDateString([], { day: "numeric", month: "short", year: "numeric" });
-  return `${day}, ${when.toLocaleTimeString([], { hour12: false })}.${Math.floor(when.getMilliseconds() / 100)}`;
+  const day = when.toLocaleDateString(language.locale, { day: "numeric", month: "short", year: "numeric" });
+  return `${day}, ${when.toLocaleTimeString(language.locale, { hourCycle: "h23" })}.${Math.floor(when.getMilliseconds() / 100)}`;
 }
 
 export function bytes(count: number | undefined): string {
   if (count === undefined) return "–";
   if (count < 1024) return `${count} B`;
-  if (count < 1048576) return `${(count / 1024).toFixed(1)} KiB`;
+  if (count < 1048576) return `${rounded(count / 1024, 1)} KiB`;
   if (count < 1073741824) return `${(count / 1048576).toFixed(0)} MiB`;
-  return `${(count / 1073741824).toFixed(2)} GiB`;
+  return `${rounded(count / 1073741824, 2)} GiB`;
 }
 
 const UNSEEN = /[\p{Cc}\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]/gu;
@@ -66,11 +80,11 @@ export function brief(value: unknown, room = 80): string {
 function one(value: unknown, room: number): string {
   if (value === null || value === undefined) return "–";
   if (typeof value === "number") return number(value);
-  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (typeof value === "boolean") return say(value ? "yes" : "no");
   if (typeof value === "string") return visible(value.slice(0, room + 1));
   if (Array.isArray(value)) {
     if (value.length > 6) return `${value.length} items`;
-    return `[${value.map((item) => one(item, room)).join(", ")}]`;
+    return `[${together(value.map((item) => one(item, room)))}]`;
   }
   let text = "";
   for (const [key, item] of Object.entries(value as object)) {

@@ -1,4 +1,5 @@
 /** Sessions, logins and keys as the gateway lists them, and what ending one of them means. */
+import { say } from "./language.svelte.ts";
 
 export const SESSIONS = "/system/sessions";
 export const LOGINS = "/system/logins";
@@ -65,5 +66,5 @@ export function endOfKey({ principal, key }: Key): End {
 }
 
 export function rightsOf({ grants }: Key): string {
-  return Object.entries(grants).map(([tenant, roles]) => `${tenant === "*" ? "all tenants" : tenant}: ${roles.join(", ")}`).join(" · ") || "none";
+  return Object.entries(grants).map(([tenant, roles]) => `${tenant === "*" ? "all tenants" : tenant}: ${roles.join(", ")}`).join(" · ") || say("none");
 }

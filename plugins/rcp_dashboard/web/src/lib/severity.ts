@@ -1,3 +1,4 @@
+import { say } from "./language.svelte.ts";
 import { brief } from "./format.ts";
 
 /** How bad an entry is, the least first. */
@@ -49,7 +50,7 @@ function textOf(source: Source, body: any): string {
     const facts = Object.entries(body).filter(([key, value]) => !HIDDEN.has(key) && value !== null);
     return `${body.what} by ${body.principal}: ${body.outcome}  ${brief(Object.fromEntries(facts), 100)}`;
   }
-  return `${body?.active === false ? "cleared: " : ""}${brief(body?.message ?? body?.text ?? body, 300)}`;
+  return `${body?.active === false ? say("cleared: ") : ""}${brief(body?.message ?? body?.text ?? body, 300)}`;
 }
 
 export function entry(source: Source, path: string, timestamp: string, seq: number | string, body: any): Entry {

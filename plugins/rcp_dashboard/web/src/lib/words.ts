@@ -1,8 +1,13 @@
 /** Words of the gateway's messages, as operators say them. */
+import { say, vocabulary } from "./language.svelte.ts";
+
 const STATES: Record<string, string> = {
   in_progress: "running",
   device_timeout: "no answer",
 };
+
+vocabulary("accepted", "active", "approved", "auto", "cancelled", "completed", "critical", "degraded", "down", "error", "expired", "failed", "fresh", "incident", "kept", "not started", "ok", "open", "paused");
+vocabulary("pending", "ready", "recording", "recovered", "rejected", "running", "skipped", "stale", "starting", "stopped", "unavailable", "unknown", "used", "warning", "complete", "lost", "closed", "no mission", "always");
 
 /** What an error is, at the head of its message. */
 const ERRORS: Record<string, string> = {
@@ -38,7 +43,7 @@ const plain = (code: string): string => code.replaceAll("_", " ");
 
 /** A state of a command, plan, robot or value. */
 export function stateWord(state: string): string {
-  return STATES[state] ?? plain(state);
+  return say(STATES[state] ?? plain(state));
 }
 
 /** The kind of an error; codes of plugins are written out. */

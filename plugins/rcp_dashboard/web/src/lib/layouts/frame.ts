@@ -28,7 +28,7 @@ export interface Means {
 
 const failure = (code: string, message: string, remedy?: string): Failure => ({ code, message, remedy });
 
-const TOO_MANY = failure("rate_limited", `a panel sends at most ${FASTEST} requests in a second`, "Send fewer.");
+const tooMany = (): Failure => failure("rate_limited", `a panel sends at most ${FASTEST} requests in a second`, "Send fewer.");
 
 /** Answers one frame: it knows names, never paths, and has no token. */
 export class FrameHost {
@@ -90,7 +90,7 @@ export class FrameHost {
   #subscribe(name: string, rate: number): void {
     this.#unsubscribe(name);
     const path = this.#means.reads(name);
-    if (!this.#takeOne()) return this.#post({ type: "ended", name, error: TOO_MANY });
+    if (!this.#takeOne()) return this.#post({ type: "ended", name, error: tooMany() });
     if (path === undefined) return this.#post({ type: "ended", name, error: this.#unknown(name) });
     const wanted = rate > 0 ? Math.min(rate, FASTEST) : USUAL;
     this.#stops.set(name, this.#means.watch(path, wanted, ({ body, timestamp, seq }) => this.#post({ type: "update", name, value: body, timestamp, seq })));
@@ -110,7 +110,7 @@ export class FrameHost {
 
   async #answer(id: unknown, work: () => Promise<Record<string, unknown>>): Promise<void> {
     try {
-      if (!this.#takeOne()) throw TOO_MANY;
+      if (!this.#takeOne()) throw tooMany();
       this.#post({ type: "reply", id, ...(await work()) });
     } catch (problem) {
       const { code, message, remedy } = problem as Failure;

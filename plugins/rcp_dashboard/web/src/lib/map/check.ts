@@ -1,5 +1,6 @@
 /** What is wrong with a mission or a fence, before a vehicle is asked. */
 import { type Geo, toMetres } from "../geo.ts";
+import { height, measured } from "../units.svelte.ts";
 import { type Area, EMPTY, type Fence, high, type Item, itemWord, placed } from "./items.ts";
 import { mayFly } from "./kinds.ts";
 
@@ -110,16 +111,16 @@ export function checkMission(items: Item[], known: Fence | undefined, kind: stri
     if (![item.latitude, item.longitude, item.altitude].every(Number.isFinite)) return void found.push(wrong(`${name} needs a place and a height.`));
     if (Math.abs(item.latitude) > 90 || Math.abs(item.longitude) > 180) return void found.push(wrong(`${name} is at no place on Earth.`));
     if (mayFly(kind) && high(item) && item.frame === "relative" && !/LAND$/.test(item.command)) {
-      if (item.altitude <= 0) found.push(odd(`${name} is at ${item.altitude} m: on the ground of home, or below it.`));
-      else if (item.altitude > HIGH) found.push(odd(`${name} is ${item.altitude} m above home.`));
+      if (item.altitude <= 0) found.push(odd(`${name} is at ${height(item.altitude)}: on the ground of home, or below it.`));
+      else if (item.altitude > HIGH) found.push(odd(`${name} is ${height(item.altitude)} above home.`));
     }
-    if (kind === "sub" && high(item) && item.frame === "relative" && item.altitude > 0) found.push(odd(`${name} is ${item.altitude} m above home: out of the water.`));
+    if (kind === "sub" && high(item) && item.frame === "relative" && item.altitude > 0) found.push(odd(`${name} is ${height(item.altitude)} above home: out of the water.`));
     if (!placed(item)) return;
     const why = usable ? outside(fence, item) : undefined;
     if (why) found.push(odd(`${name} is ${why}.`)); // whether the fence is enabled, the vehicle knows
     if (last) {
       const far = distance(last.at, item);
-      if (far > FAR) found.push(odd(`${name} is ${(far / 1000).toFixed(0)} km from ${last.name}.`));
+      if (far > FAR) found.push(odd(`${name} is ${measured(far / 1000, "km", 0)} from ${last.name}.`));
       const out = usable && !why && !outside(fence, last.at) && fence.areas.some((area) => meets(area, last!.at, item));
       if (out) found.push(odd(`The way from ${last.name} to ${name} leaves the fence.`));
     }

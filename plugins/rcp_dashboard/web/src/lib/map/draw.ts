@@ -1,6 +1,7 @@
 /** What lies above the map: robots with their tracks, homes, missions and fences, drawn on a canvas. */
 import type { Geo } from "../geo.ts";
 import { declutter } from "../labels.ts";
+import { height } from "../units.svelte.ts";
 import { type Fence, type Item, placed, wayOf } from "./items.ts";
 import type { Handle } from "./plan.svelte.ts";
 import type { Plane } from "./plane.ts";
@@ -152,7 +153,7 @@ export function drawMission(pen: Pen, plane: Plane, { items, open, home, selecte
     if (item.altitude === 0) return;
     const [x, y] = plane.toScreen(item);
     pen.font = "12px system-ui, sans-serif";
-    word(pen, `${Math.round(item.altitude * 10) / 10} m`, x + 12, y - 8, colour);
+    word(pen, height(item.altitude), x + 12, y - 8, colour);
   });
 }
 

@@ -1,6 +1,7 @@
 /** The mission and the fence of one robot: as it has them, and as they are being drawn. */
 import { type Resource, RcpError } from "rcp-client";
 
+import { say } from "../language.svelte.ts";
 import type { Geo } from "../geo.ts";
 import type { Robot } from "../robots.ts";
 import { EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placed, placeFor, sameFence, sameItems, sideFor, whole } from "./items.ts";
@@ -179,7 +180,7 @@ export class Plan {
     const { mission, fence } = this;
     const known = what === "mission" ? mission : fence;
     const same = what === "mission" ? mission && sameItems(sent.mission ?? [], mission) : fence && sameFence(sent.fence ?? EMPTY, fence);
-    if (known && !same) return new RcpError({ code: "differs", message: `the vehicle has another ${what} than was uploaded`, remedy: "Upload it again, or press Discard to see what the vehicle has." });
+    if (known && !same) return new RcpError({ code: "differs", message: `the vehicle has another ${say(what)} than was uploaded`, remedy: "Upload it again, or press Discard to see what the vehicle has." });
     // What was changed meanwhile is not on board.
     if ((known || !readable) && this.draft[what] === sent[what]) this.discard(what);
     return undefined;

@@ -1,4 +1,6 @@
+import { rounded } from "../format.ts";
 import { type Geo, round } from "../geo.ts";
+import { units } from "../units.svelte.ts";
 
 const TILE = 512; // pixels of the map of the world at zoom 0
 const EQUATOR = 2 * Math.PI * 6_378_137; // m
@@ -24,6 +26,14 @@ function spotOf(at: Geo): Spot {
 function geoAt({ x, y }: Spot): Geo {
   const latitude = (2 * Math.atan(Math.exp((0.5 - y) * 2 * Math.PI)) - Math.PI / 2) * (180 / Math.PI);
   return { latitude, longitude: ((((x - 0.5) * 360 + 180) % 360) + 360) % 360 - 180 };
+}
+
+/** A round length of about so many metres, in metres and in words. */
+export function rule(metres: number): { step: number; words: string } {
+  const far = metres >= (units.system === "imperial" ? 1609.344 : 1000);
+  const [unit, per] = far ? (["km", 1000] as const) : (["m", 1] as const);
+  const length = round(units.shown(metres / per, unit));
+  return { step: units.meant(length, unit) * per, words: `${length} ${units.name(unit)}` };
 }
 
 /** What of the Earth is seen in a box of pixels, north up, by the projection of web maps. */
@@ -118,13 +128,13 @@ export class Plane {
       const [px] = this.toScreen({ latitude: this.centre.latitude, longitude });
       pen.moveTo(px, 0);
       pen.lineTo(px, height);
-      pen.fillText(longitude.toFixed(digits), px + 4, height - 6);
+      pen.fillText(rounded(longitude, digits), px + 4, height - 6);
     }
     for (let latitude = Math.ceil(low.latitude / step) * step; latitude <= high.latitude; latitude += step) {
       const [, py] = this.toScreen({ latitude, longitude: this.centre.longitude });
       pen.moveTo(0, py);
       pen.lineTo(width, py);
-      pen.fillText(latitude.toFixed(digits), 6, py + 14);
+      pen.fillText(rounded(latitude, digits), 6, py + 14);
     }
     pen.stroke();
   }
@@ -132,7 +142,7 @@ export class Plane {
   /** Draw how long a metre is and where north is. */
   ruler(pen: CanvasRenderingContext2D, colour: (name: string) => string): void {
     const { width, height } = this.size;
-    const step = round(110 / this.scale);
+    const { step, words } = rule(110 / this.scale);
     const [left, right] = [width - 20 - step * this.scale, width - 20];
     pen.font = "12px system-ui, sans-serif";
     pen.fillStyle = colour("--panel");
@@ -143,7 +153,7 @@ export class Plane {
     pen.fillStyle = colour("--text");
     pen.fillRect(left, height - 34, right - left, 3);
     pen.textAlign = "right";
-    pen.fillText(step >= 1000 ? `${step / 1000} km` : `${step} m`, right, height - 40);
+    pen.fillText(words, right, height - 40);
     pen.fillText("N ↑", right, 24);
     pen.textAlign = "left";
   }

@@ -9,7 +9,7 @@ export interface Told {
   problem: (message: string) => void;
 }
 
-const BLIND = "This browser cannot draw the tiles of the map, which need WebGL 2. Lines of latitude and longitude are shown instead.";
+const blind = (): string => "This browser cannot draw the tiles of the map, which need WebGL 2. Lines of latitude and longitude are shown instead.";
 
 /** Lay tiles into a box; returns what takes them away. */
 export function layTiles(box: HTMLElement, dark: boolean, told: Told): () => void {
@@ -24,7 +24,7 @@ export function layTiles(box: HTMLElement, dark: boolean, told: Told): () => voi
     try {
       made = new Tiles(box, `${BASE}/dashboard/map/tiles`, dark, { attribution: told.attribution, problem });
     } catch {
-      return told.problem(BLIND);
+      return told.problem(blind());
     }
     told.laid(made);
   };

@@ -2,6 +2,8 @@ import { BoxGeometry, LoadingManager, Mesh, MeshPhongMaterial, type Material, ty
 import { ColladaLoader } from "three/addons/loaders/ColladaLoader.js";
 import { STLLoader } from "three/addons/loaders/STLLoader.js";
 
+import { say } from "../language.svelte.ts";
+
 /** Gets a file that a description names, from the robot's own machine. */
 export type Fetch = (uri: string) => Promise<Uint8Array<ArrayBuffer>>;
 
@@ -37,7 +39,7 @@ export class Meshes {
 
   async #made(uri: string, material: Material): Promise<Object3D> {
     const ending = uri.slice(uri.lastIndexOf(".") + 1).toLowerCase();
-    if (ending === "gltf") throw new Error(".gltf is not supported: convert it to a single .glb");
+    if (ending === "gltf") throw new Error(say(".gltf is not supported: convert it to a single .glb"));
     if (!["stl", "dae", "obj", "glb"].includes(ending)) throw new Error(`.${ending} is not supported`);
     const data = await this.#file(uri);
     if (ending === "stl") return new Mesh(new STLLoader().parse(data.slice().buffer), material);
