@@ -26,6 +26,12 @@ export function isText(text: string, shown: boolean, call = ""): boolean {
 /** Strings that look like texts and are none: keys, names of keys on the keyboard, requests. */
 const NOT_TEXTS = new Set([
   "Polygon", // of the geometry of tiles
+  "Point",
+  "line strip", // types of markers, as ROS names them
+  "line list",
+  "cube list",
+  "sphere list",
+  "arrow strip",
   "Plots", // the name under which plots are kept
   "stopped on the dashboard", // reasons, for the record of the gateway
   "reset on the dashboard",
@@ -37,4 +43,4 @@ const NOT_TEXTS = new Set([
 ]);
 
 /** Requests, fonts, and what the parts of a scene are called within the page. */
-const CODE = /^Bearer |system-ui|^\(prefers-|^(curl|rcpctl) |^minmax|^(frames|joints|robot|pose|ned|mean) \{0\}$/;
+const CODE = /^Bearer |system-ui|^\(prefers-|^(curl|rcpctl) |^minmax|^(frames|joints|robot|pose|ned|mean|markers|update) \{0\}$/;

@@ -19,7 +19,7 @@ function* look(resource: Resource): Generator<Shape> {
   const has = properties(resource);
   const all = (...names: string[]): boolean => names.every((name) => has.has(name));
   if (itemProperties(resource, "markers").has("ns") || all("ns", "type", "action", "scale")) return yield "markers";
-  if (has.has("detections")) return yield /"size_x"/.test(JSON.stringify(resource.schemas?.value ?? {})) ? "detections2d" : "detections";
+  if (has.has("detections")) return yield JSON.stringify(resource.schemas?.value ?? {}).includes('"size_x"') ? "detections2d" : "detections";
   if (all("x", "y", "width", "height", "data")) return yield "gridUpdate";
   if (all("position", "orientation")) yield "pose";
   if (all("pose", "twist")) yield "odometry";

@@ -36,7 +36,7 @@ export interface Parameter {
   text: string;
 }
 
-const OTHER = "Other";
+const other = (): string => "Other"; // the group of those that belong to none
 const WIDE = 2 ** 31 - 1; // bounds of a type that tell nothing
 
 /** The parameters of a robot in the order of their names, as far as the role may use them; `defaults` are those that the robot has told, by name. */
@@ -47,7 +47,7 @@ export function parametersOf(robot: Robot, defaults: ReadonlyMap<string, unknown
   const counts = new Map<string, number>();
   for (const { group } of found) counts.set(group, (counts.get(group) ?? 0) + 1);
   // A group of one is none.
-  for (const one of found) if (counts.get(one.group) === 1) one.group = OTHER;
+  for (const one of found) if (counts.get(one.group) === 1) one.group = other();
   return found;
 }
 
@@ -57,7 +57,7 @@ const NAMES = new Intl.Collator(undefined, { numeric: true });
 export function groupsOf(parameters: Parameter[]): [group: string, count: number][] {
   const counts = new Map<string, number>();
   for (const { group } of parameters) counts.set(group, (counts.get(group) ?? 0) + 1);
-  return [...counts].sort(([a], [b]) => Number(a === OTHER) - Number(b === OTHER) || NAMES.compare(a, b));
+  return [...counts].sort(([a], [b]) => Number(a === other()) - Number(b === other()) || NAMES.compare(a, b));
 }
 
 function parameterOf(resource: Resource, place: string | undefined): Parameter {
@@ -110,7 +110,7 @@ function groupOf(name: string): string {
   const [dotted] = name.split(".");
   if (dotted !== undefined && dotted !== name) return dotted;
   const [word] = name.split("_");
-  return word !== undefined && word !== "" && word !== name ? word : OTHER;
+  return word !== undefined && word !== "" && word !== name ? word : other();
 }
 
 function entryOf(schema: Schema): Entry {
