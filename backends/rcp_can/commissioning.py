@@ -141,8 +141,11 @@ class CommissioningPart(Part):
             check_bus(axis)
             check_feedback(axis)
             self._check_off()
-        if procedure.motion != "none" and not axis.resting:
-            raise ModeForbids(f"motor '{axis.name}' is moving", remedy="Bring it to rest first.")
+        if not axis.resting:  # drives pause while they store: none of them turns meanwhile
+            raise ModeForbids(
+                f"motor '{axis.name}' is moving",
+                remedy="Bring it to rest first; its `standstill` says what counts as rest.",
+            )
         procedure.check(value)
 
     def _check_off(self) -> None:

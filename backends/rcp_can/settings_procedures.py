@@ -122,7 +122,11 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
 
     async def save(_value: None, _progress: Progress) -> None:
         await settings.prepare()
-        await settings.save()
+        try:
+            await settings.save()
+        except RcpError as error:
+            _begun(error)
+            raise
 
     example = {"text": f"# name value\n{_example(settings)}\n"}
     procedures = (
@@ -193,10 +197,16 @@ async def _write(settings: Settings, lines: list[Line], progress: Progress) -> l
             for line in lines:
                 _check_kept(line, found.get(line.name, "nothing"), settings.step)
     except RcpError as error:
-        error.status = "failed" if error.status == "rejected" else error.status
+        _begun(error)
         error.details = {**(error.details or {}), "written": written}
         raise
     return written
+
+
+def _begun(error: RcpError) -> RcpError:
+    """Return an error of what may have been written by then, which is no refusal."""
+    error.status = "failed" if error.status == "rejected" else error.status
+    return error
 
 
 def _check_kept(line: Line, found: str, step: float) -> None:

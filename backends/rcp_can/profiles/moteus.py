@@ -101,7 +101,7 @@ class MoteusDrive(Drive):
                 self.node,
                 NODES,
                 self.neighbours,
-                lambda wanted: change_node(self._stream, self.node, wanted),
+                lambda wanted, begun: change_node(self._stream, self.node, wanted, begun),
                 self._is_there,
                 note=" All other settings are stored with it.",
             ),

@@ -57,12 +57,15 @@ class MoteusSettings(Settings):
         await self._stream.command("conf write", node=self._node, seconds=_STORES)
 
 
-async def change_node(stream: Stream, current: int, wanted: NodeChange) -> None:
+async def change_node(
+    stream: Stream, current: int, wanted: NodeChange, begun: Callable[[], object]
+) -> None:
     """Write the id, which is in force at once, read it back, and store all settings.
 
     :raises DeviceRejected: the drive keeps another one.
     """
     new = wanted.node
+    begun()
     await stream.command(f"conf set id.id {new}", node=current, answers_as=new)
     kept = await stream.ask("conf get id.id", node=new)
     if not same(kept, str(new)):

@@ -44,7 +44,7 @@ class Stream:
 
         `answers_as` is the id to which the drive listens after the command.
 
-        :raises DeviceRejected: the drive refuses it, with its reason.
+        :raises DeviceRejected: the drive refuses it, with its reason, or its answer does not end.
         :raises DeviceTimeout: it does not answer within `seconds`.
         """
         async with self._lock:
@@ -67,7 +67,7 @@ class Stream:
 
     async def _lines(self, node: int, seconds: float, until: str | None) -> list[str]:
         loop = asyncio.get_running_loop()
-        end, heard = loop.time() + seconds, b""
+        end, left, heard = loop.time() + seconds, _LONGEST, b""
         lines: list[str] = []
         while True:
             part = await self._poll(node, max(seconds, _POLLED))
@@ -84,7 +84,10 @@ class Stream:
                     return lines
             if part:
                 end = loop.time() + seconds
-            elif loop.time() > end or sum(map(len, lines)) > _LONGEST:
+                left -= len(part)
+                if left < 0:
+                    raise _endless(node)
+            elif loop.time() > end:
                 raise DeviceTimeout(f"node {node}: the answer did not end within {seconds:g} s")
             else:
                 await asyncio.sleep(_PAUSE)
@@ -97,10 +100,7 @@ class Stream:
         for _ in range(_NOISE):
             if not await self._poll(node, _POLLED):
                 return
-        raise DeviceRejected(
-            f"node {node} does not stop telling something",
-            remedy="Close tview or moteus_tool, or send `tel stop` with it.",
-        )
+        raise _endless(node)
 
     async def _poll(self, node: int, seconds: float) -> bytes:
         """Return the next text, if there is any.
@@ -122,6 +122,13 @@ class Stream:
                 remedy="Check the bus (sensor/can/…/state), then send it again.",
             )
         return content(answer) or b""
+
+
+def _endless(node: int) -> DeviceRejected:
+    return DeviceRejected(
+        f"node {node} does not stop telling something",
+        remedy="Close tview or moteus_tool, or send `tel stop` with it.",
+    )
 
 
 def content(message: can.Message) -> bytes | None:
