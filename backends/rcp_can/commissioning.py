@@ -156,8 +156,9 @@ class CommissioningPart(Part):
                 f"motor '{axis.name}' has faults: {faults}",
                 remedy=f"Execute service/{axis.name}/clear_faults first.",
             )
-        if axis.status.energised is not False:
+        if axis.enabling or axis.status.energised is not False:
+            state = "being enabled" if axis.enabling else axis.state
             raise ModeForbids(
-                f"motor '{axis.name}' is {axis.state}",
+                f"motor '{axis.name}' is {state}",
                 remedy=f"Execute service/{axis.name}/disable first.",
             )

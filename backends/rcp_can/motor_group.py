@@ -68,17 +68,26 @@ def make_axes(
 
 
 def _introduce(axes: dict[str, Axis]) -> None:
-    """Tell each drive which others on its bus have ids that it cannot have."""
+    """Tell each drive which others on its bus have ids that it cannot have.
+
+    :raises ConfigError: it has one of them.
+    """
     kinds = {name: profile(axis.config.profile) for name, axis in axes.items()}
     places = {
         name: (axis.bus.name, kinds[name].family or kinds[name]) for name, axis in axes.items()
     }
     for name, axis in axes.items():
+        family = kinds[name].family
         axis.drive.neighbours = {
             other.drive.node: each
             for each, other in axes.items()
             if each != name and places[each] == places[name]
         }
+        if family and (other := axis.drive.neighbours.get(axis.drive.node)) is not None:
+            raise ConfigError(
+                f"motors.{name}.node: {axis.drive.node} is already used by {other}, whose drive "
+                "takes the same set-points"
+            )
 
 
 def by_rate(axes: Iterable[Axis]) -> list[list[Axis]]:

@@ -15,6 +15,7 @@ from rcp_can.node_change import NodeChange, node_procedure
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.errors import (
     AdapterUnavailable,
+    ConfigError,
     DeviceRejected,
     DeviceTimeout,
     ModeForbids,
@@ -165,6 +166,19 @@ async def test_a_damiao_does_not_get_the_id_of_another_drive_that_takes_its_set_
         with pytest.raises(ModeForbids, match="that of motor 'n'"):
             await rig.ran("service/m/set_node", {"node": 9})
         assert rig.twin.node == 3
+
+
+async def test_motors_that_take_the_same_set_points_need_two_ids_though_their_profiles_differ() -> (
+    None
+):
+    motors = {
+        "a": {"bus": "can0", "profile": "mit", "node": 3},
+        "b": {"bus": "can0", "profile": "damiao", "node": 3},
+    }
+    bus = {"interface": "virtual", "channel": channel()}
+    with pytest.raises(ConfigError, match="3 is already used by"):
+        async with opened({"buses": {"can0": bus}, "motors": motors}):
+            pass
 
 
 async def test_a_damiao_that_forgot_its_full_scales_unnoticed_is_not_enabled() -> None:

@@ -203,6 +203,22 @@ async def test_settings_are_not_written_or_stored_while_the_motor_is_enabled(pro
 
 
 @EVERY
+async def test_settings_are_not_written_while_the_motor_is_being_enabled(profile: str) -> None:
+    make = MAKES[profile]
+    async with motor(profile, commissioning=True) as rig:
+        await rig.until(lambda: rig.axis.configured and rig.axis.resting)
+        before = make.truth(rig.twin, make.name)
+        rig.twin.refuses = True
+        enabling = asyncio.ensure_future(rig.enable())
+        await rig.until(lambda: rig.axis.enabling)
+        with pytest.raises(ModeForbids, match="is (being )?enabled"):
+            await rig.ran("action/m/load_settings", {"text": f"{make.name} {make.good}"})
+        assert make.truth(rig.twin, make.name) == before
+        enabling.cancel()
+        await asyncio.wait((enabling,), timeout=20)
+
+
+@EVERY
 async def test_a_value_that_the_drive_does_not_keep_is_an_error_that_tells_what_was_written(
     profile: str,
 ) -> None:
