@@ -211,7 +211,7 @@ async def test_settings_are_not_written_while_the_motor_is_being_enabled(profile
         rig.twin.refuses = True
         enabling = asyncio.ensure_future(rig.enable())
         await rig.until(lambda: rig.axis.enabling)
-        with pytest.raises(ModeForbids, match="is (being )?enabled"):
+        with pytest.raises(ModeForbids, match=r"is (being )?enabled"):
             await rig.ran("action/m/load_settings", {"text": f"{make.name} {make.good}"})
         assert make.truth(rig.twin, make.name) == before
         enabling.cancel()
