@@ -19,6 +19,10 @@ __all__ = ["SettingsText", "settings_procedures"]
 _TIMEOUT = 300.0  # s; some drives have hundreds
 _STORING = 15.0  # s
 _LONGEST = 200_000  # characters of a text
+_LEFT = (
+    "`written` in the details is in force and not stored: load what is left once the cause is "
+    "removed, or switch the drive off and on, which brings its stored settings back."
+)
 
 
 class SettingsText(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -199,6 +203,7 @@ async def _write(settings: Settings, lines: list[Line], progress: Progress) -> l
     except RcpError as error:
         _begun(error)
         error.details = {**(error.details or {}), "written": written}
+        error.remedy = _LEFT
         raise
     return written
 

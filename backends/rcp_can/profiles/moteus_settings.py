@@ -19,7 +19,7 @@ _LIMITS = {
     "servo.fault_temperature": Setting(0.0, 200.0),
     "motor.poles": Setting(0.0, 200.0, whole=True),
 }
-"""Bounds that the drive does not check itself; several of them can be `nan`, for 'none'."""
+"""Bounds that the drive does not check itself; `nan`, for 'none', would lift them, and is refused."""
 _OWN = Setting(writable=False)
 _OWNED = "id", "can", "uuid"
 """Groups by which a drive is reached, or told from others."""

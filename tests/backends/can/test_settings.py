@@ -230,6 +230,7 @@ async def test_a_value_that_the_drive_does_not_keep_is_an_error_that_tells_what_
             await rig.ran("action/m/load_settings", {"text": text})
         assert caught.value.details is not None
         assert caught.value.details["written"] == [make.other]
+        assert "load what is left" in str(caught.value.remedy)
         assert make.truth(rig.twin, make.other) == 21
 
 
