@@ -387,6 +387,25 @@ async def test_a_bus_that_is_lost_after_the_command_to_store_is_no_refusal() -> 
     assert caught.value.status == "failed"
 
 
+async def test_a_command_to_a_moteus_that_needs_two_frames_is_queued_whole_or_not_at_all() -> None:
+    name = "aux1.a_setting_with_a_name_that_is_so_long_that_it_needs_two_frames"
+    async with motor("moteus", commissioning=True) as rig:
+        await rig.until(lambda: rig.axis.configured)
+        rig.twin.console.settings[name] = "1.000000"
+        wire = rig.backend.buses["can0"].wire
+        real, queued = wire.send_together, list[list[bytes]]()
+
+        def send_together(messages: Any, **more: Any) -> None:
+            queued.append([bytes(each.data) for each in messages])
+            real(messages, **more)
+
+        wire.send_together = send_together
+        await rig.ran("action/m/load_settings", {"text": f"{name} 0.5"})
+        (command,) = (each for each in queued if b"conf set" in each[0])
+        assert len(command) == 2
+        assert rig.twin.console.settings[name] == "0.500000"
+
+
 async def test_through_a_gateway_an_e_stop_ends_the_loading_and_stores_nothing() -> None:
     async with bed("moteus", commissioning=True) as held:
         console = held.twin.console
