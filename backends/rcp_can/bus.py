@@ -166,6 +166,8 @@ class Bus:
         self,
         frames: Iterable[tuple[int, bytes]],
         *,
+        fd: bool = False,
+        switched: bool = False,
         lifetime: float | None = None,
         urgent: bool = False,
         sender: Hashable = None,
@@ -173,7 +175,14 @@ class Bus:
         """Queue extended frames one after the other, all or none; otherwise as `send`."""
         wire = self._open_wire()
         messages = [
-            self._message(arbitration_id=identifier, data=data, is_extended_id=True, is_rx=False)
+            self._message(
+                arbitration_id=identifier,
+                data=data,
+                is_extended_id=True,
+                is_fd=fd,
+                bitrate_switch=switched,
+                is_rx=False,
+            )
             for identifier, data in frames
         ]
         self._queue(wire, messages, lifetime=lifetime, urgent=urgent, sender=sender)

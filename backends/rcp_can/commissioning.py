@@ -141,8 +141,11 @@ class CommissioningPart(Part):
             check_bus(axis)
             check_feedback(axis)
             self._check_off()
-        if procedure.motion != "none" and not axis.resting:
-            raise ModeForbids(f"motor '{axis.name}' is moving", remedy="Bring it to rest first.")
+        if not axis.resting:  # drives pause while they store: none of them turns meanwhile
+            raise ModeForbids(
+                f"motor '{axis.name}' is moving",
+                remedy="Bring it to rest first; its `standstill` says what counts as rest.",
+            )
         procedure.check(value)
 
     def _check_off(self) -> None:
@@ -153,8 +156,9 @@ class CommissioningPart(Part):
                 f"motor '{axis.name}' has faults: {faults}",
                 remedy=f"Execute service/{axis.name}/clear_faults first.",
             )
-        if axis.status.energised is not False:
+        if axis.enabling or axis.status.energised is not False:
+            state = "being enabled" if axis.enabling else axis.state
             raise ModeForbids(
-                f"motor '{axis.name}' is {axis.state}",
+                f"motor '{axis.name}' is {state}",
                 remedy=f"Execute service/{axis.name}/disable first.",
             )

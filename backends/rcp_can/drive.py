@@ -93,7 +93,7 @@ class Drive(ABC):
     watchdog: float | None = 0.5
     """Time-out in s of the drive's own watchdog; None keeps its setting."""
     neighbours: Mapping[int, str] = {}
-    """The other motors of its profile on its bus: their names by node."""
+    """The other motors of its profile or family on its bus: their names by node."""
 
     def __init__(self, node: int, options: Any, bus: Bus) -> None:
         self.node, self.options, self.bus = node, options, bus
@@ -288,3 +288,5 @@ class Profile(NamedTuple):
     """The valid node ids."""
     fd: bool = False
     """Whether it requires CAN FD."""
+    family: str = ""
+    """Shared by profiles whose drives take each other's set-points if they have the same id."""

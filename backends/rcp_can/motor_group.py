@@ -62,13 +62,32 @@ def make_axes(
                     f"motors.{name}.gravity: {motor.profile} takes no torque beside a position"
                 )
             drive.torque_offset = 0.0
-        drive.neighbours = {
-            other.node: each
-            for each, other in config.motors.items()
-            if each != name and (other.bus, other.profile) == (motor.bus, motor.profile)
-        }
         axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health, facts)
+    _introduce(axes)
     return axes
+
+
+def _introduce(axes: dict[str, Axis]) -> None:
+    """Tell each drive which others on its bus have ids that it cannot have.
+
+    :raises ConfigError: it has one of them.
+    """
+    kinds = {name: profile(axis.config.profile) for name, axis in axes.items()}
+    places = {
+        name: (axis.bus.name, kinds[name].family or kinds[name]) for name, axis in axes.items()
+    }
+    for name, axis in axes.items():
+        family = kinds[name].family
+        axis.drive.neighbours = {
+            other.drive.node: each
+            for each, other in axes.items()
+            if each != name and places[each] == places[name]
+        }
+        if family and (other := axis.drive.neighbours.get(axis.drive.node)) is not None:
+            raise ConfigError(
+                f"motors.{name}.node: {axis.drive.node} is already used by {other}, whose drive "
+                "takes the same set-points"
+            )
 
 
 def by_rate(axes: Iterable[Axis]) -> list[list[Axis]]:

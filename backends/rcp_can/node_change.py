@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from rcp_can.procedure import Procedure
-from rcp_kernel.errors import ModeForbids, OutOfRange
+from rcp_kernel.errors import ModeForbids, OutOfRange, RcpError
 from rcp_kernel.spi import Progress
 
 __all__ = ["NodeChange", "NodeChanged", "node_procedure"]
@@ -34,16 +34,18 @@ def node_procedure(
     current: int,
     nodes: range,
     neighbours: Mapping[int, str],
-    change: Callable[[Any], Coroutine[Any, Any, None]],
+    change: Callable[[Any, Callable[[], object]], Coroutine[Any, Any, None]],
     is_there: Callable[[int], Coroutine[Any, Any, bool]],
     *,
     input: type[NodeChange] = NodeChange,  # noqa: A002 - the field of a procedure
     note: str = "",
+    also: Callable[[Any], None] | None = None,
 ) -> Procedure:
     """Return the procedure; `neighbours` are the motors of this kind on the bus, by node.
 
-    `change` gives the drive the id, stores it, and returns when it answers to it; `is_there` asks
-    whether anything answers to an id.
+    `change` gives the drive the id, stores it, and returns when it answers to it; it calls what it
+    gets once it may write. `is_there` asks whether anything answers to an id; `also` refuses what a
+    make cannot take.
     """
 
     def check(wanted: NodeChange) -> None:
@@ -55,11 +57,25 @@ def node_procedure(
             )
         if (other := neighbours.get(node)) is not None and node != current:
             raise _taken(node, f"it is that of motor '{other}'")
+        if also is not None:
+            also(wanted)
 
     async def run(wanted: NodeChange, _progress: Progress) -> NodeChanged:
         if wanted.node != current and await is_there(wanted.node):
             raise _taken(wanted.node, "a drive on this bus answers to it")
-        await change(wanted)
+        begun = False
+
+        def begin() -> None:
+            nonlocal begun
+            begun = True
+
+        try:
+            await change(wanted, begin)
+        except RcpError as error:
+            if begun:
+                error.status = "failed" if error.status == "rejected" else error.status
+                error.remedy = _remedy(current, wanted.node)
+            raise
         return NodeChanged(node=wanted.node)
 
     return Procedure(
@@ -73,6 +89,14 @@ def node_procedure(
         examples=({"node": nodes.start + 1},),
         timeout=_TIMEOUT,
         check=check,
+    )
+
+
+def _remedy(current: int, wanted: int) -> str:
+    return (
+        f"The drive may have the id {wanted} now, stored or until it is switched off. Switch it off "
+        f"and on; if the motor is online then, it has {current} and you can send this again. "
+        f"If not, set `node` to {wanted} and restart the gateway."
     )
 
 

@@ -82,7 +82,7 @@ class Settings(ABC):
 def read_text(text: str) -> list[Line]:
     """Read a text: a name and a value per line; empty lines and those that begin with `#` are skipped.
 
-    :raises InvalidValue: a line is none, or names a setting again.
+    :raises InvalidValue: a line is none, has more than ASCII, or names a setting again.
     """
     found: dict[str, Line] = {}
     for number, raw in enumerate(text.splitlines(), 1):
@@ -92,6 +92,8 @@ def read_text(text: str) -> list[Line]:
         if len(words) != 2:
             raise refused(number, f"{raw.strip()[:60]!r} is not a name and a value")
         name, value = words
+        if not all(word.isascii() and word.isprintable() for word in words):
+            raise refused(number, f"{raw.strip()[:60]!a} has characters that no drive takes")
         if name in found:
             raise refused(number, f"'{name}' is in line {found[name].number} too")
         found[name] = Line(number, name, value)

@@ -19,6 +19,10 @@ __all__ = ["SettingsText", "settings_procedures"]
 _TIMEOUT = 300.0  # s; some drives have hundreds
 _STORING = 15.0  # s
 _LONGEST = 200_000  # characters of a text
+_LEFT = (
+    "`written` in the details is in force and not stored: load what is left once the cause is "
+    "removed, or switch the drive off and on, which brings its stored settings back."
+)
 
 
 class SettingsText(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -122,7 +126,11 @@ def settings_procedures(settings: Settings) -> Sequence[Procedure]:
 
     async def save(_value: None, _progress: Progress) -> None:
         await settings.prepare()
-        await settings.save()
+        try:
+            await settings.save()
+        except RcpError as error:
+            _begun(error)
+            raise
 
     example = {"text": f"# name value\n{_example(settings)}\n"}
     procedures = (
@@ -193,10 +201,17 @@ async def _write(settings: Settings, lines: list[Line], progress: Progress) -> l
             for line in lines:
                 _check_kept(line, found.get(line.name, "nothing"), settings.step)
     except RcpError as error:
-        error.status = "failed" if error.status == "rejected" else error.status
+        _begun(error)
         error.details = {**(error.details or {}), "written": written}
+        error.remedy = _LEFT
         raise
     return written
+
+
+def _begun(error: RcpError) -> RcpError:
+    """Return an error of what may have been written by then, which is no refusal."""
+    error.status = "failed" if error.status == "rejected" else error.status
+    return error
 
 
 def _check_kept(line: Line, found: str, step: float) -> None:

@@ -214,9 +214,15 @@ class CyberGearDrive(ImpedanceDrive):
     async def _is_there(self, node: int) -> bool:
         return await self._ask_who(node, lambda: self._identify(node), _PROBED) is not None
 
-    async def _change_node(self, wanted: NodeChange) -> None:
+    async def _change_node(self, wanted: NodeChange, begun: Callable[[], object]) -> None:
         node = wanted.node
         serial = await self._ask_who(self.node, lambda: self._identify(self.node), _ANSWERS)
+        if serial is None:
+            raise DeviceTimeout(
+                f"node {self.node} does not tell the number of its processor",
+                remedy="Nothing was written; check the bus (sensor/can/…/state), then send it again.",
+            )
+        begun()
         head = _SET_ID << 24 | node << 16 | self.options.host << 8 | self.node
         self.send(head, b"\1" + bytes(7), extended=True)
         found = await self._ask_who(node, lambda: self._identify(node), _CHANGED)

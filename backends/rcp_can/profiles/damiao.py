@@ -193,6 +193,9 @@ class DamiaoDrive(MitDrive):
         :raises DeviceRejected: its full scales are not those of the configuration, which would
             multiply every set-point.
         """
+        await self._set_up()  # it has forgotten them if it rebooted unnoticed
+        for register in tuple(self._scales):
+            self.scaled(register, unpack(register, await self.access(_READ, register)))
         for register, ours in zip(RANGES, self.span, strict=True):
             kept = self._scales.get(register, ours)
             if abs(kept - ours) > _NEAR * ours:
@@ -201,7 +204,6 @@ class DamiaoDrive(MitDrive):
                     f"{REGISTERS[register].name} of the drive is {kept:g}, and of this motor {ours:g}",
                     remedy=f"Set `ranges = [{listed}]` in the motor's options, or load {ours:g}.",
                 )
-        await self._set_up()  # it has forgotten them if it rebooted unnoticed
         await super().enable()
 
     def query(self) -> None:
@@ -217,4 +219,5 @@ DAMIAO = Profile(
     DamiaoDrive,
     "rcp_can.sim.damiao:DamiaoTwin",
     NODES,
+    family="mit",
 )

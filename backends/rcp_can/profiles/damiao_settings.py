@@ -11,7 +11,7 @@ from rcp_can.procedure import Procedure
 from rcp_can.profiles.damiao_registers import ESC_ID, MST_ID, NAMES, REGISTERS, pack, unpack
 from rcp_can.settings import Setting, Settings
 from rcp_can.settings_procedures import settings_procedures
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange
 
 if TYPE_CHECKING:
     from rcp_can.status import Status
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["NODES", "DamiaoNode", "DamiaoSettings", "damiao_procedures"]
 
 NODES = range(1, 16)
-_READ, _WRITE = 0x33, 0x55
+_REGISTERS, _READ, _WRITE = 0x7FF, 0x33, 0x55
+_MODES = 0x300  # bits of the identifier that select another control mode's set-point
 _SHORT = 0.3  # s for one register of many
 _STORES = 1.0  # s
 
@@ -109,8 +110,9 @@ def damiao_procedures(
 ) -> Sequence[Procedure]:
     """List the procedures of a Damiao."""
 
-    async def change(wanted: DamiaoNode) -> None:
+    async def change(wanted: DamiaoNode, begun: Callable[[], object]) -> None:
         node = drive.node
+        begun()
         if wanted.node != drive.node:
             with suppress(DeviceTimeout):  # it may confirm by its new id already
                 await drive.access(_WRITE, ESC_ID, wanted.node)
@@ -124,6 +126,18 @@ def damiao_procedures(
                 name = REGISTERS[register].name
                 raise DeviceRejected(f"the drive kept {name} {kept} instead of {value}")
 
+    def check_reply(wanted: DamiaoNode) -> None:
+        reply = wanted.reply_id
+        if reply is None:
+            return
+        if reply == _REGISTERS or reply & ~_MODES in NODES or reply in drive.neighbours:
+            raise OutOfRange(
+                f"reply_id 0x{reply:X} is an identifier by which drives are commanded: they would "
+                "take its responses for set-points",
+                details={"pointer": "/reply_id"},
+                remedy="Choose another, such as 0x10 and the id.",
+            )
+
     return (
         *settings_procedures(DamiaoSettings(drive)),
         node_procedure(
@@ -134,6 +148,7 @@ def damiao_procedures(
             is_there,
             input=DamiaoNode,
             note=" All other settings are stored with it.",
+            also=check_reply,
         ),
     )
 

@@ -260,6 +260,7 @@ MIT = Profile(
     MitDrive,
     "rcp_can.sim.mit:MitTwin",
     range(1, 128),
+    family="mit",
 )
 TMOTOR = Profile(
     "tmotor",
@@ -268,4 +269,5 @@ TMOTOR = Profile(
     TMotorDrive,
     "rcp_can.sim.mit:TMotorTwin",
     range(1, 128),
+    family="mit",
 )

@@ -19,6 +19,7 @@ from rcp_can.profiles.moteus_settings import MoteusSettings, change_node
 from rcp_can.profiles.moteus_stream import FROM_DRIVE, Stream, content
 from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Mode, Width, build, pad, parse
 from rcp_can.settings_procedures import settings_procedures
+from rcp_kernel.spi import check_fence
 
 if TYPE_CHECKING:
     import can
@@ -104,16 +105,23 @@ class MoteusDrive(Drive):
                 self.node,
                 NODES,
                 self.neighbours,
-                lambda wanted: change_node(self._stream, self.node, wanted),
+                lambda wanted, begun: change_node(self._stream, self.node, wanted, begun),
                 self._is_there,
                 note=" All other settings are stored with it.",
             ),
         )
 
-    def _send_text(self, node: int, payload: bytes, answers: bool) -> None:  # noqa: FBT001 - of Stream
+    def _send_text(self, node: int, payloads: Sequence[bytes], answers: bool) -> None:  # noqa: FBT001 - of Stream
+        check_fence()
         if answers and node == self.node:
             self._owed = min(self._owed + 1, _UNDER_WAY)
-        self._send_to(node, payload, answers=answers)
+        head = answers << 15 | self.options.source << 8 | node
+        self.bus.send_together(
+            [(head, pad(payload)) for payload in payloads],
+            fd=True,
+            switched=self.options.switched,
+            sender=self,
+        )
 
     def _send_to(self, node: int, payload: bytes, *, answers: bool, **more: Any) -> None:
         self.send(

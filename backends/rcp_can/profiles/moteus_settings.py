@@ -19,7 +19,7 @@ _LIMITS = {
     "servo.fault_temperature": Setting(0.0, 200.0),
     "motor.poles": Setting(0.0, 200.0, whole=True),
 }
-"""Bounds that the drive does not check itself; several of them can be `nan`, for 'none'."""
+"""Bounds that the drive does not check itself; `nan`, for 'none', would lift them, and is refused."""
 _OWN = Setting(writable=False)
 _OWNED = "id", "can", "uuid"
 """Groups by which a drive is reached, or told from others."""
@@ -57,12 +57,15 @@ class MoteusSettings(Settings):
         await self._stream.command("conf write", node=self._node, seconds=_STORES)
 
 
-async def change_node(stream: Stream, current: int, wanted: NodeChange) -> None:
+async def change_node(
+    stream: Stream, current: int, wanted: NodeChange, begun: Callable[[], object]
+) -> None:
     """Write the id, which is in force at once, read it back, and store all settings.
 
     :raises DeviceRejected: the drive keeps another one.
     """
     new = wanted.node
+    begun()
     await stream.command(f"conf set id.id {new}", node=current, answers_as=new)
     kept = await stream.ask("conf get id.id", node=new)
     if not same(kept, str(new)):

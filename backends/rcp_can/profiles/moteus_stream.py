@@ -6,7 +6,7 @@ A drive sends only what it is polled for. What is lost on the way is lost: no an
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rcp_can.asking import answer_to
@@ -30,10 +30,13 @@ _NOISE = 1000  # polls in which an earlier answer must have ended
 class Stream:
     """The text console of one drive; one command at a time.
 
-    `send` takes a node, the payload of a frame and whether an answer is due.
+    `send` takes a node, the payloads of frames and whether an answer is due; it sends all or none, as
+    the next command would continue a part.
     """
 
-    def __init__(self, bus: Bus, source: int, send: Callable[[int, bytes, bool], None]) -> None:
+    def __init__(
+        self, bus: Bus, source: int, send: Callable[[int, Sequence[bytes], bool], None]
+    ) -> None:
         self._bus, self._source, self._send = bus, source, send
         self._lock = asyncio.Lock()
 
@@ -44,7 +47,7 @@ class Stream:
 
         `answers_as` is the id to which the drive listens after the command.
 
-        :raises DeviceRejected: the drive refuses it, with its reason.
+        :raises DeviceRejected: the drive refuses it, with its reason, or its answer does not end.
         :raises DeviceTimeout: it does not answer within `seconds`.
         """
         async with self._lock:
@@ -60,14 +63,13 @@ class Stream:
     ) -> list[str]:
         await self._drain(node)
         data = text.encode("ascii") + b"\n"
-        for start in range(0, len(data), _PART):
-            part = data[start : start + _PART]
-            self._send(node, bytes((TO_DRIVE, CHANNEL, len(part))) + part, False)
+        parts = [data[start : start + _PART] for start in range(0, len(data), _PART)]
+        self._send(node, [bytes((TO_DRIVE, CHANNEL, len(part))) + part for part in parts], False)
         return await self._lines(then, seconds, until)
 
     async def _lines(self, node: int, seconds: float, until: str | None) -> list[str]:
         loop = asyncio.get_running_loop()
-        end, heard = loop.time() + seconds, b""
+        end, left, heard = loop.time() + seconds, _LONGEST, b""
         lines: list[str] = []
         while True:
             part = await self._poll(node, max(seconds, _POLLED))
@@ -84,7 +86,10 @@ class Stream:
                     return lines
             if part:
                 end = loop.time() + seconds
-            elif loop.time() > end or sum(map(len, lines)) > _LONGEST:
+                left -= len(part)
+                if left < 0:
+                    raise _endless(node)
+            elif loop.time() > end:
                 raise DeviceTimeout(f"node {node}: the answer did not end within {seconds:g} s")
             else:
                 await asyncio.sleep(_PAUSE)
@@ -97,10 +102,7 @@ class Stream:
         for _ in range(_NOISE):
             if not await self._poll(node, _POLLED):
                 return
-        raise DeviceRejected(
-            f"node {node} does not stop telling something",
-            remedy="Close tview or moteus_tool, or send `tel stop` with it.",
-        )
+        raise _endless(node)
 
     async def _poll(self, node: int, seconds: float) -> bytes:
         """Return the next text, if there is any.
@@ -111,7 +113,7 @@ class Stream:
         answer = await answer_to(
             self._bus,
             [Route(value, 0x7FFF, extended=extended) for extended in (True, False)],
-            lambda: self._send(node, bytes((POLL, CHANNEL, _PART)), True),
+            lambda: self._send(node, [bytes((POLL, CHANNEL, _PART))], True),
             lambda message: content(message) is not None,
             seconds=seconds,
             once=True,
@@ -122,6 +124,13 @@ class Stream:
                 remedy="Check the bus (sensor/can/…/state), then send it again.",
             )
         return content(answer) or b""
+
+
+def _endless(node: int) -> DeviceRejected:
+    return DeviceRejected(
+        f"node {node} does not stop telling something",
+        remedy="Close tview or moteus_tool, or send `tel stop` with it.",
+    )
 
 
 def content(message: can.Message) -> bytes | None:

@@ -77,6 +77,13 @@ class VescOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Id to which the drive answers packets, that no drive has."""
 
 
+class _OneAtATime:
+    """Requests to the drives of a bus: two that answer at once send the same identifiers, and collide."""
+
+    def __init__(self, _bus: Bus) -> None:
+        self.lock = asyncio.Lock()
+
+
 class VescDrive(Drive):
     """A VESC, which has no enable state of its own: enabled means that set-points are sent.
 
@@ -91,7 +98,7 @@ class VescDrive(Drive):
         if node == options.host:
             raise ValueError(f"`host` is the gateway's own id, and node {node} that of the drive")
         self._on = False
-        self._lock = asyncio.Lock()
+        self._lock = bus.shared(_OneAtATime, _OneAtATime).lock
         self.protection = Protection(
             "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
             "releases the motor, which coasts; cannot be read over CAN",
@@ -111,7 +118,7 @@ class VescDrive(Drive):
                 self.node,
                 NODES,
                 {**self.neighbours, self.options.host: "the gateway"},
-                lambda wanted: change_node(self, wanted),
+                lambda wanted, begun: change_node(self, wanted, begun),
                 self._is_there,
             ),
         )

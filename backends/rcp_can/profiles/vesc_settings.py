@@ -25,8 +25,8 @@ __all__ = [
     "read_version",
 ]
 
-VERSION, SET_APP, GET_APP, SET_LIMITS, GET_LIMITS = 0, 16, 17, 48, 93
-"""Commands: firmware version, configuration of the application, limits."""
+VERSION, SET_APP, GET_APP, SET_LIMITS, GET_LIMITS = 0, 16, 17, 48, 91
+"""COMM_FW_VERSION, …_SET_APPCONF, …_GET_APPCONF, …_SET_MCCONF_TEMP, …_GET_MCCONF_TEMP of the firmware."""
 SIGNATURES = frozenset((486554156, 1146628643))
 """Layouts of the application's configuration that are known: they begin with the id."""
 _MAJORS = 5, 6
@@ -141,19 +141,20 @@ async def read_version(drive: _Drive) -> Identity:
     )
 
 
-async def change_node(drive: _Drive, wanted: NodeChange) -> None:
+async def change_node(drive: _Drive, wanted: NodeChange, begun: Callable[[], object]) -> None:
     """Write the id into the configuration of the application, and read it back.
 
     :raises DeviceRejected: its layout is not known, or the drive keeps another id.
     """
     told = await drive.ask(bytes((GET_APP,)))
     signature = int.from_bytes(told[1:_ID_AT], "big")
-    if signature not in SIGNATURES or told[_ID_AT] != drive.node:
+    if signature not in SIGNATURES or len(told) <= _ID_AT or told[_ID_AT] != drive.node:
         raise DeviceRejected(
             f"the drive's configuration has the layout {signature}, which is not known",
             remedy="Give it its id with VESC Tool.",
         )
     changed = bytes((SET_APP,)) + told[1:_ID_AT] + bytes((wanted.node,)) + told[_ID_AT + 1 :]
+    begun()
     await drive.ask(changed, node=wanted.node, seconds=_STORES, once=True)
     kept = await drive.ask(bytes((GET_APP,)), node=wanted.node)
     if kept[1:] != changed[1:]:

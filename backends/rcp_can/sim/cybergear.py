@@ -38,6 +38,8 @@ class CyberGearTwin(Twin):
         self.faults = 0
         self.serial = struct.pack(">Q", 0x4359_4247_0000_0000 | node)
         """The number of its processor."""
+        self.anonymous = False
+        """Does not tell that number."""
         self.keeps: set[int] = set()
         """Parameters that it answers to but does not change."""
         self.parameters = _parameters()
@@ -99,7 +101,8 @@ class CyberGearTwin(Twin):
         self._answer(host)
 
     def _identify(self) -> None:
-        self.send(self.node << 8 | 0xFE, self.serial, is_extended_id=True)
+        if not self.anonymous:
+            self.send(self.node << 8 | 0xFE, self.serial, is_extended_id=True)
 
     def _write(self, index: int, data: bytes) -> None:
         if index in self.parameters and index not in self.keeps:

@@ -295,6 +295,7 @@ async def motor(
     bus: dict[str, Any] | None = None,
     twins: Sequence[Twin] = (),
     config: dict[str, Any] | None = None,
+    motors: dict[str, Any] | None = None,
     **keys: Any,
 ) -> AsyncGenerator[Motor]:
     """Run the twin of a profile, and a backend that drives it."""
@@ -306,7 +307,8 @@ async def motor(
     twin = make_twin(profile, table["node"], **table.get("options", {}))
     line_config = {"interface": "virtual", "channel": name, "restart": 0.02, "statistics": 0.05}
     line_config |= {"fd": profile == "moteus", **(bus or {})}
-    whole = {"buses": {"can0": line_config}, "motors": {"m": table}, **(config or {})}
+    whole = {"buses": {"can0": line_config}, "motors": {"m": table, **(motors or {})}}
+    whole |= config or {}
     with Bench(line, [twin, *twins]) as bench:
         async with opened(whole) as rig:
             yield Motor(rig, bench, name)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import can
 import pytest
 
 from backends.can.rig import channel, motor, opened
+from rcp_can.node_change import NodeChange, node_procedure
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.errors import (
+    AdapterUnavailable,
+    ConfigError,
     DeviceRejected,
     DeviceTimeout,
     ModeForbids,
@@ -85,6 +90,25 @@ async def test_a_drive_that_is_cut_off_meanwhile_is_no_success(profile: str) -> 
         assert rig.twin.node != 9
 
 
+@pytest.mark.parametrize("written", [False, True])
+async def test_an_error_once_the_id_may_be_written_is_no_refusal_and_says_where_it_may_be(
+    *, written: bool
+) -> None:
+    async def change(_wanted: NodeChange, begun: Callable[[], object]) -> None:
+        if written:
+            begun()
+        raise AdapterUnavailable("CAN bus 'can0' is down: unplugged")
+
+    async def is_there(_node: int) -> bool:
+        return False
+
+    procedure = node_procedure(2, range(1, 16), {}, change, is_there)
+    with pytest.raises(AdapterUnavailable) as caught:
+        await procedure.run(NodeChange(node=9), lambda *_args, **_more: None)
+    assert caught.value.status == ("failed" if written else "rejected")
+    assert ("set `node` to 9" in str(caught.value.remedy)) is written
+
+
 # Damiao
 
 
@@ -118,7 +142,92 @@ async def test_a_damiao_that_rebooted_unnoticed_has_its_watchdog_before_it_is_en
         assert rig.twin.registers[9] == struct.pack("<I", 10_000)
 
 
+@pytest.mark.parametrize("reply_id", [5, 0x7FF, 0x103, 40])
+async def test_a_damiao_does_not_respond_by_an_identifier_that_commands_a_drive(
+    reply_id: int,
+) -> None:
+    neighbour = {"bus": "can0", "profile": "mit", "node": 40, "optional": True}
+    async with motor(
+        "damiao", commissioning=True, config={"grace": 0.01}, motors={"n": neighbour}
+    ) as rig:
+        await rig.until(lambda: rig.axis.configured)
+        value = rig.typed("service/m/set_node", {"node": 3, "reply_id": reply_id})
+        with pytest.raises(OutOfRange, match="an identifier by which drives are commanded"):
+            rig.backend.foresee("service/m/set_node", value)
+        assert rig.twin.stores == 0
+
+
+async def test_a_damiao_does_not_get_the_id_of_another_drive_that_takes_its_set_points() -> None:
+    neighbour = {"bus": "can0", "profile": "tmotor", "node": 9, "optional": True}
+    async with motor(
+        "damiao", commissioning=True, config={"grace": 0.01}, motors={"n": neighbour}
+    ) as rig:
+        await rig.until(lambda: rig.axis.configured)
+        with pytest.raises(ModeForbids, match="that of motor 'n'"):
+            await rig.ran("service/m/set_node", {"node": 9})
+        assert rig.twin.node == 3
+
+
+async def test_motors_that_take_the_same_set_points_need_two_ids_though_their_profiles_differ() -> (
+    None
+):
+    motors = {
+        "a": {"bus": "can0", "profile": "mit", "node": 3},
+        "b": {"bus": "can0", "profile": "damiao", "node": 3},
+    }
+    bus = {"interface": "virtual", "channel": channel()}
+    with pytest.raises(ConfigError, match="3 is already used by"):
+        async with opened({"buses": {"can0": bus}, "motors": motors}):
+            pass
+
+
+async def test_a_damiao_that_forgot_its_full_scales_unnoticed_is_not_enabled() -> None:
+    async with motor("damiao", commissioning=True) as rig:
+        await rig.ran("action/m/load_settings", {"text": "VMAX 45"})
+        await rig.ran("service/m/save_settings")
+        await rig.ran("action/m/load_settings", {"text": "VMAX 30"})
+        await rig.ordered(rig.twin.boot)
+        with pytest.raises(DeviceRejected, match="VMAX of the drive is 45"):
+            await rig.enable()
+        assert not rig.twin.enabled
+
+
+# CyberGear
+
+
+async def test_a_cybergear_that_does_not_tell_who_it_is_keeps_its_id() -> None:
+    async with motor("cybergear", commissioning=True) as rig:
+        await rig.until(lambda: rig.axis.configured)
+        rig.twin.anonymous = True
+        with pytest.raises(DeviceTimeout, match="the number of its processor") as caught:
+            await rig.ran("service/m/set_node", {"node": 9})
+        assert "Nothing was written" in str(caught.value.remedy)
+        assert rig.twin.node == 4
+
+
 # VESC
+
+
+def test_the_commands_of_a_vesc_are_those_of_its_firmware() -> None:
+    from rcp_can.profiles import vesc_settings as ours
+
+    assert (ours.VERSION, ours.SET_APP, ours.GET_APP) == (0, 16, 17)
+    assert (ours.SET_LIMITS, ours.GET_LIMITS) == (48, 91)  # 93 is that of custom configurations
+
+
+async def test_two_vescs_are_asked_one_after_the_other() -> None:
+    second = make_twin("vesc", 8)
+    table = {"bus": "can0", "profile": "vesc", "node": 8, "commissioning": True}
+    async with motor("vesc", commissioning=True, twins=(second,), motors={"n": table}) as rig:
+        axes = rig.backend.axes
+        await rig.until(lambda: axes["m"].configured and axes["n"].configured)
+        rig.twin.deaf = True
+        silent = asyncio.ensure_future(rig.backend.execute("service/m/dump_settings", None, print))
+        await asyncio.sleep(0)
+        await rig.ran("service/n/dump_settings")
+        assert silent.done()  # it had its time first
+        with pytest.raises(DeviceTimeout):
+            await silent
 
 
 @pytest.mark.parametrize("firmware", [(3, 65), (7, 0)])

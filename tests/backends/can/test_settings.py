@@ -12,7 +12,9 @@ import pytest
 
 from backends.can.rig import Motor, motor
 from backends.can.test_gateway import bed
+from rcp_can.profiles.moteus_settings import MoteusSettings
 from rcp_can.settings import read_text, same
+from rcp_can.settings_procedures import settings_procedures
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceRejected,
@@ -100,6 +102,8 @@ def test_a_text_has_a_name_and_a_value_per_line() -> None:
         ("a 1\nb\n", "line 2: 'b' is not"),
         ("a 1 2", "line 1: 'a 1 2' is not"),
         ("a 1\nb 2\na 3", "line 3: 'a' is in line 1 too"),
+        ("a 1\nb \uff11", "line 2: 'b .*has characters that no drive takes"),
+        ("a 1\0", "line 1: .*has characters that no drive takes"),
         ("# nothing", "no settings"),
     ],
 )
@@ -199,6 +203,22 @@ async def test_settings_are_not_written_or_stored_while_the_motor_is_enabled(pro
 
 
 @EVERY
+async def test_settings_are_not_written_while_the_motor_is_being_enabled(profile: str) -> None:
+    make = MAKES[profile]
+    async with motor(profile, commissioning=True) as rig:
+        await rig.until(lambda: rig.axis.configured and rig.axis.resting)
+        before = make.truth(rig.twin, make.name)
+        rig.twin.refuses = True
+        enabling = asyncio.ensure_future(rig.enable())
+        await rig.until(lambda: rig.axis.enabling)
+        with pytest.raises(ModeForbids, match=r"is (being )?enabled"):
+            await rig.ran("action/m/load_settings", {"text": f"{make.name} {make.good}"})
+        assert make.truth(rig.twin, make.name) == before
+        enabling.cancel()
+        await asyncio.wait((enabling,), timeout=20)
+
+
+@EVERY
 async def test_a_value_that_the_drive_does_not_keep_is_an_error_that_tells_what_was_written(
     profile: str,
 ) -> None:
@@ -210,6 +230,7 @@ async def test_a_value_that_the_drive_does_not_keep_is_an_error_that_tells_what_
             await rig.ran("action/m/load_settings", {"text": text})
         assert caught.value.details is not None
         assert caught.value.details["written"] == [make.other]
+        assert "load what is left" in str(caught.value.remedy)
         assert make.truth(rig.twin, make.other) == 21
 
 
@@ -312,6 +333,77 @@ async def test_a_moteus_that_does_not_stop_talking_is_told(monkeypatch: pytest.M
         rig.twin.console.say = lambda _most: b"emit servo_stats\r\n"
         with pytest.raises(DeviceRejected, match="does not stop telling"):
             await rig.ran("service/m/dump_settings")
+
+
+async def test_a_moteus_that_starts_to_talk_after_a_command_is_told_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_can.profiles.moteus_stream._LONGEST", 500)
+    async with motor("moteus", commissioning=True) as rig:
+        console = rig.twin.console
+        real = console.hear
+
+        def hear(data: bytes) -> None:
+            real(data)
+            console.say = lambda _most: b"emit servo_stats\r\n"
+
+        console.hear = hear
+        with pytest.raises(DeviceRejected, match="does not stop telling"):
+            await rig.ran("service/m/dump_settings")
+
+
+@EVERY
+async def test_settings_are_not_written_or_stored_while_the_motor_coasts(profile: str) -> None:
+    make = MAKES[profile]
+    async with motor(profile, commissioning=True) as rig:
+        await rig.until(lambda: rig.axis.configured and rig.axis.resting)
+        before = make.truth(rig.twin, make.name)
+        rig.twin.plant.load = 0.05  # something turns the shaft
+        await rig.until(lambda: not rig.axis.resting)
+        for name, body in (
+            ("action/m/load_settings", {"text": f"{make.name} {make.good}"}),
+            ("service/m/save_settings", None),
+            ("service/m/set_node", {"node": 9}),
+        ):
+            if name in rig.host.resources:
+                with pytest.raises(ModeForbids, match="is moving"):
+                    await rig.ran(name, body)
+        await rig.ran("service/m/dump_settings")
+        assert make.truth(rig.twin, make.name) == before
+        assert rig.twin.node != 9
+
+
+async def test_a_bus_that_is_lost_after_the_command_to_store_is_no_refusal() -> None:
+    class Lost(MoteusSettings):
+        def __init__(self) -> None:
+            """Have no drive."""
+
+        async def save(self) -> None:
+            raise AdapterUnavailable("CAN bus 'can0' is down: unplugged")
+
+    (save,) = (each for each in settings_procedures(Lost()) if each.verb == "save_settings")
+    with pytest.raises(AdapterUnavailable) as caught:
+        await save.run(None, lambda *_args, **_more: None)
+    assert caught.value.status == "failed"
+
+
+async def test_a_command_to_a_moteus_that_needs_two_frames_is_queued_whole_or_not_at_all() -> None:
+    name = "aux1.a_setting_with_a_name_that_is_so_long_that_it_needs_two_frames"
+    async with motor("moteus", commissioning=True) as rig:
+        await rig.until(lambda: rig.axis.configured)
+        rig.twin.console.settings[name] = "1.000000"
+        wire = rig.backend.buses["can0"].wire
+        real, queued = wire.send_together, list[list[bytes]]()
+
+        def send_together(messages: Any, **more: Any) -> None:
+            queued.append([bytes(each.data) for each in messages])
+            real(messages, **more)
+
+        wire.send_together = send_together
+        await rig.ran("action/m/load_settings", {"text": f"{name} 0.5"})
+        (command,) = (each for each in queued if b"conf set" in each[0])
+        assert len(command) == 2
+        assert rig.twin.console.settings[name] == "0.500000"
 
 
 async def test_through_a_gateway_an_e_stop_ends_the_loading_and_stores_nothing() -> None:
