@@ -22,6 +22,10 @@ class About(NamedTuple):
     restart: bool = False
     """Whether a change takes effect only after a reboot."""
 
+    group: str = ""
+    default: float | None = None
+    """The firmware's own value."""
+
     @property
     def schema(self) -> dict[str, Any]:
         """Return its part of the JSON schema of the value; not enforced."""
@@ -34,6 +38,10 @@ class About(NamedTuple):
             found["bits"] = dict(self.bits)
         if self.restart:
             found["restart"] = True
+        if self.group:
+            found["group"] = self.group
+        if self.default is not None:
+            found["default"] = self.default
         return found
 
 
