@@ -102,8 +102,8 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     params: tuple[str, ...] = ("*",)
     """Patterns of parameters to expose."""
     parameters: str | None = None
-    """The autopilot's parameter metadata: a file `apm.pdef.xml` or `parameters.json`, or
-    `ftp:` and its path on board."""
+    """The autopilot's parameter metadata: a file `apm.pdef.xml` or `parameters.json`,
+    `ftp:` and its path on board, or `vehicle`: what the vehicle offers of itself."""
     commands: tuple[str, ...] = ("*",)
     """Commands that `service/command` may send: patterns allow those of payloads, full names any."""
     messages: tuple[str, ...] = ()

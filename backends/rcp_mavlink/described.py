@@ -1,4 +1,4 @@
-"""Parameter metadata, from a local file or a file on board."""
+"""Parameter metadata, from a local file, a file on board, or what the vehicle offers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 
+import structlog
+
 from rcp_kernel.errors import ConfigError, RcpError
+from rcp_mavlink.component_metadata import ComponentMetadata
 from rcp_mavlink.files import FileRange, Files
 from rcp_mavlink.metadata import About
 from rcp_mavlink.parameter_metadata import described
@@ -14,6 +17,8 @@ from rcp_mavlink.parameter_metadata import described
 __all__ = ["Described", "checked"]
 
 _ON_BOARD = "ftp:"
+_BY_ITSELF = "vehicle"
+log = structlog.get_logger("rcp.mavlink")
 _LARGEST = 32 << 20  # bytes
 
 
@@ -22,7 +27,7 @@ def checked(source: str | None) -> None:
 
     :raises ConfigError: it does not exist or is not a metadata file.
     """
-    if source is None or source.startswith(_ON_BOARD):
+    if source in (None, _BY_ITSELF) or source.startswith(_ON_BOARD):
         return
     try:
         described(Path(source).read_bytes())
@@ -33,8 +38,8 @@ def checked(source: str | None) -> None:
 class Described:
     """Metadata of one vehicle's parameters; empty without a source."""
 
-    def __init__(self, source: str | None, files: Files) -> None:
-        self._source, self._files = source, files
+    def __init__(self, source: str | None, files: Files, offered: ComponentMetadata) -> None:
+        self._source, self._files, self._offered = source, files, offered
         self._known: Mapping[str, About] = {}
 
     async def load(self) -> Mapping[str, About]:
@@ -45,11 +50,14 @@ class Described:
         try:
             data = await self._read(source)
             self._known = await asyncio.to_thread(described, data)
-        except (OSError, ValueError, RcpError):
+        except (OSError, ValueError, RcpError) as error:
+            log.warning("no_parameter_metadata", source=source, error=str(error))
             return {}  # all vehicles with this file have the same parameters
         return self._known
 
     async def _read(self, source: str) -> bytes:
+        if source == _BY_ITSELF:
+            return await self._offered.parameters()
         if not source.startswith(_ON_BOARD):
             return await asyncio.to_thread(Path(source).read_bytes)
         whole, path = b"", source.removeprefix(_ON_BOARD)

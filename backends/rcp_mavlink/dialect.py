@@ -13,6 +13,7 @@ import msgspec
 
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.types import quantity
+from rcp_mavlink.component_messages import COMPONENT_MESSAGES
 from rcp_mavlink.message_builder import Field, making
 from rcp_mavlink.units import converted
 from rcp_mavlink.xml_dialect import module_of
@@ -169,7 +170,8 @@ class Dialect:
 
     def __init__(self, module: Any) -> None:
         self.module = module
-        self.by_id = {n: Definition(module, cls) for n, cls in module.mavlink_map.items()}
+        classes = COMPONENT_MESSAGES | module.mavlink_map
+        self.by_id = {n: Definition(module, cls) for n, cls in classes.items()}
         self.by_name = {definition.name: definition for definition in self.by_id.values()}
 
 

@@ -15,7 +15,7 @@ from rcp_mavlink.gaps import Gaps
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Check", "Entry", "FilePath", "FilePiece", "FileRange", "FileWrite", "Files", "Remove", "Rename", "Written"]  # fmt: skip
+__all__ = ["Check", "Entry", "FilePath", "FilePiece", "FileRange", "FileWrite", "Files", "Remove", "Rename", "Written", "checksum"]  # fmt: skip
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
 

@@ -21,6 +21,7 @@ class About(NamedTuple):
     """Meaning of single bits, by their number."""
     restart: bool = False
     """Whether a change takes effect only after a reboot."""
+    group: str = ""
     default: float | None = None
     """Of the firmware; boards may have another."""
 
@@ -36,6 +37,8 @@ class About(NamedTuple):
             found["bits"] = dict(self.bits)
         if self.restart:
             found["restart"] = True
+        if self.group:
+            found["group"] = self.group
         if self.default is not None:
             found["default"] = self.default
         return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import lzma
+import math
 import zlib
 from collections.abc import Iterable
 from typing import Any
@@ -90,6 +91,7 @@ def _of_json(data: bytes) -> Iterable[tuple[str, About]]:
                 _listed(param.get("values"), "value"),
                 _listed(param.get("bitmask"), "index"),
                 restart=bool(param.get("rebootRequired", False)),
+                group=str(param.get("group", "")),
                 default=_number(param.get("default")),
             ),
         )
@@ -106,6 +108,10 @@ def _listed(entries: Any, key: str) -> dict[str, str]:
 def _bits(text: str) -> dict[str, str]:
     pairs = (part.partition(":") for part in text.split(",") if ":" in part)
     return {bit.strip(): word.strip() for bit, _, word in pairs}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _range(ends: list[Any]) -> tuple[float, float] | None:

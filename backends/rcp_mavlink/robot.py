@@ -24,6 +24,7 @@ from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.component_metadata import ComponentMetadata
 from rcp_mavlink.described import Described
 from rcp_mavlink.direct_commands import DirectCommands
 from rcp_mavlink.equipment import Equipment
@@ -149,7 +150,8 @@ class Robot:
             **self._flights.verbs(), **self._equipment.leading(), "action/mission/run": missions.run
         }  # fmt: skip
         logs, files = Logs(hub, vehicle), Files(hub, vehicle)
-        self._described = Described(config.parameters, files)
+        offered = ComponentMetadata(hub, vehicle, self._commands, files)
+        self._described = Described(config.parameters, files, offered)
         self._forwarding = Forwarding(hub, vehicle)
         transfer = ParameterTransfer(
             vehicle, self.parameters, self._commands, self._described, self._reboot
