@@ -97,10 +97,6 @@ def _of_json(data: bytes) -> Iterable[tuple[str, About]]:
         )
 
 
-def _number(value: Any) -> float | None:
-    return value if isinstance(value, int | float) else None
-
-
 def _listed(entries: Any, key: str) -> dict[str, str]:
     return {str(entry[key]): str(entry["description"]) for entry in entries or ()}
 
