@@ -34,7 +34,8 @@ class Leader:
 
     def __init__(self, params: Parameters) -> None:
         self._params = params
-        self._system = 0
+        self._automatic = False
+        """Whether FOLL_SYSID is that of the first system that was heard."""
         self._at = -math.inf
         self._estimate: Estimate | None = None
         self._heading: float | None = None
@@ -46,10 +47,12 @@ class Leader:
         """Handle a message of another system."""
         if not self._params["FOLL_ENABLE"]:
             return
-        wanted, system = int(self._params["FOLL_SYSID"]), message.get_srcSystem()
         if now - self._at > _FORGOTTEN:
-            self._system, self._by_follow_target = 0, False
-        if system != (wanted or self._system or system) or message.lat == message.lon == 0:
+            self._by_follow_target = False
+            if self._automatic:
+                self._params.set("FOLL_SYSID", 0)
+        wanted, system = int(self._params["FOLL_SYSID"]), message.get_srcSystem()
+        if system != (wanted or system) or message.lat == message.lon == 0:
             return
         if message.get_type() == "FOLLOW_TARGET":
             if not message.est_capabilities & _POSITION:
@@ -70,7 +73,10 @@ class Leader:
             self._heading = None if message.hdg == 65535 else math.radians(message.hdg / 100)
         if not all(map(math.isfinite, (n, e, d, altitude))):
             return
-        self._system, self._at = system, now
+        if not wanted:
+            self._params.set("FOLL_SYSID", system)
+            self._automatic = True
+        self._at = now
         self._estimate = Estimate(message.lat / 1e7, message.lon / 1e7, altitude, (n, e, d))
 
     def estimate(self, now: float) -> tuple[Estimate, float] | None:
