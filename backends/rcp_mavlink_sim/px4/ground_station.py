@@ -55,7 +55,9 @@ class Px4GroundStation(GroundStation):
 
     def __init__(self, vehicle: Vehicle, send_bytes: Callable[[bytes], None]) -> None:
         super().__init__(vehicle, send_bytes)
-        for absent in ("TERRAIN_DATA", "TERRAIN_CHECK", "RC_CHANNELS_OVERRIDE"):
+        for absent in (
+            "TERRAIN_DATA", "TERRAIN_CHECK", "RC_CHANNELS_OVERRIDE", "GLOBAL_POSITION_INT",
+        ):  # fmt: skip
             del self.handlers[absent]
 
     def _heartbeat(self, message: Any) -> None:
