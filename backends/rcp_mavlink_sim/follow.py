@@ -49,8 +49,7 @@ class Leader:
             return
         if now - self._at > _FORGOTTEN:
             self._by_follow_target = False
-            if self._automatic:
-                self._params.set("FOLL_SYSID", 0)
+            self.release()
         wanted, system = int(self._params["FOLL_SYSID"]), message.get_srcSystem()
         if system != (wanted or system) or message.lat == message.lon == 0:
             return
@@ -60,10 +59,8 @@ class Leader:
             self._by_follow_target = True
             known = message.est_capabilities & _VELOCITY
             n, e, d = message.vel if known else (0.0, 0.0, 0.0)
-            altitude = message.alt - home_altitude
-            if message.est_capabilities & _ATTITUDE:
-                w, x, y, z = message.attitude_q
-                self._heading = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            altitude = self._height(message.alt - home_altitude)
+            self._heading = self._facing(message, n, e)
         elif self._by_follow_target:
             return
         else:
@@ -79,10 +76,26 @@ class Leader:
         self._at = now
         self._estimate = Estimate(message.lat / 1e7, message.lon / 1e7, altitude, (n, e, d))
 
+    def _height(self, above_home: float) -> float:
+        """Return the height from which the offset counts."""
+        return above_home
+
+    def _facing(self, message: Any, north: float, east: float) -> float | None:
+        """Return where a target faces, by a FOLLOW_TARGET with its velocity to the north and east."""
+        if not message.est_capabilities & _ATTITUDE:
+            return self._heading
+        w, x, y, z = message.attitude_q
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
     def estimate(self, now: float) -> tuple[Estimate, float] | None:
         """Return the latest position with its age, s; None if the target is lost."""
         age = now - self._at
         return None if self._estimate is None or age > _LATE else (self._estimate, age)
+
+    def release(self) -> None:
+        """Follow no system by itself any more, as after a reboot: it did not store which."""
+        if self._automatic:
+            self._params.set("FOLL_SYSID", 0)
 
     def forget_offset(self) -> None:
         """Have the next offset be the present distance, unless the parameters have one."""

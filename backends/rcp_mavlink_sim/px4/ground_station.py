@@ -67,6 +67,12 @@ class Px4GroundStation(GroundStation):
     def _run(self, message: Any) -> int:
         return commands.run(self, message, DOERS, frozenset())
 
+    def _pitch_yaw(self, message: Any) -> None:
+        mount = self.vehicle.gimbal(message.gimbal_device_id)
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if mount is not None and mount.control == sender:
+            super()._pitch_yaw(message)
+
     def _param_list(self, _: Any) -> None:
         params = self.vehicle.params
         assert isinstance(params, Px4Parameters)
