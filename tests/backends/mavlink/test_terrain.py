@@ -203,6 +203,27 @@ async def test_nobody_flies_above_ground_that_is_not_known(tmp_path: Path) -> No
         assert odd["error"]["details"]["pointer"] == "/above"
 
 
+async def test_a_vehicle_that_moved_while_the_ground_was_asked_for_does_not_go_back(
+    tmp_path: Path,
+) -> None:
+    told: list[float] = []
+
+    def up(message: Any) -> bool:
+        if message.get_type() == "COMMAND_INT" and message.command == 192:
+            told.append((message.y / 1e7 - LON) * 111_319.49 * math.cos(math.radians(LAT)))
+        return True
+
+    async with over(tmp_path, up, speed=3.0) as pilot:
+        goal = {"latitude": LAT, "longitude": LON, "altitude": 25.0, "above": "terrain"}
+        path, vehicle = "/tenant/t/action/move_to", pilot.vehicle
+        await pilot.client.send(type="execute", path=path, body={**goal, "speed": 3.0})
+        vehicle.flight.aim((0.0, 60.0), -20.0)
+        await eventually(lambda: _is(vehicle.body.e > 15), "it is elsewhere")
+        write(tmp_path, rising)
+        await eventually(lambda: _is(bool(told)), "it is told to stay, with its speed")
+        assert told[0] > 10
+
+
 async def test_a_vehicle_that_loses_the_ground_on_its_way_goes_home(tmp_path: Path) -> None:
     write(tmp_path, rising)
     async with over(tmp_path, speed=5.0) as pilot:
