@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import stat
 import struct
 import threading
 from pathlib import Path
@@ -12,18 +13,24 @@ import structlog
 
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["Elevation", "tile_name"]
+__all__ = ["Elevation", "tile_at"]
 
 log = structlog.get_logger("rcp.mavlink")
-_VOID = -32768
+_LOWEST, _HIGHEST = -500, 9_000  # m; what is beyond is a hole (-32768, -9999) or damage
+_UNKNOWN = -32768
 _SMALLEST, _LARGEST = 2, 10_801  # samples along an edge
 _OPEN = 4  # files at once
 
 
-def tile_name(lat: int, lon: int) -> str:
-    """Return the name of the tile with a south-west corner, deg."""
-    north, east = "NS"[lat < 0], "EW"[lon < 0]
-    return f"{north}{abs(lat):02d}{east}{abs(lon):03d}.hgt"
+def tile_at(lat: float, lon: float) -> str:
+    """Return the name of the tile of a place, deg: that of its south-west corner."""
+    south, west = math.floor(lat), math.floor(_wrapped(lon))
+    north, east = "NS"[south < 0], "EW"[west < 0]
+    return f"{north}{abs(south):02d}{east}{abs(west):03d}.hgt"
+
+
+def _wrapped(lon: float) -> float:
+    return (lon + 180.0) % 360.0 - 180.0
 
 
 class Elevation:
@@ -46,12 +53,12 @@ class Elevation:
 
     def height(self, lat: float, lon: float) -> float | None:
         """Return the height of the ground, m above the sea, between its four nearest samples."""
-        lon = (lon + 180.0) % 360.0 - 180.0
+        lon = _wrapped(lon)
         south, west = math.floor(lat), math.floor(lon)
         if not -90 <= south < 90:
             return None
         with self._lock:
-            tile = None if self._closed else self._tile(tile_name(south, west))
+            tile = None if self._closed else self._tile(tile_at(south, west))
             return None if tile is None else tile.height(lat - south, lon - west)
 
     def close(self) -> None:
@@ -88,10 +95,13 @@ class _Tile:
     """One file: rows from north to south, of big-endian 16-bit heights from west to east."""
 
     def __init__(self, path: Path) -> None:
-        """:raises ValueError: its size is not that of a square of heights."""
-        self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        """:raises ValueError: it is no file, or its size is not that of a square of heights."""
+        self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would block
         try:
-            size = os.fstat(self._file).st_size
+            found = os.fstat(self._file)
+            size = found.st_size
+            if not stat.S_ISREG(found.st_mode):
+                raise ValueError("it is no file")
             self._edge = math.isqrt(size // 2)
             if self._edge**2 * 2 != size or not _SMALLEST <= self._edge <= _LARGEST:
                 raise ValueError(f"{size} bytes are no square of 16-bit heights")
@@ -114,13 +124,16 @@ class _Tile:
         for weight, sample in zip(weights, (*rows[0], *rows[1]), strict=True):
             if weight == 0.0:
                 continue
-            if sample == _VOID:  # nobody has measured it
+            if not _LOWEST <= sample <= _HIGHEST:  # nobody has measured it
                 return None
             total += weight * sample
         return total
 
     def _pair(self, row: int, column: int) -> tuple[int, int]:
-        data = os.pread(self._file, 4, 2 * (row * self._edge + column))
-        if len(data) < 4:  # it was cut off since it was opened
-            return _VOID, _VOID
+        try:
+            data = os.pread(self._file, 4, 2 * (row * self._edge + column))
+        except OSError:
+            data = b""
+        if len(data) < 4:  # it was cut off since it was opened, or its disk is gone
+            return _UNKNOWN, _UNKNOWN
         return struct.unpack(">hh", data)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from rcp_kernel.errors import DeviceTimeout, PreconditionFailed, RcpError
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
@@ -129,18 +129,26 @@ class Follows:
             away = targets.distance()
             return targets.is_known and not (farthest and away is not None and away > farthest)
 
+        def stays() -> bool:
+            aloft = vehicle.armed and vehicle.landed is not True
+            return aloft and vehicle.mode == _MODE and is_followed()
+
         def report() -> bool:
             nonlocal state
             state = self._state()
             passed = time.monotonic() - began
             progress(state, fraction=None if seconds is None else min(1.0, passed / seconds))
-            return seconds is not None and passed >= seconds and is_followed()
+            return seconds is not None and passed >= seconds and stays()
 
         try:
-            await self._motion.follow(
-                report, "follow", stays=lambda: vehicle.mode == _MODE and is_followed()
-            )
+            await self._motion.follow(report, "follow", stays)
         except RcpError as error:
+            down_now = not vehicle.armed or vehicle.landed is True
+            if down_now and isinstance(error, DeviceRejected):
+                down = "disarmed" if not vehicle.armed else "on the ground"
+                raise DeviceRejected(
+                    f"follow: the vehicle is {down}", details=error.details
+                ) from error
             if is_followed() or isinstance(error, DeviceTimeout):
                 raise
             why = "no position of it came in time"
@@ -174,16 +182,18 @@ class Follows:
 
         :raises PreconditionFailed: it is not.
         """
-        own, system = self._hub.config.source_system, self._value(_SYSTEM)
+        own = self._hub.config.source_system
         if self._value(_ENABLE) != 1:
             raise PreconditionFailed(
                 f"follow: {_ENABLE} is not 1",
                 remedy=f"Set param/{_ENABLE} to 1 and reboot the vehicle, so that it has its other parameters.",
             )
+        # It sets this itself, unannounced, to the first system whose position it hears.
+        system = await self._parameters.read(_SYSTEM)
         if system not in (0.0, float(own)):
             raise PreconditionFailed(
                 f"follow: the vehicle follows system {system:g} only, {_SYSTEM}",
-                remedy=f"Set param/{_SYSTEM} to 0 or {own}, the gateway's own.",
+                remedy=f"Set param/{_SYSTEM} to {own}, the gateway's own; with 0, it follows the first that it hears.",
             )
         if side is not None:
             await self._write("FOLL_OFS_TYPE", _RELATIVE_TO_HEADING)

@@ -18,12 +18,13 @@ from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.geo import offset
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["FOLLOW_TARGET", "FollowTargets", "Target", "can_follow"]
 
 FOLLOW_TARGET = "actuator/follow_target"
-_MESSAGE = "FOLLOW_TARGET"
+_MESSAGE, _REPORT = "FOLLOW_TARGET", "GLOBAL_POSITION_INT"
 _POSITION, _VELOCITY, _ATTITUDE = 1, 2, 8  # est_capabilities
 _NO_HEADING = 65535
 _VALID = 2.0  # s
@@ -52,6 +53,7 @@ class FollowTargets:
         self._at = -math.inf
         self._seconds = 0.0
         """For how long the latest one counts."""
+        self._relaying = False
 
     @staticmethod
     def resources() -> list[Resource]:
@@ -70,8 +72,15 @@ class FollowTargets:
         """Send a position; an empty one tells that the target is lost.
 
         :raises InvalidValue: only one of latitude and longitude is given.
-        :raises PreconditionFailed: home is not known, from which its height is given.
+        :raises PreconditionFailed: another vehicle is followed, or home is not known, from which its height is given.
         """
+        if self._relaying:
+            if value == Target():  # of an earlier position: that target is followed no more
+                return
+            raise PreconditionFailed(
+                "follow_target: the vehicle follows another vehicle",
+                remedy="Cancel action/follow first.",
+            )
         if value == Target():
             lost, self._latest, self._at = self._latest is not None, None, -math.inf
             if lost and self._vehicle.mode == "FOLLOW":
@@ -142,21 +151,27 @@ class FollowTargets:
 
     @contextmanager
     def relayed(self, other: Vehicle) -> Generator[None]:
-        """Send each position that another vehicle reports, while entered."""
+        """Send each new position that another vehicle reports, while entered: nothing else is followed."""
+        measured = Measurement(other, self._hub.config)
+        sent = other.received_at.get(_REPORT)
 
         def take(frame: Frame) -> None:
-            if frame.definition.name == "GLOBAL_POSITION_INT" and self._vehicle.home is not None:
+            nonlocal sent
+            if frame.definition.name != _REPORT or self._vehicle.home is None:
+                return
+            at = other.received_at[_REPORT]
+            if at != sent and measured.estimated:  # not what a hung or lost one repeats
+                sent = at
                 self._relay(frame)
 
-        if (latest := other.latest.get("GLOBAL_POSITION_INT")) is not None and not other.lost:
-            take(latest)
+        self._relaying, self._latest, self._at = True, None, -math.inf
         other.on_frame.append(take)
         try:
             yield
         finally:
             if take in other.on_frame:
                 other.on_frame.remove(take)
-            self._latest, self._at = None, -math.inf
+            self._relaying, self._latest, self._at = False, None, -math.inf
 
     def _relay(self, frame: Frame) -> None:
         f, home = frame.fields(), self._vehicle.home

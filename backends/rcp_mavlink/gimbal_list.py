@@ -70,6 +70,7 @@ class GimbalList:
         self._hub, self._vehicle, self._commands = hub, vehicle, commands
         self._found: dict[GimbalKey, dict[str, Any]] = {}
         """The fields of GIMBAL_MANAGER_INFORMATION."""
+        self._asked_again = False
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path."""
@@ -99,8 +100,10 @@ class GimbalList:
             await self._search()
             matches = self._matching(gimbal, manager)
         if gimbal is None and manager is None:
-            own = [key for key in matches if key.manager == self._vehicle.component]
-            return next(iter(own or matches), None)
+            if matches and not self._own() and not self._asked_again:
+                self._asked_again = True  # the autopilot's answer may have been lost
+                await self._search()
+            return next(iter(self._own() or matches), None)
         if not matches:
             raise OutOfRange(
                 f"no manager reports such a gimbal: {_named(gimbal, manager)}",
@@ -132,6 +135,9 @@ class GimbalList:
             return True
         alone = sum(other.manager == key.manager for other in self._found) == 1
         return alone and frame.component == key.manager
+
+    def _own(self) -> list[GimbalKey]:
+        return self._matching(None, self._vehicle.component)
 
     def _matching(self, gimbal: int | None, manager: int | None) -> list[GimbalKey]:
         return [

@@ -82,6 +82,8 @@ class Journeys:
         goal, (lat, lon), altitude = self._target(goal, fix)
         if goal.above == "terrain":
             altitude = await self._terrain.above_home(lat, lon, altitude)
+            fix = fix_of(vehicle)  # it may have moved meanwhile
+            self._target(goal, fix)
         distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         wanted, limit = goal.speed, self._limit.usual
 

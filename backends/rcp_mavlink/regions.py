@@ -61,7 +61,7 @@ class Regions:
     async def look_at(self, given: Region, _: Progress) -> Region:
         """Keep a place in view.
 
-        :raises PreconditionFailed: home is not known, from which its height is given.
+        :raises PreconditionFailed: home is not known, from which its height is given, or there is no position.
         :raises DeviceTimeout: the gimbal that was named does not turn there: ArduPilot turns only its first.
         """
         home = self._vehicle.home
@@ -75,11 +75,13 @@ class Regions:
         if key is None:
             await self._commands.send(command, "look_at")
             return given
+        fix_of(self._vehicle)  # from which it is seen to look there
         async with self._gimbals.seen(key) as looks:
             await self._commands.send(command, "look_at")
 
             def there() -> bool:
-                return bool(looks) and is_close(looks[0], self._direction(given, key), _CLOSE)
+                wanted = self._direction(given, key)
+                return bool(looks) and wanted is not None and is_close(looks[0], wanted, _CLOSE)
 
             if not await self._vehicle.until(there, TURNING):
                 with suppress(RcpError):  # another gimbal may have turned instead
@@ -106,9 +108,14 @@ class Regions:
             return None
         return await self._list.find(given.gimbal, given.manager)
 
-    def _direction(self, given: Region, key: GimbalKey) -> m.Gimbal:
-        """Return where it has to point, relative to the vehicle and within its range."""
-        fix, info = fix_of(self._vehicle), self._list.information(key)
+    def _direction(self, given: Region, key: GimbalKey) -> m.Gimbal | None:
+        """Return where it has to point, relative to the vehicle and within its range.
+
+        None: the vehicle has no position any more.
+        """
+        fix, info = self._vehicle.fix, self._list.information(key)
+        if fix is None:
+            return None
         north, east = offset(given.latitude, given.longitude, (fix.lat, fix.lon))
         pitch = math.atan2(given.altitude - fix.height, math.hypot(north, east))
         if info["pitch_min"] < info["pitch_max"]:

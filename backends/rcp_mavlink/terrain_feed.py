@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from rcp_mavlink.elevation import Elevation, tile_name
+from rcp_mavlink.elevation import Elevation, tile_at
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.geo import METRES_PER_DEGREE
 from rcp_mavlink.hub import Hub
@@ -18,7 +18,7 @@ __all__ = ["TerrainFeed", "block"]
 _BITS, _ACROSS = 56, 8  # blocks of a request: seven rows to the north, eight columns to the east
 _SIDE = 4  # samples along the edge of a block
 _PAUSE = 0.05  # s between two messages, which a slow radio bears
-_MOST = 32  # names of missing tiles
+_MOST = 224  # blocks without heights, those of four grids
 
 
 def block(
@@ -62,12 +62,13 @@ class TerrainFeed:
         self._hub, self._vehicle, self._elevation, self._start = hub, vehicle, elevation, start
         self._request: dict[str, Any] | None = None
         self._busy = False
-        self._missing: dict[str, None] = {}
+        self._lacking: dict[tuple[int, int, int, int], set[str]] = {}
+        """The latest blocks that are not whole, with their tiles."""
 
     @property
     def missing(self) -> list[str]:
         """The tiles that the vehicle needs and the folder does not have, or not whole."""
-        return sorted(self._missing)
+        return sorted(set[str]().union(*self._lacking.values()))
 
     def take(self, frame: Frame) -> None:
         """Take a request."""
@@ -95,11 +96,13 @@ class TerrainFeed:
 
     async def _send(self, request: dict[str, Any], bit: int) -> None:
         lat, lon, spacing = request["lat"], request["lon"], request["grid_spacing"]
-        heights = await asyncio.to_thread(
-            block, self._elevation.height, lat / 1e7, lon / 1e7, spacing, bit
-        )
+        key, place = (lat, lon, spacing, bit), (lat / 1e7, lon / 1e7)
+        self._lacking.pop(key, None)
+        heights = await asyncio.to_thread(block, self._elevation.height, *place, spacing, bit)
         if heights is None:  # it stays unknown to the vehicle, which then refuses to rely on it
-            self._lacks(lat / 1e7, lon / 1e7, spacing, bit)
+            self._lacking[key] = await asyncio.to_thread(self._lacks, *place, spacing, bit)
+            if len(self._lacking) > _MOST:
+                del self._lacking[next(iter(self._lacking))]
             return
         message = self._hub.dialect.module.MAVLink_terrain_data_message(
             lat, lon, spacing, bit, heights
@@ -107,11 +110,16 @@ class TerrainFeed:
         self._hub.send(self._vehicle, message)
         await asyncio.sleep(_PAUSE)
 
-    def _lacks(self, lat: float, lon: float, spacing: float, bit: int) -> None:
-        """Note the tiles of a block."""
+    def _lacks(self, lat: float, lon: float, spacing: float, bit: int) -> set[str]:
+        """Return the tiles that a block lacks, by its corners."""
         south, west = bit // _ACROSS * _SIDE, bit % _ACROSS * _SIDE
-        for north in (south, south + _SIDE - 1):
-            for east in (west, west + _SIDE - 1):
-                place = _displaced(lat, lon, north * spacing, east * spacing)
-                if self._elevation.height(*place) is None and len(self._missing) < _MOST:
-                    self._missing[tile_name(math.floor(place[0]), math.floor(place[1]))] = None
+        corners = [
+            _displaced(lat, lon, north * spacing, east * spacing)
+            for north in (south, south + _SIDE - 1)
+            for east in (west, west + _SIDE - 1)
+        ]
+        return {
+            tile_at(*place)
+            for place in corners
+            if abs(place[0]) < 90 and self._elevation.height(*place) is None
+        }

@@ -34,7 +34,8 @@ class Leader:
 
     def __init__(self, params: Parameters) -> None:
         self._params = params
-        self._system = 0
+        self._automatic = False
+        """Whether FOLL_SYSID is that of the first system that was heard."""
         self._at = -math.inf
         self._estimate: Estimate | None = None
         self._heading: float | None = None
@@ -46,10 +47,11 @@ class Leader:
         """Handle a message of another system."""
         if not self._params["FOLL_ENABLE"]:
             return
-        wanted, system = int(self._params["FOLL_SYSID"]), message.get_srcSystem()
         if now - self._at > _FORGOTTEN:
-            self._system, self._by_follow_target = 0, False
-        if system != (wanted or self._system or system) or message.lat == message.lon == 0:
+            self._by_follow_target = False
+            self.release()
+        wanted, system = int(self._params["FOLL_SYSID"]), message.get_srcSystem()
+        if system != (wanted or system) or message.lat == message.lon == 0:
             return
         if message.get_type() == "FOLLOW_TARGET":
             if not message.est_capabilities & _POSITION:
@@ -57,10 +59,8 @@ class Leader:
             self._by_follow_target = True
             known = message.est_capabilities & _VELOCITY
             n, e, d = message.vel if known else (0.0, 0.0, 0.0)
-            altitude = message.alt - home_altitude
-            if message.est_capabilities & _ATTITUDE:
-                w, x, y, z = message.attitude_q
-                self._heading = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            altitude = self._height(message.alt - home_altitude)
+            self._heading = self._facing(message, n, e)
         elif self._by_follow_target:
             return
         else:
@@ -70,13 +70,32 @@ class Leader:
             self._heading = None if message.hdg == 65535 else math.radians(message.hdg / 100)
         if not all(map(math.isfinite, (n, e, d, altitude))):
             return
-        self._system, self._at = system, now
+        if not wanted:
+            self._params.set("FOLL_SYSID", system)
+            self._automatic = True
+        self._at = now
         self._estimate = Estimate(message.lat / 1e7, message.lon / 1e7, altitude, (n, e, d))
+
+    def _height(self, above_home: float) -> float:
+        """Return the height from which the offset counts."""
+        return above_home
+
+    def _facing(self, message: Any, north: float, east: float) -> float | None:
+        """Return where a target faces, by a FOLLOW_TARGET with its velocity to the north and east."""
+        if not message.est_capabilities & _ATTITUDE:
+            return self._heading
+        w, x, y, z = message.attitude_q
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
     def estimate(self, now: float) -> tuple[Estimate, float] | None:
         """Return the latest position with its age, s; None if the target is lost."""
         age = now - self._at
         return None if self._estimate is None or age > _LATE else (self._estimate, age)
+
+    def release(self) -> None:
+        """Follow no system by itself any more, as after a reboot: it did not store which."""
+        if self._automatic:
+            self._params.set("FOLL_SYSID", 0)
 
     def forget_offset(self) -> None:
         """Have the next offset be the present distance, unless the parameters have one."""

@@ -49,6 +49,10 @@ class VehicleState:
         """Return its parameters."""
         return Parameters(options.vehicle, options.parameters)
 
+    def make_leader(self) -> Leader:
+        """Return what it follows."""
+        return Leader(self.params)
+
     def begin(self, heading: float) -> None:
         """Start at the origin with the motors off, as after power-on."""
         self.time = 0.0
@@ -72,7 +76,7 @@ class VehicleState:
         self.corrections = GnssCorrections()
         self.statistics = FlightStatistics(self.params)
         self.terrain = Terrain(self.params)
-        self.leader = Leader(self.params)
+        self.leader = self.make_leader()
 
     # Position
 

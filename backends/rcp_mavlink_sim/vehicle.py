@@ -49,6 +49,7 @@ class Vehicle(Systems):
     def reboot(self) -> None:
         """Restart; stored data is kept."""
         mission, fence = self.flight.mission.plan, self.fence.plan
+        self.leader.release()
         self.params.boot()
         self.begin(self.body.yaw)
         self.flight.mission.plan, self.fence.plan = mission, fence

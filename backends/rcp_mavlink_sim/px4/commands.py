@@ -139,6 +139,14 @@ def _checks(c: CommandRequest) -> int:
     return _OK
 
 
+def _pitch_yaw(c: CommandRequest) -> int:
+    """Turn the gimbal for who controls it."""
+    mount = c.peer.vehicle.gimbal(c.p[6])
+    if mount is not None and mount.control != c.sender:
+        return _DENIED
+    return camera_commands.DOERS[mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW](c)
+
+
 _SHARED = (
     mav.MAV_CMD_DO_SET_HOME, mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_SET_MESSAGE_INTERVAL,
     mav.MAV_CMD_GET_MESSAGE_INTERVAL, mav.MAV_CMD_REQUEST_MESSAGE,
@@ -147,6 +155,7 @@ _SHARED = (
 DOERS: dict[int, Callable[[CommandRequest], int]] = {
     **{number: commands.DOERS[number] for number in _SHARED},
     **camera_commands.DOERS,
+    mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _pitch_yaw,
     mav.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
     mav.MAV_CMD_DO_SET_MODE: _set_mode,
     mav.MAV_CMD_NAV_TAKEOFF: _take_off,

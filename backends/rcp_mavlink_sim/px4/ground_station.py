@@ -55,7 +55,9 @@ class Px4GroundStation(GroundStation):
 
     def __init__(self, vehicle: Vehicle, send_bytes: Callable[[bytes], None]) -> None:
         super().__init__(vehicle, send_bytes)
-        for absent in ("TERRAIN_DATA", "TERRAIN_CHECK", "RC_CHANNELS_OVERRIDE"):
+        for absent in (
+            "TERRAIN_DATA", "TERRAIN_CHECK", "RC_CHANNELS_OVERRIDE", "GLOBAL_POSITION_INT",
+        ):  # fmt: skip
             del self.handlers[absent]
 
     def _heartbeat(self, message: Any) -> None:
@@ -64,6 +66,12 @@ class Px4GroundStation(GroundStation):
 
     def _run(self, message: Any) -> int:
         return commands.run(self, message, DOERS, frozenset())
+
+    def _pitch_yaw(self, message: Any) -> None:
+        mount = self.vehicle.gimbal(message.gimbal_device_id)
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if mount is not None and mount.control == sender:
+            super()._pitch_yaw(message)
 
     def _param_list(self, _: Any) -> None:
         params = self.vehicle.params

@@ -27,7 +27,13 @@ _HIDDEN: dict[str, tuple[str, float]] = {
     "COM_DISARM_PRFLT": ("DISARM_DELAY", 1.0),
 }  # fmt: skip
 """The names that the flight knows them by, and the factor to their units."""
-_KEPT = {"GUID_OPTIONS": 8.0, "FOLL_ENABLE": 1.0, "FOLL_OFS_TYPE": 1.0, "RTL_CONE_SLOPE": 0.0}
+_KEPT = {
+    "GUID_OPTIONS": 8.0,
+    "FOLL_ENABLE": 1.0,
+    "FOLL_DIST_MAX": 0.0,
+    "FOLL_OFS_TYPE": 1.0,
+    "RTL_CONE_SLOPE": 0.0,
+}
 
 
 class Px4Parameters(Parameters):

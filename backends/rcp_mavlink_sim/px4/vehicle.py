@@ -6,11 +6,13 @@ from typing import Any, ClassVar
 
 from rcp_mavlink_sim.failsafes import Failsafes
 from rcp_mavlink_sim.flight import FORCE, Flight
+from rcp_mavlink_sim.follow import Leader
 from rcp_mavlink_sim.modes import Mode, needs_position
 from rcp_mavlink_sim.options import Options
 from rcp_mavlink_sim.parameters import Parameters
 from rcp_mavlink_sim.px4.failsafes import Px4Failsafes
 from rcp_mavlink_sim.px4.flight import Px4Flight
+from rcp_mavlink_sim.px4.follow import Px4Leader
 from rcp_mavlink_sim.px4.parameters import Px4Parameters
 from rcp_mavlink_sim.px4.telemetry import MAKERS, USUAL
 from rcp_mavlink_sim.vehicle import Vehicle
@@ -31,6 +33,10 @@ class Px4Vehicle(Vehicle):
     def make_parameters(self, options: Options) -> Parameters:
         """Return its parameters."""
         return Px4Parameters(options.parameters)
+
+    def make_leader(self) -> Leader:
+        """Return what it follows."""
+        return Px4Leader(self.params)
 
     def make_flight(self) -> Flight:
         """Return its flight logic."""

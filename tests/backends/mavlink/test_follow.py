@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -132,6 +133,20 @@ async def test_a_vehicle_that_would_not_follow_is_not_told_to(
         assert half["error"]["code"] == "invalid_value"
 
 
+async def test_a_vehicle_that_hears_another_system_or_falls_does_not_follow() -> None:
+    async with follower() as pilot:
+        await target(pilot, 10.0, valid=30.0)
+        pilot.vehicle.params.set("FOLL_SYSID", 7)  # as an ArduPilot does that heard it first
+        other = await pilot.do("action/follow", {"seconds": 1.0})
+        assert "system 7 only" in str(other.get("message"))
+        pilot.vehicle.params.set("FOLL_SYSID", 0)
+        id_ = await begun(pilot, {"seconds": 3.0})
+        pilot.vehicle.flight.disarm(21196.0)
+        fallen = await ended(pilot, id_)
+        assert fallen["error"]["code"] == "device_rejected"
+        assert "disarmed" in fallen["message"] or "on the ground" in fallen["message"]
+
+
 async def test_a_lost_link_ends_it_and_the_vehicle_stops_by_itself() -> None:
     async with follower() as pilot:
         await target(pilot, 10.0, valid=60.0)
@@ -170,6 +185,9 @@ async def test_another_vehicle_of_the_backend_is_followed_until_it_is_lost() -> 
             for name in ("vehicle1", "nobody"):
                 odd = await client.request("execute", path, body={"vehicle": name}, within=30.0)
                 assert odd["error"]["details"]["pointer"] == "/vehicle"
+            written = {"latitude": LAT, "longitude": LON - 5e-4}
+            where = "/tenant/t/actuator/vehicle1/follow_target"
+            await client.request("write", where, body=written, valid_for=1.0)
             body = {"vehicle": "vehicle2", "side": {"distance": 8.0, "angle": 0.0}}
             id_ = await client.send(type="execute", path=path, body=body)
             other.vehicle.flight.aim((25.0, 0.0), -20.0)
@@ -178,11 +196,23 @@ async def test_another_vehicle_of_the_backend_is_followed_until_it_is_lost() -> 
                 "it goes where the other goes",
             )
             assert own.vehicle.flight.mode is Mode.FOLLOW
+            refused = await client.request("write", where, body=written)
+            assert refused["error"]["code"] == "precondition_failed", "one target at a time"
             other.muted = True
+            hung = asyncio.create_task(repeated(robots["vehicle2"].vehicle))
             while (reply := await client.reply(id_, 60.0))["status"] in ("accepted", "in_progress"):
                 pass
+            hung.cancel()
             assert reply["error"]["code"] == "device_timeout"
             assert own.vehicle.flight.mode is Mode.BRAKE
+
+
+async def repeated(vehicle: Any) -> None:
+    """Repeat its last position, as a hung process does."""
+    frame = vehicle.latest["GLOBAL_POSITION_INT"]
+    while True:
+        vehicle.take(frame, time.monotonic())
+        await asyncio.sleep(0.1)
 
 
 class Px4Follower(Px4):

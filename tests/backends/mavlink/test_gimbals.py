@@ -79,12 +79,12 @@ class Managers(Puppet):
         target = getattr(message, "target_component", 1)
         if message.get_type().startswith("COMMAND_") and target in (OWN, COMPANION):
             self.got.append(message)
-            result = self._manage(target, message)
+            result = self.manage(target, message)
             self.say_as(target, "COMMAND_ACK", message.command, result, 0, 0, 255, 190)
             return
         super().take(message)
 
-    def _manage(self, manager: int, message: Any) -> int:
+    def manage(self, manager: int, message: Any) -> int:
         if message.command == 512:
             return self._tell(manager, int(message.param1))
         if message.command == 195:
@@ -173,6 +173,24 @@ async def test_two_managers_with_the_same_number_have_to_be_named() -> None:
         await eventually(lambda: _is(bool(puppet.places)), "the manager is told")
         assert puppet.places == [(COMPANION, 1.0)]
         assert (await looking)["status"] == "completed"
+
+
+async def test_the_autopilots_own_gimbal_is_meant_although_its_answer_is_lost() -> None:
+    puppet = Managers()
+    puppet.angles = {(1, 1): (0.0, 0.0), (COMPANION, 1): (0.0, 0.0)}
+    puppet.lost = 1
+
+    def request(message: Any) -> int:
+        told = puppet.manage(1, message) if message.param1 in (280, 281) else 3
+        return puppet.request(int(message.param1)) if told == 3 else told
+
+    puppet.results |= {512: request, **dict.fromkeys((1000, 1001), lambda c: puppet.manage(1, c))}
+    async with station(puppet) as found:
+        await heard(found)
+        reply = await found.do("action/gimbal", {"pitch": -0.25})
+        assert reply["status"] == "completed", reply
+        assert reply["body"]["manager"] == 1
+        assert puppet.angles[COMPANION, 1] == (0.0, 0.0)
 
 
 async def test_a_lost_link_ends_a_turn_with_its_error() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -19,7 +20,7 @@ from backends.mavlink.test_gateway import LAT, LON, Pilot
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import serve_backend
-from rcp_mavlink.elevation import Elevation
+from rcp_mavlink.elevation import Elevation, tile_at
 from rcp_mavlink.terrain_feed import block
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
@@ -74,6 +75,11 @@ def test_nothing_is_made_up_where_a_tile_has_holes_or_is_damaged(tmp_path: Path)
     assert found.height(-35.25, 149.5) is None
     assert found.height(-35.5 + 1e-3, 149.5) is None, "one of the four is a hole"
     assert found.height(-35.75, 149.5) == 40.0
+    os.mkfifo(tmp_path / "S36E150.hgt")
+    assert found.height(-35.5, 150.5) is None, "nobody waits for a pipe"
+    write(tmp_path, lambda *_: -9999, "S36E151.hgt")
+    assert found.height(-35.5, 151.5) is None, "other tools mark holes so"
+    assert tile_at(-16.5, 180.5) == tile_at(-16.5, -179.5) == "S17W180.hgt"
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])  # cut off while it is open
     assert found.height(-35.99, 149.5) is None
@@ -188,8 +194,34 @@ async def test_nobody_flies_above_ground_that_is_not_known(tmp_path: Path) -> No
         assert report["pending"] > 0
         write(tmp_path, rising)  # it is looked for again
         assert (await known(pilot))["ground"] == pytest.approx(500, abs=2)
+
+        async def whole() -> bool:
+            return (await pilot.read("sensor/terrain"))["missing"] == []
+
+        await eventually(whole, "the tile is there now")
         odd = await pilot.do("action/move_to", {**goal, "altitude": None})
         assert odd["error"]["details"]["pointer"] == "/above"
+
+
+async def test_a_vehicle_that_moved_while_the_ground_was_asked_for_does_not_go_back(
+    tmp_path: Path,
+) -> None:
+    told: list[float] = []
+
+    def up(message: Any) -> bool:
+        if message.get_type() == "COMMAND_INT" and message.command == 192:
+            told.append((message.y / 1e7 - LON) * 111_319.49 * math.cos(math.radians(LAT)))
+        return True
+
+    async with over(tmp_path, up, speed=3.0) as pilot:
+        goal = {"latitude": LAT, "longitude": LON, "altitude": 25.0, "above": "terrain"}
+        path, vehicle = "/tenant/t/action/move_to", pilot.vehicle
+        await pilot.client.send(type="execute", path=path, body={**goal, "speed": 3.0})
+        vehicle.flight.aim((0.0, 60.0), -20.0)
+        await eventually(lambda: _is(vehicle.body.e > 15), "it is elsewhere")
+        write(tmp_path, rising)
+        await eventually(lambda: _is(bool(told)), "it is told to stay, with its speed")
+        assert told[0] > 10
 
 
 async def test_a_vehicle_that_loses_the_ground_on_its_way_goes_home(tmp_path: Path) -> None:

@@ -59,6 +59,39 @@ def test_a_take_off_counts_from_the_sea_and_ends_in_hold() -> None:
     assert "Disarming denied: not landed" in station.texts
 
 
+def test_it_follows_the_course_of_a_target_above_home_and_no_other_vehicle() -> None:
+    station = aloft(parameters={"FLW_TGT_HT": 12.0, "FLW_TGT_DST": 10.0, "FLW_TGT_FA": 180.0})
+    vehicle = station.vehicle
+    lat, lon = (round(angle * 1e7) for angle in vehicle.origin[:2])
+    assert mode(station, 4, 8) == ACCEPTED
+    station.mav.srcSystem = 9
+    for _ in range(20):
+        station.send(
+            mav.MAVLink_global_position_int_message(0, lat + 3000, lon, 0, 0, 0, 0, 0, 65535)
+        )
+        station.pass_time(0.2)
+    assert vehicle.body.n == pytest.approx(0.0, abs=0.5)
+    station.mav.srcSystem = 255
+    sea, zero = vehicle.origin[2] + 50.0, (0.0, 0.0, 0.0)
+    for step in range(100):  # to the east, whatever its attitude says
+        message = mav.MAVLink_follow_target_message(
+            0, 1 | 2 | 8, lat, lon + round(step * 0.2 * 90 / math.cos(lat / 1e7 * math.pi / 180)),
+            sea, (0.0, 1.0, 0.0), zero, (1.0, 0.0, 0.0, 0.0), zero, zero, 0,
+        )  # fmt: skip
+        station.send(message)
+        station.pass_time(0.2)
+    assert -vehicle.body.d == pytest.approx(12.0, abs=1.0)
+    assert vehicle.body.n == pytest.approx(0.0, abs=1.0)
+    assert vehicle.body.e == pytest.approx(20.0 - 10.0, abs=2.5), "it is behind its course"
+
+
+def test_a_gimbal_turns_for_who_controls_it() -> None:
+    station = ready()
+    assert station.command(1000, -20.0, 0.0, NAN, NAN, 0, 0, 1) == 2, "denied"
+    assert station.command(1001, 255, 190, -1, -1, 0, 0, 1) == ACCEPTED
+    assert station.command(1000, -20.0, 0.0, NAN, NAN, 0, 0, 1) == ACCEPTED
+
+
 def test_offboard_needs_set_points_before_and_all_the_time() -> None:
     station = aloft()
     vehicle = station.vehicle
