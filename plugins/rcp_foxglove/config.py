@@ -27,9 +27,9 @@ class FoxgloveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Name what comes from ROS as ROS does (`/odom`), and everything else by its path."""
     depth: Annotated[int, Meta(ge=1, le=1024)] = 16
     """Messages queued for each subscription of a slow client; older ones are skipped."""
-    write_interval: Annotated[float, Meta(ge=0, le=0.05)] = 0.003
+    write_interval: Annotated[float, Meta(ge=0, le=0.05)] = 0.005
     """Least time between two writes of a topic to its clients: messages that come faster share one, which
-    is most of what a fast topic costs. Topics below 300 Hz are not delayed. 0: each is sent as it comes."""
+    is most of what a fast topic costs. Topics below 200 Hz are not delayed. 0: each is sent as it comes."""
     valid_for: Annotated[float, Meta(gt=0, le=3600)] | None = None
     """Validity of what a client publishes to an actuator with a dead-man; default: the actuator's own."""
     lease: Annotated[float, Meta(gt=0, le=3600)] = 10.0

@@ -29,9 +29,9 @@ class RosbridgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Duration of leases that are acquired for clients that publish where one is required."""
     queue: Annotated[int, Meta(ge=1, le=1024)] = 16
     """Messages kept for a slow client for each topic, where `queue_length` is 0."""
-    write_interval: Annotated[float, Meta(ge=0, le=0.05)] = 0.003
+    write_interval: Annotated[float, Meta(ge=0, le=0.05)] = 0.005
     """Least time between two writes of a topic to its clients: messages that come faster share one, which
-    is most of what a fast topic costs. Topics below 300 Hz are not delayed. 0: each is sent as it comes."""
+    is most of what a fast topic costs. Topics below 200 Hz are not delayed. 0: each is sent as it comes."""
     status: Level = "error"
     """Which status messages clients get until they send `set_level`."""
     fragment_timeout: Annotated[float, Meta(gt=0)] = 10.0
