@@ -361,6 +361,17 @@ describe("an editor", () => {
     expect(device.sent).toEqual([b.path]);
   });
 
+  it("keeps what was written while all are read", async () => {
+    const device = new Fake();
+    async function* pages(): AsyncGenerator<Item[]> {
+      slow.take([[a.path, { value: 5 }]]); // as after a write
+      yield all.map(({ path }) => ({ path, status: "completed" as const, body: 0 }));
+    }
+    const slow = new Editor({ device, pages, execute: async () => ({}), look: (path) => device.read(path) });
+    await slow.read("**", new Set(all.map((one) => one.path)));
+    expect([slow.valueOf(a.path), slow.valueOf(b.path)]).toEqual([5, 0]);
+  });
+
   it("forgets what a gateway told that is gone, and not what was entered", async () => {
     const [editor] = await opened();
     editor.enter(a, "5");

@@ -43,6 +43,9 @@ export class Editor {
   turn = $state(0);
   readonly #reach: Reach;
   #reads = 0;
+  #takes = 0;
+  /** In which of the takes each value came last. */
+  readonly #taken = new Map<string, number>();
   /** Results of which the pending change was given up: what is entered afterwards is another one. */
   #settled = new WeakSet<Result>();
 
@@ -63,7 +66,11 @@ export class Editor {
   /** Take values that the robot has reported. */
   take(found: Iterable<[path: string, known: Known]>): void {
     const values = new Map(this.values);
-    for (const [path, known] of found) values.set(path, known);
+    this.#takes += 1;
+    for (const [path, known] of found) {
+      values.set(path, known);
+      this.#taken.set(path, this.#takes);
+    }
     this.values = values;
   }
 
@@ -78,12 +85,15 @@ export class Editor {
   /** Read all of them, as far as they are below this pattern. */
   async read(pattern: string, paths: ReadonlySet<string>): Promise<void> {
     const turn = ++this.#reads;
+    const begun = this.#takes;
+    // Reading all may take a slow robot long: what was written or told since then is newer.
+    const wanted = (path: string): boolean => paths.has(path) && (this.#taken.get(path) ?? 0) <= begun;
     this.reading = true;
     this.problem = undefined;
     try {
       for await (const items of this.#reach.pages(pattern)) {
         if (turn !== this.#reads) return;
-        this.take(items.filter((one) => paths.has(one.path)).map((one) => [one.path, one.error ? { error: new RcpError(one.error) } : { value: one.body }]));
+        this.take(items.filter((one) => wanted(one.path)).map((one) => [one.path, one.error ? { error: new RcpError(one.error) } : { value: one.body }]));
       }
     } catch (problem) {
       if (turn === this.#reads) this.problem = problem as RcpError;
