@@ -72,7 +72,12 @@ def test_the_first_start_of_a_container_writes_a_configuration_that_is_good(tmp_
     work.mkdir()
     for _ in range(2):  # the second start keeps what is there
         done = subprocess.run(
-            [FOLDER / "container" / "start"], cwd=work, env=environment, check=False, timeout=60, capture_output=True
+            [FOLDER / "container" / "start"],
+            cwd=work,
+            env=environment,
+            check=False,
+            timeout=60,
+            capture_output=True,
         )
         assert done.returncode == 7, done.stderr
     assert Diagnosis((work / "rcp.toml").read_text(), "rcp.toml").prepared() is not None
