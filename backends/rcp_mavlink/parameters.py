@@ -21,6 +21,7 @@ _QUIET = 0.7  # s without a value until missing ones are requested
 _ROUNDS = 8
 _AT_ONCE = 50
 _NOT_THERE = 1
+_LARGEST = 3.4e38  # of a REAL32
 _HASH = "_HASH_CHECK"
 """What PX4 sends in front of its list: a checksum of it, which is no parameter."""
 _UNLISTED = 0xFFFF
@@ -139,6 +140,7 @@ class Parameters:
         """Write a value; return the value in effect.
 
         :raises DeviceRejected: the vehicle kept the old one.
+        :raises OutOfRange: its type cannot have this value.
         :raises UnknownPath: it no longer has the parameter.
         """
         vehicle, before = self._vehicle, self.known.get(name)
@@ -147,6 +149,8 @@ class Parameters:
         limits = bounds(before.type)
         if limits is not None and not limits[0] <= value <= limits[1]:
             raise OutOfRange(f"{name} must be {limits[0]} to {limits[1]}, not {value:g}")
+        if limits is None and abs(value) > _LARGEST:
+            raise OutOfRange(f"{name} must be -{_LARGEST:g} to {_LARGEST:g}, not {value:g}")
         to = (vehicle.system, vehicle.component)
         message, wanted = param_set(
             self._hub.dialect.module, to, name, value, before.type, bytewise=vehicle.bytewise

@@ -37,6 +37,9 @@ ABOUT = """<paramfile><vehicles><parameters name="ArduCopter">
 <param humanName="Frame" name="FRAME_CLASS" documentation="Kind of frame">
 <field name="RebootRequired">True</field></param>
 </parameters></vehicles></paramfile>"""
+CUT = """[...document.querySelectorAll("tr[data-parameter] .name button")]
+  .filter((one) => one.scrollWidth > one.clientWidth).map((one) => one.textContent)"""
+"""Names that are not to be seen whole."""
 TEN = {f"RC{n}_DZ": 10 + n for n in range(1, 11)}
 """Ten changes that stand beside each other."""
 
@@ -243,6 +246,7 @@ async def test_a_file_is_compared_chosen_from_one_by_one_and_saved(
         await expect(compared).to_contain_text("Line 6 is no parameter")
         await expect(page.locator("tr[data-parameter]")).to_have_count(3)
         await tab.shoot("parameters-compared")
+        assert await page.evaluate(CUT) == []
         await page.get_by_role("button", name="Use 22 of the file for RC2_DZ").click()
         await page.get_by_role("button", name="Write 1").click()
         await expect(page.get_by_test_id("written")).to_have_text("✓ Written and read back: 1.")

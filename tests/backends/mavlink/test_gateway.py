@@ -202,6 +202,10 @@ async def test_an_unknown_parameter_is_told_fast_with_near_names(pilot: Pilot) -
     written = await pilot.client.request("write", "/tenant/t/param/RTL_ALT", body=2000)
     assert written["body"] == 2000
     assert pilot.vehicle.params["RTL_ALT"] == 2000
+    path = "/tenant/t/param/GUID_TIMEOUT"
+    for huge in (3.5e38, -1e300):
+        refused = await pilot.client.request("write", path, body=huge)
+        assert refused["error"]["code"] == "out_of_range"
 
 
 async def test_a_rate_is_pushed_down_and_taken_back(pilot: Pilot) -> None:

@@ -2,9 +2,9 @@ import { type Item, RcpError, type Resource, type Schema } from "rcp-client";
 import { describe, expect, it } from "vitest";
 
 import { Editor } from "../src/lib/parameters/editor.svelte.ts";
-import { assigned, isState, parameterFile, toJson } from "../src/lib/parameters/files.ts";
+import { agrees, assigned, isState, parameterFile, toJson } from "../src/lib/parameters/files.ts";
 import { groupsOf, matches, type Parameter, parametersOf, prefixOf, rangeText } from "../src/lib/parameters/parameter.ts";
-import { digits, entered, meaningOf, outside, same } from "../src/lib/parameters/value.ts";
+import { digits, entered, meaningOf, outside, same, weightOf } from "../src/lib/parameters/value.ts";
 import { ALL, shownOf } from "../src/lib/parameters/view.ts";
 import { type Change, type Device, stepsOf, Writing } from "../src/lib/parameters/writing.ts";
 
@@ -49,6 +49,15 @@ describe("a value", () => {
     expect(same(0.1, Math.fround(0.1))).toBe(true);
     expect(same([1, 2], [1, 2])).toBe(true);
     expect(same(1, 1.001)).toBe(false);
+  });
+
+  it("that is whole is another one in each of its bits, and what has parts is compared part by part", () => {
+    expect(same(2 ** 25, 2 ** 25 + 1)).toBe(false);
+    expect(same(0.1, 0.1000000000001)).toBe(false);
+    expect(same({ a: 0.1, b: [1] }, { b: [1], a: Math.fround(0.1) })).toBe(true);
+    expect(same([1], { 0: 1 })).toBe(false);
+    const mask = only({ type: "integer", minimum: -(2 ** 31), maximum: 2 ** 31 - 1 });
+    expect([weightOf(mask, 31), weightOf(mask, 30), weightOf(only({ type: "integer", minimum: 0, maximum: 255 }), 7)]).toEqual([-(2 ** 31), 2 ** 30, 128]);
   });
 
   it("is checked before it is sent, with what to enter instead", () => {
@@ -102,6 +111,16 @@ describe("a file", () => {
     expect(unknown).toEqual(["OTHER"]);
     const twins = parameters([resource("one/GAIN", INT8, { meta: { parameter: "GAIN" } }), resource("two/GAIN", INT8, { meta: { parameter: "GAIN" } })]);
     expect(assigned(parameterFile("f", "GAIN 3"), twins).unknown).toEqual(["GAIN"]);
+  });
+
+  it("that has rounded a value is not different from it for that, and one with few digits is", () => {
+    const kept = Math.fround(0.0123456789);
+    const says = (text: string, now: number): boolean => {
+      const { values, decimals } = parameterFile("f", `A ${text}\n`);
+      return agrees(now, values.get("A"), decimals.get("A"));
+    };
+    expect([says("0.012346", kept), says("0.01234568", kept), says("16777.22", Math.fround(16777.217)), says("0.000000", 1e-7)]).toEqual([true, true, true, true]);
+    expect([says("0.012345", kept), says("0.012", kept), says("0.1", Math.fround(0.12)), says("3", 3.4), says("0.000000", 1e-6)]).toEqual([false, false, false, false, false]);
   });
 
   it("that was saved is read as it was", () => {
@@ -228,6 +247,15 @@ describe("writing", () => {
     expect([outcomes(writing), device.sent, writing.waiting]).toEqual([["written", "written", "written"], ["a", "b", "b", "c"], undefined]);
   });
 
+  it("does not say that it wrote what the device has of somebody else after a lost answer", async () => {
+    const device = new Fake();
+    device.refuses = { b: refusal("adapter_unavailable") };
+    device.read = async (path) => (path === "b" ? 44 : device.has[path]);
+    const writing = new Writing(ABC, device, () => undefined);
+    await writing.run();
+    expect([outcomes(writing), writing.results[1]?.now]).toEqual([["written", "changed", "unsent"], 44]);
+  });
+
   it("is stopped after what is under way", async () => {
     const writing: Writing = new Writing(ABC, new Fake(), () => writing.stop());
     await writing.run();
@@ -246,7 +274,7 @@ describe("an editor", () => {
       yield all.map(({ path }) => ({ path, status: "completed" as const, body: device.has[path] }));
     }
     const execute = async (): Promise<unknown> => ({ values: { b: 4 } });
-    const editor = new Editor({ device, pages, execute });
+    const editor = new Editor({ device, pages, execute, look: (path) => device.read(path) });
     await editor.read("**", new Set(all.map((one) => one.path)));
     return [editor, device];
   }
@@ -268,7 +296,7 @@ describe("an editor", () => {
     editor.enter(a, "5");
     await editor.write(all);
     editor.revert(all);
-    expect(editor.pending.get(a.path)).toEqual({ text: "0", value: 0 });
+    expect(editor.pending.get(a.path)).toEqual({ text: "0", value: 0, from: 5 });
   });
 
   it("keeps what was refused and what was entered while it was written", async () => {
@@ -280,6 +308,75 @@ describe("an editor", () => {
     editor.enter(a, "7");
     await done;
     expect([...editor.pending.keys()]).toEqual([a.path, b.path]);
+  });
+
+  it("keeps what is being typed, also where the robot has just that", async () => {
+    const [editor, device] = await opened();
+    editor.take([[a.path, { value: 5 }]]);
+    device.has[a.path] = 5;
+    editor.type(a, "5.");
+    expect(editor.pending.get(a.path)).toMatchObject({ text: "5.", value: 5 });
+    editor.settle([a.path]);
+    expect(editor.pending.size).toBe(0);
+    editor.type(a, "5");
+    await editor.write(all);
+    expect([device.sent, editor.pending.size]).toEqual([[], 0]);
+  });
+
+  it("sends nothing with an approval that has been discarded or changed meanwhile", async () => {
+    const [editor, device] = await opened();
+    editor.enter(a, "5");
+    editor.enter(b, "6");
+    device.refuses = { [a.path]: refusal("approval_required", { approval: "7" }) };
+    await editor.write(all);
+    expect(editor.writing?.waiting).toBeDefined();
+    editor.undo(b.path);
+    expect(editor.writing?.waiting).toBeUndefined();
+    await editor.goOn("7");
+    expect([device.sent, [...editor.pending.keys()]]).toEqual([[a.path], [a.path]]);
+  });
+
+  it("does not show a value that was written where the robot has told another one since", async () => {
+    const [editor, device] = await opened();
+    device.refuses = { [b.path]: refusal("approval_required", { approval: "7" }) };
+    editor.enter(a, "5");
+    editor.enter(b, "6");
+    await editor.write(all);
+    editor.take([[a.path, { value: 9 }]]);
+    editor.enter(a, "5");
+    await editor.goOn("7");
+    expect([editor.valueOf(a.path), editor.pending.get(a.path)?.text, editor.valueOf(b.path)]).toEqual([9, "5", 6]);
+  });
+
+  it("tells what somebody has changed since the change was entered", async () => {
+    const [editor, device] = await opened();
+    editor.enter(a, "5");
+    editor.enter(b, "6");
+    device.has[a.path] = 9;
+    expect((await editor.overtaken(all)).map((one) => one.name)).toEqual(["a"]);
+    expect(editor.valueOf(a.path)).toBe(9);
+    device.has[a.path] = 5;
+    expect(await editor.overtaken(all)).toEqual([]);
+    await editor.write(all);
+    expect(device.sent).toEqual([b.path]);
+  });
+
+  it("keeps what was written while all are read", async () => {
+    const device = new Fake();
+    async function* pages(): AsyncGenerator<Item[]> {
+      slow.take([[a.path, { value: 5 }]]); // as after a write
+      yield all.map(({ path }) => ({ path, status: "completed" as const, body: 0 }));
+    }
+    const slow = new Editor({ device, pages, execute: async () => ({}), look: (path) => device.read(path) });
+    await slow.read("**", new Set(all.map((one) => one.path)));
+    expect([slow.valueOf(a.path), slow.valueOf(b.path)]).toEqual([5, 0]);
+  });
+
+  it("forgets what a gateway told that is gone, and not what was entered", async () => {
+    const [editor] = await opened();
+    editor.enter(a, "5");
+    editor.forget();
+    expect([editor.valueOf(a.path), editor.pending.size]).toEqual([undefined, 1]);
   });
 
   it("takes nothing from a file for what may not be written", async () => {
@@ -295,16 +392,16 @@ describe("an editor", () => {
     await editor.readDefaults([["service", ""], ["other", "node/"]]);
     expect(editor.defaults?.get("node/b")).toBe(4);
     const told = parametersOf({ name: "r", tenant: "a", resources: all.map((one) => one.resource) }, editor.defaults);
-    expect(shownOf(told, { ...ALL, show: "changed" }, editor, new Map()).map((one) => [one.name, one.default])).toEqual([["b", 4]]);
+    expect(shownOf(told, { ...ALL, show: "changed" }, editor, undefined).map((one) => [one.name, one.default])).toEqual([["b", 4]]);
     expect(prefixOf({ path: "/tenant/a/service/rover/node/param/defaults" } as Resource, "rover")).toBe("node/");
   });
 
   it("shows what was changed, is pending or is different in a file", async () => {
     const [editor] = await opened();
-    const names = (show: "changed" | "pending" | "file", file = new Map<string, unknown>()): string[] => shownOf(all, { ...ALL, show }, editor, file).map((one) => one.name);
+    const names = (show: "changed" | "pending" | "file", values = new Map<string, unknown>()): string[] => shownOf(all, { ...ALL, show }, editor, { values, decimals: new Map() }).map((one) => one.name);
     editor.enter(b, "3");
     editor.take([[a.path, { value: 9 }]]);
     expect([names("changed"), names("pending"), names("file", new Map([[a.path, 9], [c.path, 1]]))]).toEqual([["a"], ["b"], ["c"]]);
-    expect(shownOf(all, { ...ALL, text: "about C" }, editor, new Map())).toEqual([c]);
+    expect(shownOf(all, { ...ALL, text: "about C" }, editor, undefined)).toEqual([c]);
   });
 });

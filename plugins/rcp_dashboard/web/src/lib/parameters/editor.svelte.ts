@@ -4,23 +4,26 @@ import { type Item, RcpError } from "rcp-client";
 import type { ParameterFile } from "./files.ts";
 import type { Parameter } from "./parameter.ts";
 import { type Entered, entered, same, textOf } from "./value.ts";
-import { type Change, type Device, Writing } from "./writing.ts";
+import { type Change, type Device, type Result, Writing } from "./writing.ts";
 
 /** What is known of a value. */
 export type Known = { value: unknown; error?: undefined } | { error: RcpError };
 
-/** A change that has not been written. */
-export type Pending = { text: string } & Entered;
+/** A change that has not been written; `from` is what the robot had when it was begun, undefined: not known. */
+export type Pending = { text: string; from: unknown } & Entered;
 
 /** How an editor reaches its robot. */
 export interface Reach {
   device: Device;
   execute: (path: string) => Promise<unknown>;
+  /** What the gateway knows of a value now. */
+  look: (path: string) => Promise<unknown>;
   /** Read all of a pattern, page by page. */
   pages: (pattern: string) => AsyncIterable<Item[]>;
 }
 
 const NONE: ReadonlyMap<string, Pending> = new Map();
+const AT_ONCE = 32; // values that are asked for together
 
 export class Editor {
   values = $state.raw<ReadonlyMap<string, Known>>(new Map());
@@ -34,10 +37,17 @@ export class Editor {
   file = $state.raw<ParameterFile>();
   writing = $state.raw<Writing>();
   busy = $state(false);
+  /** What the robot has now is asked for, before it is written over. */
+  checking = $state(false);
   /** Rises whenever something of the writing has changed. */
   turn = $state(0);
   readonly #reach: Reach;
   #reads = 0;
+  #takes = 0;
+  /** In which of the takes each value came last. */
+  readonly #taken = new Map<string, number>();
+  /** Results of which the pending change was given up: what is entered afterwards is another one. */
+  #settled = new WeakSet<Result>();
 
   constructor(reach: Reach) {
     this.#reach = reach;
@@ -56,19 +66,34 @@ export class Editor {
   /** Take values that the robot has reported. */
   take(found: Iterable<[path: string, known: Known]>): void {
     const values = new Map(this.values);
-    for (const [path, known] of found) values.set(path, known);
+    this.#takes += 1;
+    for (const [path, known] of found) {
+      values.set(path, known);
+      this.#taken.set(path, this.#takes);
+    }
     this.values = values;
+  }
+
+  /** Forget what another gateway, or one that has begun anew, told of the robot; what was entered stays. */
+  forget(): void {
+    this.#reads += 1;
+    this.reading = false;
+    this.values = new Map();
+    this.defaults = undefined;
   }
 
   /** Read all of them, as far as they are below this pattern. */
   async read(pattern: string, paths: ReadonlySet<string>): Promise<void> {
     const turn = ++this.#reads;
+    const begun = this.#takes;
+    // Reading all may take a slow robot long: what was written or told since then is newer.
+    const wanted = (path: string): boolean => paths.has(path) && (this.#taken.get(path) ?? 0) <= begun;
     this.reading = true;
     this.problem = undefined;
     try {
       for await (const items of this.#reach.pages(pattern)) {
         if (turn !== this.#reads) return;
-        this.take(items.filter((one) => paths.has(one.path)).map((one) => [one.path, one.error ? { error: new RcpError(one.error) } : { value: one.body }]));
+        this.take(items.filter((one) => wanted(one.path)).map((one) => [one.path, one.error ? { error: new RcpError(one.error) } : { value: one.body }]));
       }
     } catch (problem) {
       if (turn === this.#reads) this.problem = problem as RcpError;
@@ -95,19 +120,40 @@ export class Editor {
 
   /** Enter a value; what the robot has already is no change. */
   enter(one: Parameter, text: string): void {
-    const now = this.valueOf(one.path);
-    const found = entered(one, text);
-    const unchanged = found.fault === undefined && now !== undefined && same(found.value, now);
-    this.#set([[one.path, unchanged ? undefined : { text, ...found }]]);
+    this.type(one, text);
+    this.settle([one.path]);
+  }
+
+  /** Take what has been typed so far: it stays as it is, also where the robot happens to have that value, for the next digit belongs to it. */
+  type(one: Parameter, text: string): void {
+    this.#change([[one.path, this.#pendingOf(one, text)]]);
+  }
+
+  /** Give up changes to what the robot has already. */
+  settle(paths: Iterable<string>): void {
+    const none = [...paths].filter((path) => this.values.has(path) && isOf(this.pending.get(path), this.valueOf(path)));
+    if (none.length) this.#change(none.map((path) => [path, undefined]));
+  }
+
+  #pendingOf(one: Parameter, text: string): Pending {
+    const before = this.pending.get(one.path);
+    return { text, from: before ? before.from : this.valueOf(one.path), ...entered(one, text) };
   }
 
   /** Enter several values, as of a file. */
   enterAll(all: Iterable<[one: Parameter, value: unknown]>): void {
-    this.#set([...all].filter(([one]) => one.writable).map(([one, value]) => {
-      const text = one.entry === "choice" ? JSON.stringify(value) : textOf(value);
-      const now = this.valueOf(one.path);
-      return [one.path, now !== undefined && same(value, now) ? undefined : { text, ...entered(one, text) }];
-    }));
+    const chosen = [...all].filter(([one]) => one.writable);
+    this.#change(chosen.map(([one, value]) => [one.path, this.#pendingOf(one, one.entry === "choice" ? JSON.stringify(value) : textOf(value))]));
+    this.settle(chosen.map(([one]) => one.path));
+  }
+
+  /** As `#set`, by a person: what waits for an approval is not sent any more where it is not what is pending. */
+  #change(changes: [path: string, pending: Pending | undefined][]): void {
+    this.#set(changes);
+    const { writing } = this;
+    if (!writing?.waiting || this.busy || writing.left.every(({ path, value }) => isOf(this.pending.get(path), value))) return;
+    writing.stop();
+    this.turn += 1;
   }
 
   #set(changes: [path: string, pending: Pending | undefined][]): void {
@@ -121,14 +167,36 @@ export class Editor {
 
   /** Give up a change, or all of them. */
   undo(path: string): void {
-    this.#set([[path, undefined]]);
+    this.#change([[path, undefined]]);
   }
   discard(): void {
-    this.pending = NONE;
+    this.#change([...this.pending.keys()].map((path) => [path, undefined]));
+  }
+
+  /** Ask what the robot has now of what is pending; return those that somebody has changed since they were entered. */
+  async overtaken(parameters: Parameter[]): Promise<Parameter[]> {
+    const asked = parameters.filter((one) => this.pending.has(one.path) && one.resource.operations.includes("read"));
+    this.checking = true;
+    try {
+      for (let at = 0; at < asked.length; at += AT_ONCE) {
+        const found = await Promise.allSettled(asked.slice(at, at + AT_ONCE).map(async ({ path }): Promise<[string, Known]> => [path, { value: await this.#reach.look(path) }]));
+        this.take(found.flatMap((one) => (one.status === "fulfilled" ? [one.value] : [])));
+      }
+    } finally {
+      this.checking = false;
+    }
+    return asked.filter((one) => this.isOvertaken(one.path));
+  }
+
+  /** Whether the robot has another value than when the change was begun, nor the one that is to be written. */
+  isOvertaken(path: string): boolean {
+    const [pending, now] = [this.pending.get(path), this.valueOf(path)];
+    return pending?.from !== undefined && now !== undefined && !same(now, pending.from) && !isOf(pending, now);
   }
 
   /** Write all that is pending; `parameters` in the order in which that is done. */
   async write(parameters: Parameter[]): Promise<void> {
+    this.settle(this.pending.keys());
     if (this.busy || this.faulty) return;
     const changes: Change[] = parameters.flatMap((one) => {
       const pending = this.pending.get(one.path);
@@ -163,11 +231,12 @@ export class Editor {
   }
 
   #note(writing: Writing): void {
-    const known = writing.results.filter((one) => one.now !== undefined && one.now !== null);
-    this.take(known.map((one) => [one.path, { value: one.now }]));
+    // Each once: somebody else may have changed it since.
+    this.take([...writing.news()].map(([path, value]) => [path, { value }]));
+    const settled = writing.results.filter((one) => (one.outcome === "written" || one.outcome === "other") && !this.#settled.has(one));
+    for (const one of settled) this.#settled.add(one);
     // What was entered meanwhile is another change.
-    const settled = writing.results.filter(({ path, outcome, value }) => (outcome === "written" || outcome === "other") && isOf(this.pending.get(path), value));
-    this.#set(settled.map(({ path }) => [path, undefined]));
+    this.#set(settled.filter(({ path, value }) => isOf(this.pending.get(path), value)).map(({ path }) => [path, undefined]));
     this.turn += 1;
   }
 

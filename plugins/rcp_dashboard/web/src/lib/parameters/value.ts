@@ -22,10 +22,20 @@ export function textOf(value: unknown): string {
   return typeof value === "string" ? value : JSON.stringify(value);
 }
 
-/** Whether a device that keeps 32 bits of a number has this value. */
+/** Whether a device that keeps 32 bits of a number has this value; whole numbers, such as bits, are the same only if all of their digits are. */
 export function same(a: unknown, b: unknown): boolean {
-  if (typeof a === "number" && typeof b === "number") return a === b || Math.fround(a) === Math.fround(b);
-  return a === b || JSON.stringify(a) === JSON.stringify(b);
+  if (typeof a === "number" && typeof b === "number") return a === b || (!Number.isInteger(a) && !Number.isInteger(b) && (Math.fround(a) === b || a === Math.fround(b)));
+  if (typeof a !== "object" || typeof b !== "object" || a === null || b === null) return a === b;
+  if (Array.isArray(a) !== Array.isArray(b)) return false;
+  const [one, other] = [a, b] as [Record<string, unknown>, Record<string, unknown>];
+  const keys = Object.keys(one);
+  return keys.length === Object.keys(other).length && keys.every((key) => key in other && same(one[key], other[key]));
+}
+
+/** The value of a bit: that of the sign, where it has one, is negative. */
+export function weightOf({ low, high }: Parameter, bit: number): number {
+  const weight = 2 ** bit;
+  return low === -weight && high === weight - 1 ? -weight : weight;
 }
 
 export type Entered = { value: unknown; fault?: undefined } | { fault: string };

@@ -6,7 +6,7 @@ import { same } from "./value.ts";
 const MOST = 64; // paths that the gateway takes as one
 const LARGEST = 15_000; // bytes of them
 /** Answers after which the device may have the value all the same. */
-const UNSURE = new Set(["connection_lost", "deadline_exceeded", "device_timeout", "internal", "cancelled"]);
+const UNSURE = new Set(["connection_lost", "deadline_exceeded", "device_timeout", "adapter_unavailable", "internal", "cancelled"]);
 
 export interface Change {
   path: string;
@@ -19,10 +19,10 @@ export interface Change {
 }
 
 /**
- * What became of a change: `other`: the device has another value than was written; `kept`: its answer was lost, and it has the value of before;
- * `unknown`: its answer was lost, and it could not be asked since.
+ * What became of a change: `other`: the device took it, and has another value; `kept`: its answer was lost, and it has the value of before;
+ * `changed`: its answer was lost, and it has a third value; `unknown`: its answer was lost, and it could not be asked since.
  */
-export type Outcome = "written" | "other" | "refused" | "kept" | "unknown" | "unsent";
+export type Outcome = "written" | "other" | "refused" | "kept" | "changed" | "unknown" | "unsent";
 
 export interface Result extends Change {
   outcome: Outcome;
@@ -74,6 +74,7 @@ export class Writing {
   done = 0;
   #next = 0;
   #stopped = false;
+  #fresh = new Map<string, unknown>();
   readonly #device: Device;
   readonly #told: () => void;
 
@@ -92,7 +93,12 @@ export class Writing {
 
   /** What waits for a person's approval. */
   get waiting(): Step | undefined {
-    return this.error?.code === "approval_required" ? this.steps[this.#next] : undefined;
+    return this.error?.code === "approval_required" && !this.#stopped ? this.steps[this.#next] : undefined;
+  }
+
+  /** What has not been sent. */
+  get left(): Change[] {
+    return this.steps.slice(this.#next).flatMap((step) => step.changes);
   }
 
   /** Send nothing more than what is under way. */
@@ -136,10 +142,22 @@ export class Writing {
       ? await this.#device.writeAll(Object.fromEntries(changes.map(({ path, value }) => [path, value])), approval)
       : { [first.path]: await this.#device.write(first.path, first.value, approval) };
     for (const one of this.#of({ changes, asOne })) {
-      one.now = taken[one.path];
+      this.#learn(one, taken[one.path]);
       one.outcome = one.now === undefined || one.now === null || same(one.now, one.value) ? "written" : "other";
       one.error = undefined;
     }
+  }
+
+  #learn(one: Result, now: unknown): void {
+    one.now = now;
+    if (now !== undefined && now !== null) this.#fresh.set(one.path, now);
+  }
+
+  /** What the device has told since this was last asked. */
+  news(): Map<string, unknown> {
+    const found = this.#fresh;
+    this.#fresh = new Map();
+    return found;
   }
 
   #fail(step: Step, error: RcpError): void {
@@ -165,7 +183,7 @@ export class Writing {
     for (const one of steps.flatMap((step) => this.#of(step))) {
       if (one.read || one.outcome === "unsent") continue;
       try {
-        one.now = await this.#device.read(one.path);
+        this.#learn(one, await this.#device.read(one.path));
       } catch (problem) {
         if ((problem as RcpError).code === "connection_lost") break; // the others as well
         continue;
@@ -174,7 +192,7 @@ export class Writing {
       if (one.outcome === "refused") continue;
       if (same(one.now, one.value)) one.outcome = "written";
       else if (one.outcome === "written") one.outcome = "other";
-      else if (one.outcome === "unknown") one.outcome = same(one.now, one.before) ? "kept" : "other";
+      else if (one.outcome === "unknown") one.outcome = same(one.now, one.before) ? "kept" : "changed";
       this.#told();
     }
     this.#told();
