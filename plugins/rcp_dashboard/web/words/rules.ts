@@ -37,6 +37,7 @@ const NOT_TEXTS = new Set([
   "reset on the dashboard",
   "low battery", // a key; `vocabulary` has the text
   "FENCE_ENABLE",
+  "input[data-value], select[data-value]",
   "curl",
   "rcpctl",
   "index.html has no #app",
