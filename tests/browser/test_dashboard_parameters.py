@@ -79,7 +79,7 @@ async def editing(browser: Browser, url: str, name: str = "otto") -> AsyncGenera
     """Show the parameters of the copter, all of them read."""
     async with signed_in(browser, url, key_of(name), name) as tab:
         await tab.open("parameters")
-        await expect(tab.page.get_by_test_id("parameter-count")).to_have_text("Parameters: 660")
+        await expect(tab.page.get_by_test_id("parameter-count")).to_have_text("Parameters: 675")
         await expect(tab.page.get_by_role("button", name="Read again")).to_be_enabled()
         yield tab
 
