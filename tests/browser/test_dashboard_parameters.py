@@ -403,7 +403,8 @@ async def test_a_panel_of_a_layout_writes_too_but_not_while_it_is_edited(browser
         tab = await after.enter_async_context(looking(browser, there.url, 3))
         page = tab.page
         await tab.open("layout/new")
-        await page.get_by_label("Add a panel").select_option("Parameters")
+        await page.get_by_label("Panel to add").select_option("Parameters")
+        await page.get_by_role("button", name="Add a panel").click()
         await expect(field(page, "p")).to_have_attribute("readonly", "")
         await page.get_by_role("button", name="Edit", exact=True).click()
         await field(page, "p").fill("2.5")
