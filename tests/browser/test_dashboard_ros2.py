@@ -159,6 +159,7 @@ async def test_links_are_moved_by_joint_states_and_else_by_transforms(
     eyes.tell("bend", joint="finger_joint", value=0.02)
     await stands(finger, 2.98, 1.5, 0.4)
     await stands(other, 3.02, 1.5, 0.4)
+    eyes.tell("raise_mast", lift=0.3)
     await stands(layer(tab, "link", "mast"), 3, 0.8, 0.3)
     eyes.tell("raise_mast", lift=1.3)
     await stands(layer(tab, "link", "mast"), 3, 0.8, 1.3)
@@ -186,7 +187,7 @@ async def test_pictures_of_every_kind_are_shown(tab: Watched) -> None:
 
 async def shades(camera: Locator) -> list[int]:
     """Read the red of three pixels of a row."""
-    return await camera.locator("canvas").evaluate(
+    return await camera.locator("canvas").first.evaluate(
         "(canvas) => [4, 20, 50].map((x) => canvas.getContext('2d').getImageData(x, 9, 1, 1).data[0])"
     )
 
