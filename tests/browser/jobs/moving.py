@@ -13,6 +13,7 @@ from browser.jobs.site import ARM, DRONE, ROVER, Site
 from browser.robots import speed
 
 ODOMETRY = f"{ROVER}/sensor/odometry"
+FLIGHT = 90_000  # ms, where the machine is busy
 
 
 async def stopped(site: Site, *names: str) -> None:
@@ -125,9 +126,9 @@ async def fly(hands: Hands, site: Site) -> None:
     await hands.write(actions.get_by_label("altitude of Take off"), "2")
     async with hands.held(actions.get_by_role("button", name="Take off")):
         await expect(status).to_contain_text("Take off:")
-    await expect(status).to_contain_text("Take off: completed")
+    await expect(status).to_contain_text("Take off: completed", timeout=FLIGHT)
     await hands.press(actions.get_by_role("button", name="Land"))
-    await expect(status).to_contain_text("Land: completed")
+    await expect(status).to_contain_text("Land: completed", timeout=FLIGHT)
     await give(hands, site)
 
 

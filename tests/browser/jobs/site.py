@@ -164,7 +164,7 @@ async def site(folder: Path) -> AsyncGenerator[Site]:
             "features.recorder", folder=str(folder / "recordings"), free_mb=0, paths=[f"{ARM}/**"]
         )
         + table("features.recorder.black_box", seconds=5, after=0.2)
-        + backend("rover", use="sim", rate=20, points_rate=1, camera_rate=4)
+        + backend("rover", use="sim", rate=20, scan_rate=2, points_rate=1)
         + backend("arm", "beta", use="arm")
         + backend("drone", "gamma", use="mavlink", links=["sim:copter"], on_loss="hold")
         + table("backends.twin", warmup=0.5, speed=4, noise=0)
