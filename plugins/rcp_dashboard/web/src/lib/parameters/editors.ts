@@ -3,12 +3,12 @@ import { app } from "../app.svelte.ts";
 import { Editor } from "./editor.svelte.ts";
 
 const editors = new Map<string, Editor>();
-let epoch: number | undefined;
+let client: typeof app.client | undefined;
 
-/** The editor of a robot, which outlives the page that shows it, and not the login: what was entered is not lost by looking elsewhere. */
+/** The editor of a robot, which outlives the page that shows it and a gateway that was started again, and not the login: what was entered is not lost. */
 export function editorOf(robot: string): Editor {
-  if (epoch !== app.epoch) editors.clear();
-  epoch = app.epoch;
+  if (client !== app.client) editors.clear();
+  client = app.client;
   let found = editors.get(robot);
   if (!found) editors.set(robot, (found = made()));
   return found;
