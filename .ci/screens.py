@@ -44,6 +44,7 @@ async def _drive(page: Page) -> None:
 async def _parameters(tab: Watched) -> None:
     page = tab.page
     await tab.open("parameters?robot=drone-gamma&group=RTL")
+    await page.get_by_role("button", name="Read defaults").click()
     for name, text in (("RTL_ALT", "3000"), ("RTL_SPEED", "800"), ("RTL_LOIT_TIME", "2000")):
         await page.get_by_label(f"Value of {name}", exact=True).fill(text)
     await page.wait_for_timeout(1000)

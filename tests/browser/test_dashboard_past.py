@@ -74,6 +74,8 @@ def _robot(host: Host) -> ScriptedRobot:
         Resource(name="sensor/camera", description="The camera.", value=Picture),
         Resource(name="event/fault", description="Faults.", value=Fault),
         Resource(name="actuator/drive", description="The drive.", value=Speed),
+        Resource(name="param/limit", description="The limit.", value=Speed),
+        values={"param/limit": 3.0},
     )
     made.release.set()
     return made
@@ -248,6 +250,10 @@ async def test_nothing_moves_a_robot_while_one_looks_at_the_past_but_stops_stop(
         await expect(form).to_contain_text("Press Back to live")
         await page.get_by_role("link", name="Teleop").click()
         await expect(page.get_by_role("main")).to_contain_text("Press Back to live to drive")
+        await page.get_by_role("link", name="Parameters").click()
+        await expect(page.get_by_label("Value of limit")).to_have_value("3")
+        await expect(page.get_by_label("Value of limit")).to_have_attribute("readonly", "")
+        await expect(page.get_by_text("These are the present values")).to_be_visible()
         assert robot.writes == []
         await page.keyboard.press("F9")
         await expect(page.get_by_test_id("estop-active")).to_be_visible()

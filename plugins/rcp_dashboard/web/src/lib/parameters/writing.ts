@@ -118,6 +118,7 @@ export class Writing {
   /** Write until the end or the first refusal, and read back what may have changed. */
   async run(approval?: string): Promise<void> {
     this.error = undefined;
+    this.#stopped = false;
     const begun = this.#next;
     let granted = approval;
     while (this.#next < this.steps.length && !this.#stopped) {
