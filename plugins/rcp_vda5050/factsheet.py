@@ -19,6 +19,7 @@ _OWN_NEWER: Mapping[str, tuple[str, ...]] = {
     **_OWN, "enableZoneSet": ("zoneSetId",), "deleteZoneSet": ("zoneSetId",), "clearInstantActions": (),
     "clearZoneActions": (), "cancelOrder": ("orderId",),
 }  # fmt: skip
+_OPTIONAL = ("order.nodes.nodePosition.theta", "order.nodes.nodePosition.allowedDeviationXY")
 _INTERVAL = 0.1  # s between two states
 
 
@@ -35,18 +36,21 @@ class _Words(NamedTuple):
     intervals: tuple[str, str]
     actions: str
     geometry: str
+    optional: tuple[str, ...]
 
 
 _OLDER = _Words(
     "agvKinematic", "agvClass", "maxLoadMass", "AUTONOMOUS", ("speedMin", "speedMax"),
     ("accelerationMax", "decelerationMax"), ("heightMin", "heightMax"), "maxStringLens", "maxArrayLens",
     ("minOrderInterval", "minStateInterval"), "agvActions", "agvGeometry",
+    ("order.edges.maxSpeed",),
 )  # fmt: skip
 _NEWER = _Words(
     "mobileRobotKinematics", "mobileRobotClass", "maximumLoadMass", "FREELY_NAVIGATING",
     ("minimumSpeed", "maximumSpeed"), ("maximumAcceleration", "maximumDeceleration"),
     ("minimumHeight", "maximumHeight"), "maximumStringLengths", "maximumArrayLengths",
     ("minimumOrderInterval", "minimumStateInterval"), "mobileRobotActions", "mobileRobotGeometry",
+    ("order.edges.maximumSpeed", "zoneSet.zones.releaseLossBehavior"),
 )  # fmt: skip
 _KINEMATICS = {"DIFF": "DIFFERENTIAL", "OMNI": "OMNIDIRECTIONAL", "THREEWHEEL": "THREE_WHEEL"}
 """Of 3.0, by those of 2.1."""
@@ -55,7 +59,9 @@ _KINEMATICS = {"DIFF": "DIFFERENTIAL", "OMNI": "OMNIDIRECTIONAL", "THREEWHEEL": 
 def own_actions(config: RobotConfig) -> Mapping[str, tuple[str, ...]]:
     """Return the instant actions that every robot does, with the keys of their parameters."""
     own = _OWN_NEWER if config.version == "3.0" else _OWN
-    return {name: keys for name, keys in own.items() if name not in config.actions}
+    if "enableMap" in config.actions:  # the robot has maps of its own
+        return {name: keys for name, keys in own.items() if name != "enableMap"}
+    return own
 
 
 def factsheet(config: RobotConfig) -> dict[str, Any]:
@@ -95,8 +101,8 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
         },
         "protocolFeatures": {
             "optionalParameters": [
-                {"parameter": f"order.nodes.nodePosition.{name}", "support": "SUPPORTED"}
-                for name in ("theta", "allowedDeviationXY")
+                {"parameter": name, "support": "SUPPORTED"}
+                for name in (*_OPTIONAL, *words.optional)
             ],
             words.actions: [
                 *(

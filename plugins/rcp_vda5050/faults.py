@@ -12,7 +12,7 @@ __all__ = ["Fault", "FaultKind", "OrderRefused"]
 FaultKind = Literal[
     "malformed", "action", "instant_action", "outdated", "other_order", "stitching", "start", "map",
     "no_order", "drive", "work", "unavailable", "route", "cancelled", "same_update", "blocked", "release",
-    "lost", "duplicate_zone_set", "memory",
+    "lost", "duplicate_zone_set", "memory", "unsupported",
 ]  # fmt: skip
 TYPES: Mapping[str, tuple[str, str]] = {
     "malformed": ("validationError", "VALIDATION_FAILURE"),
@@ -35,13 +35,16 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "lost": ("localizationError", "LOCALIZATION_ERROR"),
     "duplicate_zone_set": ("zoneError", "DUPLICATE_ZONE_SET"),
     "memory": ("zoneError", "INSUFFICIENT_MEMORY"),
+    "unsupported": ("orderError", "UNSUPPORTED_PARAMETER"),
 }
 """`errorType` of 2.1 and of 3.0."""
 _LEVELS: Mapping[str, str] = {
     "drive": "CRITICAL", "unavailable": "CRITICAL", "blocked": "CRITICAL", "release": "CRITICAL",
-    "lost": "FATAL", "memory": "URGENT",
+    "lost": "FATAL", "memory": "URGENT", "unsupported": "CRITICAL",
 }  # fmt: skip
-"""Levels of 3.0 that are not WARNING; with CRITICAL and FATAL the order does not go on by itself."""
+"""Levels of 3.0 that are not WARNING."""
+_STOPPING = ("drive", "unavailable", "blocked", "release", "lost")
+"""With these the order does not go on by itself."""
 
 
 class Fault(Struct, frozen=True):
@@ -57,7 +60,7 @@ class Fault(Struct, frozen=True):
         newer = version == "3.0"
         level = _LEVELS.get(self.kind, "WARNING")
         if not newer:  # which has two levels
-            level = "FATAL" if level in ("CRITICAL", "FATAL") else "WARNING"
+            level = "FATAL" if self.kind in _STOPPING else "WARNING"
         found: dict[str, object] = {
             "errorType": TYPES[self.kind][newer],
             "errorLevel": level,

@@ -105,6 +105,7 @@ class Edge(Struct, frozen=True, rename="camel"):
     max_speed: Annotated[float, Meta(gt=0)] | None = None
     maximum_speed: Annotated[float, Meta(gt=0)] | None = None
     trajectory: Any = None
+    corridor: Any = None
 
     @property
     def speed(self) -> float | None:

@@ -152,11 +152,12 @@ class OrderBook:
                     order, "map", f"there is no map {at.map_id}, but {self._map}", "", reference
                 )
         for edge in order.edges:
-            if edge.trajectory is not None:
-                raise _refused(
-                    order, "action", f"edge {edge.edge_id} has a trajectory: the robot plans its own way",
-                    "Leave the trajectory out.", ("edgeId", edge.edge_id),
-                )  # fmt: skip
+            for name, given in (("trajectory", edge.trajectory), ("corridor", edge.corridor)):
+                if given is not None:
+                    raise _refused(
+                        order, "unsupported", f"edge {edge.edge_id} has a {name}: the robot plans its own way",
+                        f"Leave the {name} out.", ("parameter", f"order.edges.{name}"), ("edgeId", edge.edge_id),
+                    )  # fmt: skip
         for action in order.actions:
             if (reason := self._refuses(action)) is not None:
                 raise _refused(order, "action", reason, "", ("actionId", action.action_id))
