@@ -30,7 +30,7 @@ async def log_in_and_out(hands: Hands, site: Site) -> None:
 async def switch_theme(hands: Hands, site: Site) -> None:
     root = hands.page.locator("html")
     before = await root.get_attribute("data-theme")
-    switch = hands.page.get_by_role("button", name=re.compile("^Switch to"))
+    switch = hands.page.get_by_role("button", name=re.compile("Switch to"))
     if not await switch.is_visible():  # on a phone it is in a menu
         await hands.press(hands.button("Language and units"))
     await hands.press(switch)
