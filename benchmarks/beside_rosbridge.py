@@ -65,6 +65,7 @@ CASES = (
     Case("clouds-profile", CLOUD, 10, 1, 1_000_000, "native", "binary", profile=True),
     Case("odom-cdr-10", ODOM, 1000, 10, 0, "cdr", "cdr"),
     Case("odom-cdr-50", ODOM, 1000, 50, 0, "cdr", "cdr"),
+    Case("odom-raw-10", ODOM, 1000, 10, 0, "native", "cdr"),
     Case("images-cdr", IMAGE, 30, 10, 0, "cdr", "cdr"),
     Case("service", "", 0, 1, service=True),
     Case("service-10", "", 0, 10, service=True),
