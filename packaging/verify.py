@@ -179,7 +179,9 @@ def uv(scratch: Path) -> None:
 
 
 def npm(scratch: Path) -> None:
-    """Install the npm package, and drive with it from Node."""
+    """Install the npm package, and drive with it from Node 22 or later."""
+    if int(run(tool("node"), "--version").strip().lstrip("v").partition(".")[0]) < 22:
+        raise Missing("Node 22")
     programs = _environment(scratch, _GATEWAY, _CLIENT)
     folder, port = scratch / "gateway", free_port()
     run(programs / "rcpd", "init", "--yes", "--into", folder, "--port", port)
