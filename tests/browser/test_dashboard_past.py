@@ -163,8 +163,9 @@ async def colour(page: Page) -> list[int]:
     found: list[int] = (
         await page.get_by_test_id("camera")
         .locator("canvas")
-        .first
-        .evaluate("(one) => [...one.getContext('2d').getImageData(1, 1, 1, 1).data].slice(0, 3)")
+        .first.evaluate(
+            "(one) => [...one.getContext('2d').getImageData(1, 1, 1, 1).data].slice(0, 3)"
+        )
     )
     return found
 
