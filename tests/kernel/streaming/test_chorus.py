@@ -263,7 +263,7 @@ async def written(world: World, depth: int, write_interval: float) -> asyncio.Qu
 
 
 async def test_updates_within_the_interval_of_writes_share_one(world: World) -> None:
-    writes = await written(world, 16, 1.0)  # longer than a busy machine stands still
+    writes = await written(world, 16, 0.05)
     publish(world, 1.0)
     async with asyncio.timeout(60):
         assert await writes.get() == b"00011"  # none before it: at once
