@@ -51,7 +51,7 @@ class Moment(NamedTuple):
     """By the gateway's, ns."""
 
 
-class _Link(NamedTuple):
+class _Edge(NamedTuple):
     """A transform from one frame to another."""
 
     outer: str
@@ -148,7 +148,7 @@ class RobotFrames:
         names = () if tree is None else sorted(tree.frames())[:_MOST]
         return sorted(self._ways(source, set(names)))
 
-    def _ways(self, source: str, wanted: set[str]) -> dict[str, list[tuple[_Link, bool]]]:
+    def _ways(self, source: str, wanted: set[str]) -> dict[str, list[tuple[_Edge, bool]]]:
         """Return the links from a frame to every other; for each, whether its inner end comes first.
 
         Of the frames of a tree there are those of `wanted`, and where other links begin.
@@ -158,7 +158,7 @@ class RobotFrames:
         if tree is not None:
             wanted = wanted | {name for link in links for name in (link.outer, link.inner)}
             wanted &= set(tree.frames())
-        ways: dict[str, list[tuple[_Link, bool]]] = {source: []}
+        ways: dict[str, list[tuple[_Edge, bool]]] = {source: []}
         waiting = deque([source])
         while waiting:
             name = waiting.popleft()
@@ -191,7 +191,7 @@ class RobotFrames:
         own = None if unit.robot is None else unit.frames
         return own or (unit.whole.frames if self._shared else None)
 
-    def _links(self) -> list[_Link]:
+    def _links(self) -> list[_Edge]:
         links = [self._fixed(EARTH, name, pose) for name, pose in self._origins()]
         anchor = self.anchor
         if anchor is not None:
@@ -202,8 +202,8 @@ class RobotFrames:
         return links
 
     @staticmethod
-    def _fixed(outer: str, inner: str, pose: Rigid) -> _Link:
-        return _Link(outer, inner, lambda _: pose)
+    def _fixed(outer: str, inner: str, pose: Rigid) -> _Edge:
+        return _Edge(outer, inner, lambda _: pose)
 
     def _origins(self) -> Iterator[tuple[str, Rigid]]:
         for name, one in self._config.origins.items():
@@ -225,7 +225,7 @@ class RobotFrames:
                 return found
         return None
 
-    def _posed(self) -> Iterator[_Link]:
+    def _posed(self) -> Iterator[_Edge]:
         """List the links that the robot's own poses are."""
         for name in _POSES:
             entry = self._entries.get(_beside(self._entry, name))
@@ -242,7 +242,7 @@ class RobotFrames:
                     continue
                 outer, inner = shape.frame_of(value), shape.child_of(value)
             if outer != inner:
-                yield _Link(outer, inner, partial(self._measured, entry, shape))
+                yield _Edge(outer, inner, partial(self._measured, entry, shape))
 
     def _measured(self, entry: Entry, shape: Shape, moment: Moment) -> Rigid:
         """Return the pose that was measured nearest to a moment.
@@ -269,8 +269,8 @@ class RobotFrames:
             raise PreconditionFailed(f"{entry.path} has no pose with an orientation")
         return pose
 
-    def _looked_up(self, tree: FrameTree, source: str, target: str) -> _Link:
-        return _Link(target, source, partial(self._tree_pose, tree, source, target))
+    def _looked_up(self, tree: FrameTree, source: str, target: str) -> _Edge:
+        return _Edge(target, source, partial(self._tree_pose, tree, source, target))
 
     def _tree_pose(self, tree: FrameTree, source: str, target: str, moment: Moment) -> Rigid:
         """Return a pose from the backend's own tree.

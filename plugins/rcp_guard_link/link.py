@@ -189,7 +189,7 @@ class GuardLink:
                 for supervisor in self._backends:
                     if supervisor.name in groups and supervisor.plans:
                         log.error("guard_stopped_robot", backend=supervisor.name, reason=reason)
-                        self._end(supervisor, reason)
+                        self._end_commands(supervisor, reason)
             case {"event": "released", "reason": str(reason)}:
                 log.warning("guard_released_robots", reason=reason)
             case {"event": "ended"}:
@@ -197,7 +197,7 @@ class GuardLink:
             case _:
                 pass
 
-    def _end(self, backend: SupervisedBackend, reason: str) -> None:
+    def _end_commands(self, backend: SupervisedBackend, reason: str) -> None:
         """End the commands of a backend stopped by the guard: nothing may resume by itself."""
         if self._host.closing:
             return
@@ -287,7 +287,7 @@ class GuardLink:
                 log.warning(
                     "robot_without_watchdog",
                     backend=supervisor.name,
-                    robot=unit.place,
+                    robot=unit.robot_segment,
                     detail="no known watchdog or guard plan stops it if the gateway freezes or "
                     "is killed",
                 )

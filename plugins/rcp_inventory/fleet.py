@@ -102,7 +102,11 @@ class Fleet:
 
 
 def _scope(tenant: str, unit: StopGroup) -> str:
-    return f"/tenant/{tenant}" if unit.place is None else f"/tenant/{tenant}/{unit.place}"
+    return (
+        f"/tenant/{tenant}"
+        if unit.robot_segment is None
+        else f"/tenant/{tenant}/{unit.robot_segment}"
+    )
 
 
 def _own_name(entry: Entry) -> str:

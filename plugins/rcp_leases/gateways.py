@@ -15,7 +15,7 @@ from rcp_kernel.features import Scope
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.spi import RobotLease, RobotLeaseRequest
 from rcp_kernel.tree.entry import StopGroup
-from rcp_leases.lease import Held, Lease, Program
+from rcp_leases.lease import GatewayLease, Lease, Program
 
 __all__ = ["GatewayLeases", "Granted"]
 
@@ -23,7 +23,7 @@ __all__ = ["GatewayLeases", "Granted"]
 class Granted(NamedTuple):
     """What the gateways of all robots in a scope have granted."""
 
-    held: dict[str, Held]
+    held: dict[str, GatewayLease]
     """By the robot's name: see `Lease.gateways`."""
     until: int
     """When the first of them expires, by the clock here, ns: rather too early than too late."""
@@ -47,7 +47,7 @@ class GatewayLeases:
             if unit.robot is not None and _has(scope, unit)
         ]
 
-    def told(self, unit: StopGroup) -> bool:
+    def update(self, unit: StopGroup) -> bool:
         """Note what a robot's gateway has said; return whether there is or was a lease."""
         before, own = self._leased.pop(unit.name, None), unit.own_leases
         if own is not None and own.leases:
@@ -186,7 +186,8 @@ class GatewayLeases:
         if granted and before + left <= self._clock.now():
             raise DeadlineExceeded("the lease has expired at a robot before the last one answered")
         return Granted(
-            {unit.name: Held(one.id, one.told) for unit, one in granted.items()}, before + left
+            {unit.name: GatewayLease(one.id, one.told) for unit, one in granted.items()},
+            before + left,
         )
 
 
@@ -194,12 +195,12 @@ def narrowed(scope: Scope, unit: StopGroup) -> str:
     """Return the part of a scope that is one robot's."""
     parts = scope.text.count("/")
     whole = scope.robot is None and parts <= 3
-    return f"{scope.text}/{unit.place}" if whole else scope.text
+    return f"{scope.text}/{unit.robot_segment}" if whole else scope.text
 
 
 def _has(scope: Scope, unit: StopGroup) -> bool:
     if scope.robot is not None:
-        return scope.robot == unit.place
+        return scope.robot == unit.robot_segment
     return any(scope.covers(entry.path) for entry in unit.own.values())
 
 

@@ -12,7 +12,7 @@ from rcp_kernel.errors import LeaseHeld
 from rcp_kernel.features import Scope
 from rcp_kernel.sessions.session import Session
 
-__all__ = ["Held", "Lease", "Program", "refusal"]
+__all__ = ["GatewayLease", "Lease", "Program", "refusal"]
 
 
 class Program(NamedTuple):
@@ -38,7 +38,7 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-class Held(NamedTuple):
+class GatewayLease(NamedTuple):
     """The same lease at the gateway of one of its robots."""
 
     id: str
@@ -65,10 +65,10 @@ class Lease:
     reason: str | None = None
     program: str | None = None
     """The program of a person who came by a hub, which may go on with it at another hub."""
-    gateways: dict[str, Held] = field(default_factory=dict[str, Held])
+    gateways: dict[str, GatewayLease] = field(default_factory=dict[str, GatewayLease])
     """By the name of each robot (`StopGroup.name`) that has a gateway of its own."""
 
-    def of_robots(self) -> Iterable[tuple[str, Held]]:
+    def of_robots(self) -> Iterable[tuple[str, GatewayLease]]:
         """Go through the robots' gateways that hold it."""
         return self.gateways.items()
 

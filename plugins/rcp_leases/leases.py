@@ -23,7 +23,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, StopGroup
 from rcp_leases.config import LeasesConfig
 from rcp_leases.gateways import GatewayLeases, Granted
-from rcp_leases.lease import Held, Lease, Program, refusal
+from rcp_leases.lease import GatewayLease, Lease, Program, refusal
 from rcp_leases.losses import Loss, Losses
 from rcp_scheduling.turns import Work
 
@@ -50,13 +50,13 @@ class Leases:
         self._now = host.clock.now
         self._changed = changed
         self._store = host.store(_TABLE)
-        self.held: dict[str, Lease] = {}
+        self.by_id: dict[str, Lease] = {}
         """By id."""
-        self.gateways = GatewayLeases(host.robots, host.clock, self.held)
+        self.gateways = GatewayLeases(host.robots, host.clock, self.by_id)
         """The leases that the robots' own gateways hold."""
         self._asked: set[str] = set()
         """Ids of the leases about which robots' gateways are being asked."""
-        host.robots.follow_leases(self._told)
+        host.robots.follow_leases(self._gateway_reported)
         self._lost = Losses()
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._over: dict[str, Lease | None] = {}
@@ -90,19 +90,21 @@ class Leases:
 
     def _refresh(self) -> None:
         self._over.clear()
-        self.idle = not (self.held or self._lost or self._required)
+        self.idle = not (self.by_id or self._lost or self._required)
 
     def _restore(self) -> None:
         for id_, kept in self._store.load().items():
             try:
-                gateways = {name: Held(*one) for name, one in kept.pop("gateways", {}).items()}
+                gateways = {
+                    name: GatewayLease(*one) for name, one in kept.pop("gateways", {}).items()
+                }
                 lease = Lease(id_, Scope(kept.pop("scope")), **kept, gateways=gateways)
             except (RcpError, TypeError, KeyError, AttributeError) as error:
                 log.warning(
                     "store_row_unreadable", table=f"leases.{_TABLE}", key=id_, error=str(error)
                 )
                 continue
-            self.held[id_] = lease
+            self.by_id[id_] = lease
             if lease.left(self._now()):
                 self._set_timer(lease)
             else:
@@ -150,7 +152,7 @@ class Leases:
         try:
             lease = self._over[path]
         except KeyError:
-            covering = [held for held in self.held.values() if held.scope.covers(path)]
+            covering = [held for held in self.by_id.values() if held.scope.covers(path)]
             lease = self._over[path] = max(covering, key=lambda held: held.expires, default=None)
         if lease is None or lease.expires > self._now():
             return lease
@@ -192,7 +194,7 @@ class Leases:
         self.check_free(session, scope, reason, take=take, program=program)
         by = session.principal.name
         for rival in self.rivals(session, scope, program):
-            self.lose(rival, by, reason or "")
+            self.revoke(rival, by, reason or "")
         priority = session.rights.priority(scope.tenant)
         lease = self.own(session, scope) or self._followed(session, scope, program)
         if lease is None:
@@ -207,11 +209,11 @@ class Leases:
                 expires=0,
                 reason=reason,
             )
-            self.held[lease.id] = lease
+            self.by_id[lease.id] = lease
         lease.priority = priority
         lease.program = None if program is None else program.name
         for key in session.holders:
-            self._lost.forgive(key, scope)
+            self._lost.clear(key, scope)
         self._extend(session, lease, until, granted)
         self._note("acquire", lease, session, take=take, reason=reason)
         return lease
@@ -221,12 +223,12 @@ class Leases:
 
         It gets another id, so that the other hub learns that its own is over.
         """
-        for lease in self.held.values():
+        for lease in self.by_id.values():
             if lease.scope.text == scope.text and _is_of(lease, program):
                 self._remove(lease)
                 self._host.control.hand_over(lease.key, scope.covers, session)
                 lease.id, lease.key = _new_id(), session.holder
-                self.held[lease.id] = lease
+                self.by_id[lease.id] = lease
                 return lease
         return None
 
@@ -260,18 +262,18 @@ class Leases:
 
     def rivals(self, session: Session, scope: Scope, program: Program | None = None) -> list[Lease]:
         """List the leases of other sessions, and other programs, that overlap a scope."""
-        for lease in [held for held in self.held.values() if held.expires <= self._now()]:
+        for lease in [held for held in self.by_id.values() if held.expires <= self._now()]:
             self._expire(lease)
         others = (
             lease
-            for lease in self.held.values()
+            for lease in self.by_id.values()
             if lease.key != session.holder and not _is_of(lease, program)
         )
         return [lease for lease in others if lease.scope.overlaps(scope)]
 
     def own(self, session: Session, scope: Scope) -> Lease | None:
         """Return the session's lease on exactly this scope."""
-        own = [held for key in session.holders for held in self.held.values() if held.key == key]
+        own = [held for key in session.holders for held in self.by_id.values() if held.key == key]
         return next((held for held in own if held.scope.text == scope.text), None)
 
     def find(self, session: Session, id_: str | None, scope: Scope | None) -> Lease:
@@ -281,7 +283,7 @@ class Leases:
         :raises LeaseRequired: the session never held it.
         """
         if id_ is not None:
-            lease = self.held.get(id_)
+            lease = self.by_id.get(id_)
             if lease is not None and lease.key in session.holders:
                 return lease
         elif scope is not None and (lease := self.own(session, scope)) is not None:
@@ -319,7 +321,7 @@ class Leases:
         for key in session.holders:
             for loss in self._lost.of((key,)):
                 if loss.lease == id_ or (scope is not None and loss.scope.overlaps(scope)):
-                    self._lost.forgive(key, loss.scope)
+                    self._lost.clear(key, loss.scope)
         self._refresh()
 
     def hand_over(
@@ -339,7 +341,7 @@ class Leases:
         if heir.principal.expires is not None:
             lease.expires = min(lease.expires, heir.principal.expires)
             self._set_timer(lease)
-        self._lost.forgive(lease.key, lease.scope)
+        self._lost.clear(lease.key, lease.scope)
         self._keep(lease)
         facts = {"lease": lease.id, "scope": lease.scope.text, "by": session.principal.name}
         tell = self._host.sessions.tell
@@ -350,7 +352,7 @@ class Leases:
 
     # -- expiry and loss -----------------------------------------------------------------------
 
-    def lose(
+    def revoke(
         self, lease: Lease, by: str, reason: str, *, stop: bool = True, ends: bool = True
     ) -> None:
         """Revoke a lease and cancel the commands that its holder gave under it.
@@ -358,7 +360,7 @@ class Leases:
         `stop` brings the robots to rest; pass False if they are being halted anyway. Without `ends`,
         nothing ends but the lease.
         """
-        if lease.id not in self.held:
+        if lease.id not in self.by_id:
             return
         self._remove(lease)
         loss = Loss(lease.id, lease.scope, by, reason)
@@ -383,7 +385,7 @@ class Leases:
         covers, moment = lost.scope.covers, self._now()
         others = [
             other.scope.covers
-            for other in self.held.values()
+            for other in self.by_id.values()
             if other.key == lost.key and other.expires > moment and other.scope.overlaps(lost.scope)
         ]
         if not others:
@@ -392,13 +394,13 @@ class Leases:
 
     def _expire(self, lease: Lease) -> None:
         if not self._host.closing:  # otherwise the next run restores it
-            self.lose(lease, "the gateway", "the lease expired")
+            self.revoke(lease, "the gateway", "the lease expired")
 
     def drop_on(self, paths: frozenset[str], by: str, reason: str) -> None:
         """Revoke the leases that cover any of these paths, whose robots are being halted."""
-        for lease in list(self.held.values()):
+        for lease in list(self.by_id.values()):
             if any(map(lease.scope.covers, paths)):
-                self.lose(lease, by, reason, stop=False)
+                self.revoke(lease, by, reason, stop=False)
 
     def session_ended(self, session: Session) -> None:
         """Revoke the leases of an ended session, unless the gateway is stopping.
@@ -407,12 +409,12 @@ class Leases:
         """
         if self._host.closing or session.principal.via is not None:
             return
-        for lease in [held for held in self.held.values() if held.key == session.holder]:
-            self.lose(lease, "the gateway", "its session ended")
+        for lease in [held for held in self.by_id.values() if held.key == session.holder]:
+            self.revoke(lease, "the gateway", "its session ended")
 
     def review(self) -> None:
         """Revoke the leases in whose scope the holder may no longer command anything."""
-        for lease in list(self.held.values()):
+        for lease in list(self.by_id.values()):
             self._host.in_steps(self._review(lease))
 
     def _review(self, lease: Lease) -> Work:
@@ -422,12 +424,12 @@ class Leases:
             if (yield from look(session.rights, lease.scope, COMMANDING)):
                 return
         if holders and lease.key == key:
-            self.lose(lease, "the gateway", "the holder no longer has access")
+            self.revoke(lease, "the gateway", "the holder no longer has access")
 
     # -- robots with gateways of their own -----------------------------------------------------
 
     @contextmanager
-    def asking(self, lease: Lease) -> Generator[None]:
+    def consulting_gateways(self, lease: Lease) -> Generator[None]:
         """Judge what robots' gateways say of a lease only when they have answered."""
         self._asked.add(lease.id)
         try:
@@ -436,9 +438,9 @@ class Leases:
             self._asked.discard(lease.id)
             self.compare(lease)
 
-    def _told(self, unit: StopGroup) -> None:
-        changed = self.gateways.told(unit)
-        for lease in list(self.held.values()):
+    def _gateway_reported(self, unit: StopGroup) -> None:
+        changed = self.gateways.update(unit)
+        for lease in list(self.by_id.values()):
             self._compare(lease, unit)
         if changed:
             self._changed()
@@ -459,7 +461,7 @@ class Leases:
         taker = next((one.holder for one in others), "its own gateway")
         # A person who goes on at another hub has taken along what runs; from anybody else, the
         # robot's gateway has taken it.
-        self.lose(lease, taker, f"{unit.name} is no longer under it", ends=taker != lease.holder)
+        self.revoke(lease, taker, f"{unit.name} is no longer under it", ends=taker != lease.holder)
 
     # -- bookkeeping ---------------------------------------------------------------------------
 
@@ -475,7 +477,7 @@ class Leases:
         self._changed()
 
     def _remove(self, lease: Lease) -> None:
-        del self.held[lease.id]
+        del self.by_id[lease.id]
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
         self._store.put(lease.id, None)

@@ -55,7 +55,7 @@ class Losses:
             return []
         return [loss for key in holders for loss in self._lost.get(key, {}).values()]
 
-    def forgive(self, key: str, scope: Scope) -> None:
+    def clear(self, key: str, scope: Scope) -> None:
         """Forget the losses of a holder that overlap a scope."""
         lost = self._lost.get(key, {})
         for loss in [loss for loss in lost.values() if loss.scope.overlaps(scope)]:

@@ -30,7 +30,7 @@ from rcp_kernel.tree.entry import StopGroup
 from rcp_kernel.types import Time
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
-from rcp_leases.lease import Held, Lease, Program
+from rcp_leases.lease import GatewayLease, Lease, Program
 from rcp_leases.leases import COMMANDING, Leases
 
 __all__ = ["PATH", "LeaseRequest", "LeaseRequests", "LeaseState", "releases"]
@@ -105,7 +105,7 @@ class LeaseRequests:
     def view(self, session: Session) -> Iterator[dict[str, Any] | None]:
         """List the leases on robots visible to a session, in steps."""
         look = self._host.scopes.look
-        for lease in list(self._leases.held.values()):
+        for lease in list(self._leases.by_id.values()):
             visible = yield from look(session.rights, lease.scope)
             yield msgspec.to_builtins(_state(lease)) if visible else None
         for there in list(self._leases.gateways.others()):
@@ -250,12 +250,12 @@ class LeaseRequests:
         leases, until = self._leases, self._until(ttl)
         async with self._turn(session):
             self._still(session, lease)
-            with leases.asking(lease):
+            with leases.consulting_gateways(lease):
                 try:
                     granted = await leases.gateways.extend(units, lease, ttl, Program.of(session))
                 except (LeaseHeld, LeaseLost, LeaseRequired) as error:
                     by = (error.details or {}).get("holder") or (error.details or {}).get("by")
-                    leases.lose(lease, by or "its own gateway", error.message)
+                    leases.revoke(lease, by or "its own gateway", error.message)
                     return self._still(session, lease)
                 self._still(session, lease)
                 leases.renew(session, lease, until, granted)
@@ -271,11 +271,11 @@ class LeaseRequests:
         units = leases.gateways.units(lease.scope)
         async with self._turn(session):
             self._still(session, lease)
-            with leases.asking(lease):
+            with leases.consulting_gateways(lease):
                 try:
                     granted = await leases.gateways.hand_over(units, lease, heir.principal)
                 except BaseException as error:  # some may have a new holder
-                    leases.lose(lease, session.principal.name, f"its hand-over failed: {error}")
+                    leases.revoke(lease, session.principal.name, f"its hand-over failed: {error}")
                     raise
                 self._still(session, lease)
                 leases.hand_over(session, lease, heir, granted)
@@ -336,7 +336,7 @@ class LeaseRequests:
         return present[0]
 
 
-def _unheld(scope: Scope, held: dict[str, Held]) -> Lease:
+def _unheld(scope: Scope, held: dict[str, GatewayLease]) -> Lease:
     """Return a lease that robots' gateways have granted and this one has not."""
     return Lease("", scope, "", "", None, 0, 0, 0, gateways=held)
 

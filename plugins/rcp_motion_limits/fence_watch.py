@@ -96,7 +96,7 @@ class FenceWatch:
 def _trouble(bound: BoundPath, driver: Session, sample: Sample) -> tuple[str, str, str] | None:
     """Return the sensor, the violated limit and a description; None if there is none."""
     for envelope in bound.held(driver.principal.grants):
-        place = envelope.place
+        place = envelope.fence
         if place is None or place.sensor != sample.entry.path:
             continue
         where = place.of_sample(sample)

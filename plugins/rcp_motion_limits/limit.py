@@ -20,8 +20,8 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_motion_limits.commanded_values import CommandedValues
 from rcp_motion_limits.config import Bound, EnvelopeConfig
+from rcp_motion_limits.fence_check import FenceCheck
 from rcp_motion_limits.own_pose import OwnPose
-from rcp_motion_limits.place import Place
 
 __all__ = ["MotionLimit", "within"]
 
@@ -40,7 +40,7 @@ class MotionLimit:
         self._now = entry.clock.monotonic
         self.bounds = [(Field(name), bound) for name, bound in table.bounds.items()]
         self.rates = [(Field(name), most) for name, most in table.rate.items()]
-        self.place = None if table.fence is None else Place(table.fence, entry, robots.entries)
+        self.fence = None if table.fence is None else FenceCheck(table.fence, entry, robots.entries)
         self.when = None if table.when is None else condition(table.when)
         self._conditions = robots.conditions
         called = entry.kind in (Kind.ACTION, Kind.SERVICE)
@@ -58,8 +58,8 @@ class MotionLimit:
     def _find_fault(self) -> str | None:
         wanted = [(field, bool(bound.allow)) for field, bound in self.bounds]
         wanted += [(field, False) for field, _ in self.rates]
-        if self.place is not None and self.place.sensor is None:
-            wanted += [(field, False) for field in self.place.point]
+        if self.fence is not None and self.fence.sensor is None:
+            wanted += [(field, False) for field in self.fence.point]
         for field, words in wanted:
             leaf = field.leaf(self._type.type)
             if leaf is None:
@@ -89,8 +89,8 @@ class MotionLimit:
         :raises OutOfRange: a field or the commanded position is outside its limits.
         """
         self._check_bounds(value)
-        if self.place is not None and self.place.sensor is None:
-            self._check_place(session, self.place, value)
+        if self.fence is not None and self.fence.sensor is None:
+            self._check_fence(session, self.fence, value)
 
     def check(self, session: Session, value: Any, force: CommandedValues) -> None:
         """Refuse a value that is not allowed now.
@@ -110,14 +110,14 @@ class MotionLimit:
         if self.table.modes:
             self._check_mode(session)
         if self.when is not None and self._conditions.holds(self.when, self.entry) is not True:
-            self._precondition(session, self.when)
+            self._refuse_condition(session, self.when)
         self._check_bounds(value)
         if self._pose is not None and self._height is not None:
             self._check_kept(session, value, self._pose, self._height)
-        if self.place is not None:
-            self._check_place(session, self.place, value)
+        if self.fence is not None:
+            self._check_fence(session, self.fence, value)
         for field, most in self.rates:
-            for was in force.held:
+            for was in force.possible:
                 step = most * min(max(0.0, self._now() - was.since), self._longest)
                 self._check_change(field, field.every(value), field.every(was.value), most, step)
 
@@ -201,25 +201,25 @@ class MotionLimit:
                     allowed={"min": was - step, "max": was + step},
                 )
 
-    def _check_place(self, session: Session, place: Place, value: Any) -> None:
-        if place.sensor is None:
-            where = place.commanded(value)
+    def _check_fence(self, session: Session, fence: FenceCheck, value: Any) -> None:
+        if fence.sensor is None:
+            where = fence.commanded(value)
             if where is None:
-                self._refuse(place.point[0].text, "has no position", None, None)
-            frame = place.foreign(value)
+                self._refuse(fence.point[0].text, "has no position", None, None)
+            frame = fence.foreign(value)
             if frame is not None:
                 text = f"is given in the frame '{frame}', in which the fence is not known"
-                self._refuse(place.point[0].text, text, None, None)
-            trouble = place.trouble(*where)
+                self._refuse(fence.point[0].text, text, None, None)
+            trouble = fence.trouble(*where)
             if trouble is not None:
                 self._raise(
                     f"the position {_spot(where)} of {self.entry.label} {trouble[1]}",
                     value=list(where),
                     fence=trouble[0],
-                    field=[field.text for field in place.point],
+                    field=[field.text for field in fence.point],
                 )
             return
-        where = place.present()
+        where = fence.present()
         if where is None:
             raise PreconditionFailed(
                 f"the robot's position is unknown{self.why}",
@@ -227,10 +227,10 @@ class MotionLimit:
                 remedy="Wait until the robot reports its position, then send it again.",
                 details=self.facts(),
             )
-        trouble = place.trouble(*where)
+        trouble = fence.trouble(*where)
         if trouble is not None:
-            seen = session.rights.mask(place.sensor) & Operation.READ
-            facts = {"place": list(where), "of": place.sensor} if seen else {}
+            seen = session.rights.mask(fence.sensor) & Operation.READ
+            facts = {"place": list(where), "of": fence.sensor} if seen else {}
             at = f" at {_spot(where)}" if seen else ""
             self._raise(f"the robot{at} {trouble[1]}", fence=trouble[0], **facts)
 
@@ -251,7 +251,7 @@ class MotionLimit:
             details={"modes": list(self.table.modes), **facts, **self.facts()},
         )
 
-    def _precondition(self, session: Session, when: Condition) -> NoReturn:
+    def _refuse_condition(self, session: Session, when: Condition) -> NoReturn:
         if not all(self._may_read(session.rights, ref) for ref in when.refs):
             raise PreconditionFailed(
                 f"a condition for commands to {self.entry.path} does not hold{self.why}",
@@ -284,8 +284,8 @@ class MotionLimit:
         plain = msgspec.to_builtins(self.table)
         keys = ("bounds", "rate", "fence", "modes")
         facts = {key: plain[key] for key in keys if plain[key]}
-        place = self.place
-        if place and place.sensor and not rights.mask(place.sensor) & Operation.READ:
+        fence = self.fence
+        if fence and fence.sensor and not rights.mask(fence.sensor) & Operation.READ:
             facts["fence"].pop("of")
         if self.when is not None and all(self._may_read(rights, ref) for ref in self.when.refs):
             facts["when"] = self.when.text

@@ -53,7 +53,7 @@ class BoundPath:
     @property
     def sensors(self) -> set[str]:
         """The sensors that limits of this path use."""
-        places = (envelope.place for envelope in self.envelopes)
+        places = (envelope.fence for envelope in self.envelopes)
         used = {place.sensor for place in places if place is not None}
         return {path for path in used | {one.pose for one in self.envelopes} if path is not None}
 

@@ -87,7 +87,7 @@ class Engine:
             if node.when is not None and not await self._holds(node, node.when):
                 self._skip(node)
                 return
-            await self._tries(node)
+            await self._run_with_retries(node)
         except asyncio.CancelledError:
             if not node.ended:
                 self._cancelled(node)
@@ -117,28 +117,28 @@ class Engine:
 
     # -- tries and deadlines -------------------------------------------------------------------
 
-    async def _tries(self, node: Node) -> None:
+    async def _run_with_retries(self, node: Node) -> None:
         loop = self._loop
         limit = node.step.deadline
         end = None if limit is None else loop.time() + limit
         retry = node.step.retry
         for left in range(0 if retry is None else retry.times, -1, -1):
             try:
-                await self._try(node, None if end is None else end - loop.time())
+                await self._run_once(node, None if end is None else end - loop.time())
             except RcpError as error:
                 over = end is not None and loop.time() + (retry.delay if retry else 0.0) >= end
-                if not left or over or not _again(retry, error):
+                if not left or over or not _may_retry(retry, error):
                     raise
                 assert retry is not None
                 self._telling.change(
                     node, "running", message=f"{error.message}; {left} retries left"
                 )
                 await asyncio.sleep(retry.delay)
-                self._afresh(node)
+                self._reset_node(node)
             else:
                 return
 
-    async def _try(self, node: Node, left: float | None) -> None:
+    async def _run_once(self, node: Node, left: float | None) -> None:
         node.state.tries += 1
         node.state.started = node.state.started or iso(now())
         with self._turns.spending():
@@ -158,7 +158,7 @@ class Engine:
                 raise
             raise _late(node) from None
 
-    def _afresh(self, node: Node) -> None:
+    def _reset_node(self, node: Node) -> None:
         for one in every(node.children):
             one.raw = None
             self._telling.quietly(one, "pending")
@@ -303,7 +303,7 @@ class Engine:
                 self._host.send(self._session, request, lambda _reply: None)
 
 
-def _again(retry: Retry | None, error: RcpError) -> bool:
+def _may_retry(retry: Retry | None, error: RcpError) -> bool:
     if retry is None or isinstance(error, EstopActive):
         return False
     return error.code in retry.on if retry.on else error.retryable

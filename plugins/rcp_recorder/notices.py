@@ -41,7 +41,7 @@ class _Lease(NamedTuple):
         """Return whether it is about a robot, of which these paths are recorded."""
         scope = self.scope
         if scope.robot is not None:
-            return unit.place == scope.robot
+            return unit.robot_segment == scope.robot
         return scope.whole or any(scope.covers(path) for path in paths)
 
 
@@ -58,8 +58,8 @@ class _Leases:
     def near(self, unit: StopGroup) -> Iterator[_Lease]:
         """Iterate over those that may be about a robot; one that has no name of its own has any."""
         yield from self._of_all
-        if unit.place:
-            yield from self._by_name.get(unit.place, ())
+        if unit.robot_segment:
+            yield from self._by_name.get(unit.robot_segment, ())
         else:
             yield from chain.from_iterable(self._by_name.values())
 

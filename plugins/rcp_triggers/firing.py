@@ -23,7 +23,7 @@ from rcp_triggers.notice import Notice, NoticeType
 from rcp_triggers.outbox import Outbox, stored
 from rcp_triggers.rights import TRANSPORT, TriggerRights
 from rcp_triggers.spec import Do, command_for
-from rcp_triggers.trigger import Come, Kept, OnRobot, Trigger
+from rcp_triggers.trigger import OnRobot, StoredState, Transition, Trigger
 
 __all__ = ["FIRINGS", "Actions", "command_request"]
 
@@ -51,12 +51,12 @@ class Actions:
         self._store = host.store("state")
         self.counts = {"fired": 0, "limited": 0, "suppressed": 0, "command_failed": 0}
 
-    def load(self) -> dict[str, Kept]:
+    def load(self) -> dict[str, StoredState]:
         """Return what earlier runs kept, by trigger and robot."""
-        found: dict[str, Kept] = {}
+        found: dict[str, StoredState] = {}
         for key, row in self._store.load().items():
             try:
-                found[key] = msgspec.convert(row, Kept)
+                found[key] = msgspec.convert(row, StoredState)
             except msgspec.ValidationError as error:
                 log.warning("trigger_state_unreadable", key=key, error=str(error))
                 self._store.put(key, None)
@@ -72,7 +72,7 @@ class Actions:
             self.drop(f"{trigger.key} {place.key}")
         self._alarms.removed(trigger.key)
 
-    def came(self, come: Come) -> None:
+    def apply(self, come: Transition) -> None:
         """Carry out what came of an evaluation."""
         trigger, robot, outcome, values = come
         match outcome:
@@ -87,7 +87,7 @@ class Actions:
         self._keep(trigger, robot)
         self._changed()
 
-    def told(
+    def announce(
         self, trigger: Trigger, what: Literal["stopped", "resumed"], detail: str | None
     ) -> None:
         """Tell that a trigger stopped, or goes on; also those who rely on its messages."""

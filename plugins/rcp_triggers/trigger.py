@@ -17,13 +17,13 @@ from rcp_triggers.place import Place
 from rcp_triggers.spec import Conditions, Spec
 from rcp_triggers.watch import RobotWatch
 
-__all__ = ["Kept", "OnRobot", "Trigger"]
+__all__ = ["OnRobot", "StoredState", "Trigger"]
 
 _NS = 1_000_000_000
 _MINUTE = 60.0
 
 
-class Kept(msgspec.Struct, kw_only=True):
+class StoredState(msgspec.Struct, kw_only=True):
     """What the store keeps of a trigger on a robot."""
 
     active: bool = False
@@ -60,7 +60,7 @@ class _Budget:
 class OnRobot:
     """A trigger on one robot."""
 
-    def __init__(self, watch: RobotWatch, kept: Kept, per_minute: float) -> None:
+    def __init__(self, watch: RobotWatch, kept: StoredState, per_minute: float) -> None:
         self.watch = watch
         self.place = watch.place
         self.kept = kept
@@ -99,7 +99,7 @@ class OnRobot:
         )
 
 
-class Come(NamedTuple):
+class Transition(NamedTuple):
     """Something came of an evaluation."""
 
     trigger: Trigger
@@ -118,7 +118,7 @@ class Trigger:
         spec: Spec,
         maker: Principal | None,
         host: FeatureHost,
-        come: Callable[[Come], None],
+        come: Callable[[Transition], None],
         *,
         configured: bool,
         made: int | None = None,
@@ -138,13 +138,13 @@ class Trigger:
         self.stopped: str | None = None
         self.robots: dict[Place, OnRobot] = {}
         self._host = host
-        self._come = come
+        self._on_transition = come
 
     def wants(self, place: Place) -> bool:
         """Return whether it has to take a robot in."""
         return place not in self.robots and self.conditions.robots.matches(place)
 
-    def add(self, place: Place, kept: Kept, per_minute: float) -> None:
+    def add(self, place: Place, kept: StoredState, per_minute: float) -> None:
         """Take a robot in."""
         watch = RobotWatch(self.conditions, self.spec.timing, place, self._host, self._came)
         if kept.fired is not None:
@@ -157,7 +157,7 @@ class Trigger:
     def _came(self, watch: RobotWatch, outcome: Outcome, values: dict[str, Any]) -> None:
         robot = self.robots.get(watch.place)
         if robot is not None and self.stopped is None:
-            self._come(Come(self, robot, outcome, values))
+            self._on_transition(Transition(self, robot, outcome, values))
 
     def stop(self, reason: str) -> None:
         """Evaluate no more."""

@@ -20,7 +20,7 @@ from rcp_triggers.firing import Actions
 from rcp_triggers.place import Place, place_of
 from rcp_triggers.rights import TriggerRights
 from rcp_triggers.spec import Spec
-from rcp_triggers.trigger import Come, Kept, Trigger
+from rcp_triggers.trigger import StoredState, Transition, Trigger
 from rcp_triggers.watch import LOOK
 
 __all__ = ["Triggers"]
@@ -58,7 +58,7 @@ class Triggers:
         self._store = host.store("triggers")
         self.known: dict[str, Trigger] = {}
         """By key: the name for those of the configuration, else tenant and name."""
-        self._kept: dict[str, Kept] = {}
+        self._kept: dict[str, StoredState] = {}
         self._places: dict[Place, None] = {}
         self._due: asyncio.TimerHandle | None = None
         self._look: asyncio.TimerHandle | None = None
@@ -114,7 +114,7 @@ class Triggers:
                         rule,
                         principal_of(name, rule),
                         self._host,
-                        self._come,
+                        self._on_transition,
                         configured=True,
                     )
                 )
@@ -148,7 +148,7 @@ class Triggers:
             row.spec,
             row.maker,
             self._host,
-            self._come,
+            self._on_transition,
             configured=False,
             made=row.made,
         )
@@ -162,7 +162,7 @@ class Triggers:
 
     def _take_in(self, trigger: Trigger, place: Place) -> None:
         if trigger.wants(place):
-            kept = self._kept.pop(f"{trigger.key} {place.key}", None) or Kept()
+            kept = self._kept.pop(f"{trigger.key} {place.key}", None) or StoredState()
             trigger.add(place, kept, self.per_minute)
             self._actions.unfinished(trigger, trigger.robots[place])
 
@@ -189,10 +189,10 @@ class Triggers:
                 self._take_in(trigger, place)
         self._changed()
 
-    def _come(self, come: Come) -> None:
+    def _on_transition(self, come: Transition) -> None:
         trigger = come.trigger
         if self._open and self.known.get(trigger.key) is trigger and self._check(trigger):
-            self._actions.came(come)
+            self._actions.apply(come)
 
     def _sweep(self) -> None:
         """Look at what no sample announces: values that become stale, credentials that expire."""
@@ -231,10 +231,10 @@ class Triggers:
         if reason is not None:
             trigger.stop(reason)
             log.warning("trigger_stopped", trigger=trigger.name, reason=reason)
-            self._actions.told(trigger, "stopped", reason)
+            self._actions.announce(trigger, "stopped", reason)
         else:
             trigger.resume()
-            self._actions.told(trigger, "resumed", None)
+            self._actions.announce(trigger, "resumed", None)
         self._changed()
         return reason is None
 

@@ -151,7 +151,7 @@ class RobotWatch:
         if found is None:
             return "there is no such resource"
         entry, _ = found
-        if entry.unit.link is None:
+        if entry.unit.usable_backend is None:
             return "the robot is not connected"
         if entry.latest is None:
             return "there is no value yet"

@@ -87,7 +87,7 @@ class Identities:
         self._others = AuthThrottle(config.limits.failed_logins, self._loop.time)
         """Attempts that ask somebody else: wrong keys of one address keep nobody from those."""
 
-    def ask(self, authenticators: Iterable[Authenticator]) -> None:
+    def set_authenticators(self, authenticators: Iterable[Authenticator]) -> None:
         """Set the authenticators, called by name after the gateway's own keys.
 
         :raises PluginError: two authenticators have the same name, or one has a reserved name.

@@ -34,7 +34,7 @@ class _Change(NamedTuple):
     path: str
     name: str
     backend: str
-    more: int
+    difference: int
     """1: it was declared; 0: replaced; -1: withdrawn."""
 
 
@@ -83,8 +83,8 @@ class Hidden:
 
     def change(self, change: _Change) -> None:
         """Count a hidden path more or less."""
-        self.count += change.more
-        if change.more < 0:
+        self.count += change.difference
+        if change.difference < 0:
             self.names.discard(change.name)
         elif len(self.names) < _NAMES:
             self.names.add(change.name)
@@ -136,12 +136,12 @@ class _Part:
     def _judge(self, rights: Rights, change: _Change) -> bool:
         """Process a change; return whether it is visible."""
         path = change.path
-        if change.more < 0:  # not to be kept
+        if change.difference < 0:  # not to be kept
             mask = rights.masks.get(path) or rights.compute_mask(path)
         else:
             mask = rights.mask(path)
         if mask:
-            self.visible += change.more
+            self.visible += change.difference
         else:
             self.hidden.setdefault(change.backend, Hidden()).change(change)
         return bool(mask)
@@ -170,18 +170,18 @@ class Sight:
         """The number of visible resources."""
         return sum(part.visible for part in self.parts.values())
 
-    def rise(self) -> None:
+    def count_change(self) -> None:
         """Record that the visible part has changed."""
         self.number = max(self.number + 1, now() // 1_000_000)
 
-    def hides(self, tenant: str | None, backend: str) -> Hidden:
+    def hidden_of(self, tenant: str | None, backend: str) -> Hidden:
         """Return what of a tenant's backend is hidden."""
         part = self.parts.get(tenant)
         return (None if part is None else part.hidden.get(backend)) or Hidden()
 
     def mentions_hidden(self, tenant: str | None, backend: str, text: str) -> bool:
         """Tell whether a text may name what of a tenant's backend is hidden."""
-        return not self.current or self.hides(tenant, backend).named_in(text)
+        return not self.current or self.hidden_of(tenant, backend).named_in(text)
 
     def whole(self, tenant: str | None) -> bool:
         """Tell whether nothing of a tenant (None: of any) is hidden."""
@@ -275,4 +275,4 @@ class Sights:
             else:
                 sight.tree = generation
             if news:
-                sight.rise()
+                sight.count_change()

@@ -181,7 +181,7 @@ class Visibility:
         """Return whether nothing of a backend is hidden."""
         if "*" not in rights.tenants and tenant not in rights.tenants:
             return False
-        return not self._sights.look(rights).hides(tenant, name).count
+        return not self._sights.look(rights).hidden_of(tenant, name).count
 
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
         """Return whether nothing of a tenant is hidden; None means all tenants.

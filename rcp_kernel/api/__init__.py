@@ -14,9 +14,9 @@ from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.roles import check_pattern
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
 from rcp_kernel.contract.peer import Peer, Serial
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.queued_request import QueuedRequest
 from rcp_kernel.contract.touches import EVERYTHING as TOUCHES_EVERYTHING
 from rcp_kernel.contract.version import gateway_version

@@ -139,7 +139,7 @@ class Exposition:
             "rcp_queue_full",
             "What was done because too much waited for clients.",
             ("action",),
-            [(["refused"], outbound.refused), (["closed"], outbound.cut)],
+            [(["refused"], outbound.refused), (["closed"], outbound.closed_clients)],
         )
         yield counter(
             "rcp_commands",

@@ -135,4 +135,4 @@ class GatewayFeatureHost:
 
     def check_place(self, session: Session, request: Request) -> None:
         """Refuse a request that its session has no place for."""
-        session.place(request, self._settings.limits.in_flight)
+        session.reserve(request, self._settings.limits.in_flight)

@@ -117,7 +117,7 @@ class StatusReport:
         every = rights is None or "*" in rights.tenants
         tenants = ("*",) if rights is None else rights.tenants
         supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
-        robots = [self._robot(supervisor, rights) for supervisor in supervisors]
+        robots = [self._describe_backend(supervisor, rights) for supervisor in supervisors]
         states = [robot["state"] for robot in robots]
         adapters = [*self.adapters, *self._identities.facts]
         parts = [*self.transports, *adapters]
@@ -163,13 +163,15 @@ class StatusReport:
         return self.sights.look(rights).visible
 
     def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
-        return self.sights.look(rights).hides(supervisor.tenant, supervisor.name)
+        return self.sights.look(rights).hidden_of(supervisor.tenant, supervisor.name)
 
     def _mentions_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
         sight = self.sights.look(rights)
         return sight.mentions_hidden(supervisor.tenant, supervisor.name, text)
 
-    def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
+    def _describe_backend(
+        self, supervisor: BackendSupervisor, rights: Rights | None
+    ) -> dict[str, Any]:
         """Describe a backend without anything hidden from the principal."""
         facts = supervisor.plain()
         facts["robots"] = {

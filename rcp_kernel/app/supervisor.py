@@ -144,7 +144,7 @@ class BackendSupervisor:
         unit = self._units.get(robot)
         if unit is None:
             unit = self._units[robot] = StopGroup(self, self._latches, robot)
-            unit.link = self.backend
+            unit.usable_backend = self.backend
             if self._backend is not None and unit.latch is not None:
                 self._stops.resume(unit)
         return unit
@@ -214,18 +214,18 @@ class BackendSupervisor:
             path, hold_resource(name, unit.robot), self, self.tenant, self.robot, place.clock
         )
         entry.is_hold = True
-        self.entries[name] = unit.own[name] = place.place(entry)
+        self.entries[name] = unit.own[name] = place.insert(entry)
 
     def _find_lost(self, entry: Entry) -> None:
         """Note a command that an earlier gateway began and that the robot may still carry out."""
-        cut_off = [c for c in self._journal.cut_off if c.path == entry.path]
+        cut_off = [c for c in self._journal.interrupted if c.path == entry.path]
         if cut_off:
             for command in cut_off:
-                self._journal.cut_off.remove(command)
+                self._journal.interrupted.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
             entry.unit.lost = entry.path
-            self._regain(entry.unit)
+            self._stop_or_recover(entry.unit)
 
     def _tell_cut_off(self) -> None:
         """Add the loss policy to the errors of those commands, once it is known."""
@@ -318,7 +318,7 @@ class BackendSupervisor:
         state: Availability = "ready" if detail is None else "down" if down else "degraded"
         changed = state != unit.state
         unit.state, unit.detail = state, detail
-        unit.link = None if down else self.backend
+        unit.usable_backend = None if down else self.backend
         if not changed:
             return
         unit.since = now()
@@ -336,7 +336,7 @@ class BackendSupervisor:
             self._enter("degraded", detail)
         if unit.state == "down":
             self._report_robot(unit, detail, down=False)
-        self._regain(unit)
+        self._stop_or_recover(unit)
 
     def own_estop(
         self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
@@ -438,13 +438,13 @@ class BackendSupervisor:
         left: list[asyncio.Task[Any]] = []
         try:
             async with kind.open(config, self) as opened:
-                self._began(ContainedBackend(opened))
+                self._use_backend(ContainedBackend(opened))
                 try:
                     await self._closing.wait()
                 finally:
                     for recovery in self._recoveries.values():
                         recovery.cancel()
-                    left = self._commands.leave(self.name)
+                    left = self._commands.detach(self.name)
                     if not self._closing.is_set():
                         self._enter("down", self.detail or "the backend stopped")
         finally:  # when nothing can reach the robots any more
@@ -452,20 +452,20 @@ class BackendSupervisor:
                 task.cancel()
         self._set_backend(None)
 
-    def _began(self, backend: ContainedBackend) -> None:
+    def _use_backend(self, backend: ContainedBackend) -> None:
         """Use an open backend: first the stops, then what its robots still carry out."""
         self._set_backend(backend)
         self._on_loss, self.has_gateways = backend.on_loss, backend.has_gateways
         self._enter("ready", None)
         self._tell_cut_off()
         for unit in self.units:
-            self._regain(unit)
+            self._stop_or_recover(unit)
         if backend.has_gateways:
             for entry in list(self.entries.values()):
                 self._commands.take_up(entry, backend)
         self.settled.set()
 
-    def _regain(self, unit: StopGroup) -> None:
+    def _stop_or_recover(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; otherwise settle its lost commands."""
         if self.backend is None:
             return
@@ -528,7 +528,7 @@ class BackendSupervisor:
         opens = self.state in _OPENS or (self.state == "down" and self._backend is None)
         looks = self._discovering and self._backend is not None
         growing = not self._closing.is_set() and (opens or looks)
-        self._registry.grow(self, growing=growing)
+        self._registry.set_incomplete(self, growing=growing)
 
     def _set_backend(self, backend: ContainedBackend | None) -> None:
         """Have an open backend, which works as far as the present state says so."""
@@ -537,7 +537,7 @@ class BackendSupervisor:
         if usable is not self.backend:
             self.backend = usable
             for unit in (self.whole, *self._units.values()):
-                unit.link = None if unit.state == "down" else usable
+                unit.usable_backend = None if unit.state == "down" else usable
 
     def _enter(self, state: State, detail: str | None) -> None:
         changed = state != self.state

@@ -94,7 +94,7 @@ class System(BaseBackend):
         self._loop = loop
         self.samples = 0
         self._unit = StopGroup(self, None)
-        self._unit.link = self
+        self._unit.usable_backend = self
         self._estop_due: asyncio.TimerHandle | None = None
         self._estop_took = 0.0
         """How long it took to describe the e-stop the last time, s."""
@@ -139,7 +139,7 @@ class System(BaseBackend):
 
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
-        return self._registry.place(Entry(path, resource, self, None, None, self._registry.clock))
+        return self._registry.insert(Entry(path, resource, self, None, None, self._registry.clock))
 
     def _add(self, own: SystemResource) -> None:
         """Put a feature's resource into the tree."""

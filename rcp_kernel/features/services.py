@@ -35,7 +35,7 @@ class FeatureServices:
     def __init__(self) -> None:
         self._found: ServiceLookup | None = None
 
-    def ask(self, found: ServiceLookup) -> None:
+    def set_lookup(self, found: ServiceLookup) -> None:
         """Set the features that have been made."""
         self._found = found
 

@@ -94,7 +94,7 @@ class GatewayActionHost:
         check_motion(entry)
         if not gained:
             self._control.check(session, entry)
-        if entry.unit.link is None:
+        if entry.unit.usable_backend is None:
             raise entry.unit.unavailable()
         if complete:
             self._foresee(session, entry, value)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -119,7 +119,7 @@ class Admission:
         self._replies = replies
         self._shutdown = shutdown
         self._every = sorted(guards, key=lambda guard: guard.slot)
-        self.active: tuple[Guard, ...] = ()
+        self.other_guards: tuple[Guard, ...] = ()
         """The active guards, in order."""
         self.control: tuple[Guard, ...] = ()
         """The active guards that decide who has control: they come first, and also check safe
@@ -133,9 +133,9 @@ class Admission:
         """Find out which guards the configuration in force needs."""
         active = [guard for guard in self._every if guard.active]
         self.control = tuple(guard for guard in active if guard.slot is Slot.LEASE)
-        self.active = tuple(guard for guard in active if guard.slot is not Slot.LEASE)
-        self._early = tuple(g for g in self.active if g.slot is Slot.MOTION_LIMIT)
-        self._late = self.active[len(self._early) :]
+        self.other_guards = tuple(guard for guard in active if guard.slot is not Slot.LEASE)
+        self._early = tuple(g for g in self.other_guards if g.slot is Slot.MOTION_LIMIT)
+        self._late = self.other_guards[len(self._early) :]
 
     def admit(self, call: Call) -> None:
         """Refuse a call that is not allowed now, before quotas and the last guards.
@@ -154,7 +154,7 @@ class Admission:
             self._shutdown.check()
             return
         unit = entry.unit
-        if entry.barred and (unit.latched or unit.whole.retired is not None):
+        if entry.barred and (unit.all_latches or unit.whole.retired is not None):
             check_motion(entry)
         if entry.tenant is not None:
             for guard in self.control:  # as `_admit_all`, but for nearly every command
@@ -169,12 +169,12 @@ class Admission:
             self._shutdown.check()
         for demand in self._replies.demands:
             demand.check()
-        if unit.link is None:
+        if unit.usable_backend is None:
             raise unit.unavailable()
         if self._early and _concerns_guards(call):
             _admit_all(self._early, call)
 
-    def ask(self, call: Call) -> None:
+    def admit_late(self, call: Call) -> None:
         """Call the last guards, when nothing else refuses the call.
 
         :raises RcpError: one refuses.
@@ -182,7 +182,7 @@ class Admission:
         if self._late and _concerns_guards(call):
             _admit_all(self._late, call)
 
-    def ask_all(self, calls: Sequence[Call]) -> None:
+    def admit_late_all(self, calls: Sequence[Call]) -> None:
         """Call the last guards for several calls: each guard for all of them before the next.
 
         The last one uses an approval up, after which nothing may refuse.
@@ -222,7 +222,7 @@ class Admission:
             check_age(entry, request.timestamp)
         if not entry.is_hold:
             if entry.barred:
-                if unit.latched or unit.whole.retired is not None:
+                if unit.all_latches or unit.whole.retired is not None:
                     check_motion(entry)
                 if unit.holds or unit.whole.holds:
                     check_hold(entry, call.value)
@@ -233,13 +233,13 @@ class Admission:
                             guard.confirm(call)
                         except Exception as error:
                             raise _refusal(guard, call, error) from None
-        backend = unit.link
+        backend = unit.usable_backend
         if backend is None:
             raise unit.unavailable()
         if entry.is_hold:
             return backend
-        if self.active and _concerns_guards(call):
-            _confirm_all(self.active, call)
+        if self.other_guards and _concerns_guards(call):
+            _confirm_all(self.other_guards, call)
         self._events.sent(call)
         return backend
 

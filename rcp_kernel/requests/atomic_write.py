@@ -15,7 +15,7 @@ from msgspec import Raw
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
-from rcp_kernel.contract.pending import attribute_error
+from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.errors import (
     BadRequest,
     DeviceRejected,
@@ -130,11 +130,11 @@ class AtomicWriteHandler:
             reply_to = self._keyed.note(session, request, place, reply_to)
         noted = self._request_events.written_together(session, admitted.calls, reply_to)
         try:
-            self._inflight.later(
+            self._inflight.answer_later(
                 session,
                 request,
                 noted,
-                self._bring_into_force(admitted),
+                self._apply(admitted),
                 lambda samples: _written(request, samples),
                 timeout,
                 None,
@@ -198,7 +198,7 @@ class AtomicWriteHandler:
         _raise(faults)
         windows = self._windows(request, calls)
         try:
-            self._admission.ask_all(calls)
+            self._admission.admit_late_all(calls)
         except RcpError as error:
             _raise([error])
         least = min(windows.values(), default=0.0)
@@ -240,19 +240,19 @@ class AtomicWriteHandler:
             custom=request.custom,
         )
 
-    async def _bring_into_force(self, admitted: _Admitted) -> list[Sample]:
+    async def _apply(self, admitted: _Admitted) -> list[Sample]:
         entries = admitted.entries
         unit = entries[0].unit
         if admitted.calls[0].request.idempotency_key is not None:
             await self._keyed.committed()
         permit(unit, admitted.stops)
-        task = self._deadman.departed(entries[0])
+        task = self._deadman.begin_write(entries[0])
         for entry in entries[1:]:
-            self._deadman.departed(entry)
+            self._deadman.begin_write(entry)
         try:
             for entry in entries:
-                if entry.path in self._deadman.leaving:
-                    await self._deadman.cleared(entry)
+                if entry.path in self._deadman.cancelling:
+                    await self._deadman.wait_cancelled(entry)
             backend = self._confirm(admitted)
             return await self._send(backend, admitted)
         except BaseException:
@@ -262,7 +262,7 @@ class AtomicWriteHandler:
             raise
         finally:
             for entry in entries:
-                self._deadman.arrived(entry, task)
+                self._deadman.end_write(entry, task)
             del task  # avoids a reference cycle through the traceback of its error
 
     def _confirm(self, admitted: _Admitted) -> Backend:

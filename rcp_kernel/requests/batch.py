@@ -13,8 +13,8 @@ from msgspec import Raw
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.object_list import EncodedBody, ObjectList, expected
@@ -72,7 +72,7 @@ class BatchHandler:
             return Reply(type="batch", id=request.id, body=replies, timestamp=iso(now()))
 
         owner = session.principal.identity
-        self._inflight.later(
+        self._inflight.answer_later(
             session, request, answer, batch.run(self._turns, owner), done, timeout, None
         )
         return None

@@ -80,7 +80,7 @@ class Commands:
         """The command that occupies each path whose policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
         self._starts: dict[str, Callable[[], None]] = {}
-        self._left: dict[str, list[Command]] = {}
+        self._detached: dict[str, list[Command]] = {}
         """Commands that go on without this gateway, by path, until they are taken up again."""
         for command in self.running.values():
             self._wait(command)
@@ -153,7 +153,7 @@ class Commands:
             entry.unit.lost = None
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")
-        command.task.add_done_callback(partial(self._ended, command))
+        command.task.add_done_callback(partial(self._on_task_done, command))
         if command.deadline is None:
             timeout = entry.resource.timeout or (
                 _SERVICE_TIMEOUT
@@ -177,7 +177,7 @@ class Commands:
         self._journal.keep(command)
         command.ready = self._journal.committed
 
-    def leave(self, backend: str) -> list[asyncio.Task[Any]]:
+    def detach(self, backend: str) -> list[asyncio.Task[Any]]:
         """Go on with the commands of a backend later; return their tasks, to be ended with it."""
         tasks: list[asyncio.Task[Any]] = []
         for command in self.running.values():
@@ -193,7 +193,7 @@ class Commands:
     def _wait(self, command: Command) -> None:
         """Keep a command until its backend takes it up, or its deadline has passed."""
         assert command.continuation is not None
-        self._left.setdefault(command.path, []).append(command)
+        self._detached.setdefault(command.path, []).append(command)
         left = max(0.0, (command.continuation.until - self._now()) / 1e9)
         taken = (command.continuation.until - command.created) / 1e9
         missed = partial(self._expire, command, taken)
@@ -201,18 +201,18 @@ class Commands:
 
     def take_up(self, entry: Entry, backend: Backend) -> None:
         """Go on with the commands of a path that were left, or that an earlier run began."""
-        for command in list(self._left.get(entry.path, ())):
+        for command in list(self._detached.get(entry.path, ())):
             command.entry = entry
             if entry.barred and entry.unit.latch is not None:
                 why = f"{entry.path} was cancelled: emergency stop"
-                self._end(command, Cancelled(why, path=entry.path))
+                self._finish(command, Cancelled(why, path=entry.path))
                 continue
-            self._left[entry.path].remove(command)
+            self._detached[entry.path].remove(command)
             if not _begins_at_once(entry):
                 self._active.setdefault(entry.path, command)
             work = self._continue(command, entry, backend)
             command.task = self._loop.create_task(work, name=f"command {command.id}")
-            command.task.add_done_callback(partial(self._ended, command))
+            command.task.add_done_callback(partial(self._on_task_done, command))
             if command.cancelling is not None:  # once its robot can be told
                 self._loop.call_soon(command.task.cancel)
 
@@ -270,7 +270,7 @@ class Commands:
             end_permit()  # what follows from the result is not the robot's any more
             command.task = None
             if command.finished is None:
-                self._end(command, result)
+                self._finish(command, result)
             self._release(command)
         return result
 
@@ -301,7 +301,7 @@ class Commands:
         if command.final:
             return
         command.expired = True
-        if command in self._left.get(command.path, ()):
+        if command in self._detached.get(command.path, ()):
             what = f"did not finish within {timeout:g} s; its robot could not be reached"
         elif command.task is None:
             self._unqueue(command)
@@ -309,7 +309,7 @@ class Commands:
         else:
             command.task.cancel()
             what = f"did not finish within {timeout:g} s; the robot was told to stop"
-        self._end(command, DeadlineExceeded(f"{command.path} {what}", path=command.path))
+        self._finish(command, DeadlineExceeded(f"{command.path} {what}", path=command.path))
 
     def _unqueue(self, command: Command) -> None:
         del self._starts[command.id]
@@ -322,7 +322,7 @@ class Commands:
         command.cancelling = reason
         if command.id in self._starts:
             self._unqueue(command)
-            self._end(
+            self._finish(
                 command, Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
             )
         elif command.task is not None or command.continuation is not None:
@@ -334,13 +334,13 @@ class Commands:
         """End a command that is no longer permitted: refused if queued, otherwise cancelled."""
         if command.id in self._starts:
             self._unqueue(command)
-            self._end(command, error)
+            self._finish(command, error)
         else:
             self.cancel(command, error.message)
 
     def _give_up(self, command: Command) -> None:
         if not command.final:
-            self._end(
+            self._finish(
                 command,
                 DeadlineExceeded(
                     f"{command.path} was cancelled, but the backend has not confirmed it for "
@@ -350,12 +350,12 @@ class Commands:
                 ),
             )
 
-    def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
+    def _on_task_done(self, command: Command, task: asyncio.Task[Any]) -> None:
         if command.task is None and command.continuation is None:
             return  # it is complete; asyncio reports what failed after that
         left = command.task is not task  # it goes on elsewhere
         if command.finished is None and not left:
-            self._end(command, outcome_of(command, task))
+            self._finish(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # retrieved, so that asyncio does not report it
         if not left:
@@ -380,7 +380,7 @@ class Commands:
             del self._queues[path]
         self._starts.pop(following.id)()
 
-    def _end(self, command: Command, outcome: Any) -> None:
+    def _finish(self, command: Command, outcome: Any) -> None:
         if command.deadline is not None:
             self._deadlines.clear(command.deadline, command)
             command.deadline = None
@@ -391,8 +391,8 @@ class Commands:
             text = f"Command {command.path} executed successfully."
             self._journal.write(command, Record("completed", self._now(), body, message=text))
         path = command.path
-        if path in self._left and command in self._left[path]:
-            self._left[path].remove(command)
+        if path in self._detached and command in self._detached[path]:
+            self._detached[path].remove(command)
             self._release(command)
 
     def interrupt(self, path: str, error: RcpError) -> None:
@@ -400,14 +400,14 @@ class Commands:
         for command in [c for c in self._journal.running.values() if c.path == path]:
             if command.id in self._starts:
                 self._unqueue(command)
-                self._end(command, error)
+                self._finish(command, error)
                 continue
-            if command in self._left.get(path, ()):
+            if command in self._detached.get(path, ()):
                 continue
             if command.task is not None:
                 command.task.cancel()
             lost = LinkLost(error.message, origin=error.origin) if command.sent else error
-            self._end(command, lost)
+            self._finish(command, lost)
 
     async def close(self) -> None:
         """Cancel all commands but those that go on without this gateway; wait a limited time."""

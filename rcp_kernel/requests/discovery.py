@@ -207,7 +207,7 @@ def _is_part(entry: Entry, profile: str) -> bool:
 
 
 def _state(entry: Entry) -> str:
-    if entry.unit.link is None:
+    if entry.unit.usable_backend is None:
         return "down"
     if entry.kind in (Kind.ACTION, Kind.SERVICE):
         return "ready"

@@ -192,7 +192,7 @@ class ExecuteHandler:
             return None
         if action is not None:
             prepared = self._prepared(action, session, request, prepared)
-        self._admission.ask(call)
+        self._admission.admit_late(call)
         if request.dry_run:
             return self._would(call, prepared)
         if action is None or prepared is None:
@@ -222,8 +222,8 @@ class ExecuteHandler:
         request, entry = call.request, call.entry
         if prepared is not None:
             return dry_run_reply(request, entry, dict(prepared.run.dry_run()))
-        if entry.unit.link is not None:
-            entry.unit.link.foresee(entry.name, call.value)
+        if entry.unit.usable_backend is not None:
+            entry.unit.usable_backend.foresee(entry.name, call.value)
         return dry_run_reply(request, entry, {"execute": call.value, **self._dry_run(call)})
 
     @staticmethod
@@ -292,7 +292,7 @@ class ExecuteHandler:
             )
 
         work = self._estop_lane.request(session, scope, request)
-        self._inflight.later(
+        self._inflight.answer_later(
             session,
             request,
             self._replies.estop_when_stored(answer),
@@ -353,7 +353,7 @@ class ExecuteHandler:
     ) -> None:
         noted = self._keyed.note_service(session, request, entry.path, answer)
         try:
-            self._inflight.later(session, request, noted, work, made, limit, entry.path)
+            self._inflight.answer_later(session, request, noted, work, made, limit, entry.path)
         except RcpError:
             self._keyed.forget(session, request, entry.path)
             raise

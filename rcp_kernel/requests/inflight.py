@@ -12,8 +12,8 @@ from typing import Any
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import end_permit
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.metrics import RequestCounts
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import Cancelled, DeadlineExceeded, RcpError
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
@@ -44,7 +44,7 @@ class InFlight:
         self.deadlines = deadlines
         self.loop = loop
 
-    def later(
+    def answer_later(
         self,
         session: Session,
         request: Request,
@@ -67,7 +67,7 @@ class InFlight:
             key = (
                 f"\0{secrets.token_hex(8)}"
                 if urgent
-                else session.place(request, self._settings.limits.in_flight)
+                else session.reserve(request, self._settings.limits.in_flight)
             )
         except RcpError:
             work.close()

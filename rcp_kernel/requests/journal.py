@@ -74,7 +74,7 @@ class CommandJournal:
         """Listeners of all commands, called before followers."""
         self.running: dict[str, Command] = {}
         """Commands that have not ended, by id."""
-        self.cut_off: list[Command] = []
+        self.interrupted: list[Command] = []
         """Commands interrupted by the end of the previous run."""
         self.counts: dict[tuple[str, str], int] = {}
         """Ended commands by path and final status."""
@@ -90,7 +90,7 @@ class CommandJournal:
             if not command.final:
                 cut_off(command, self._now())
                 self.keep(command)
-                self.cut_off.append(command)
+                self.interrupted.append(command)
             self._finished.add(command)
 
     def find(self, id_: str) -> Command | None:
@@ -152,7 +152,7 @@ class CommandJournal:
 
     def tell_cut_off(self) -> None:
         """Report the interrupted commands to the listeners of all commands."""
-        for command, listener in product(self.cut_off, self.listeners):
+        for command, listener in product(self.interrupted, self.listeners):
             step = command.history[-1]
             try:
                 listener.on_command(command, step)
@@ -164,9 +164,9 @@ class CommandJournal:
     ) -> None:
         """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: see `Session.place`.
+        :raises DuplicateRequest, QueueFull: see `Session.reserve`.
         """
-        key = session.place(request, self._settings.limits.in_flight)
+        key = session.reserve(request, self._settings.limits.in_flight)
         session.inflight.add(key)
         if self._replies.demands:
             answer = self._replies.when_stored(answer, request)

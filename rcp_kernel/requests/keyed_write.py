@@ -79,7 +79,7 @@ class KeyedWrites:
             reply.id = request.id
             return reply
 
-        self._inflight.later(session, request, answer, _outcome(first), again, timeout, path)
+        self._inflight.answer_later(session, request, answer, _outcome(first), again, timeout, path)
 
     def forget(self, session: Session, request: Request, place: str) -> None:
         """Let the key go: the write was refused before it could have done anything."""

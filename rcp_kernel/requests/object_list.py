@@ -40,7 +40,7 @@ class EncodedBody(Body):
 class ObjectList(Body):
     """A list of objects; those of samples share the bytes that the samples have anyway."""
 
-    __slots__ = ("_encoding", "_made", "_pieces", "cut", "size")
+    __slots__ = ("_encoding", "_made", "_pieces", "size", "truncated")
 
     def __init__(self, encoding: Encoding) -> None:
         self._encoding = encoding
@@ -48,7 +48,7 @@ class ObjectList(Body):
         self._pieces: list[bytes] = []
         self.size = 1
         """Bytes of all parts, and of the list itself."""
-        self.cut = False
+        self.truncated = False
 
     @property
     def last(self) -> Any:
@@ -105,7 +105,7 @@ def listed(
         if item is not None:
             full = len(page) == most
             if full or not page.add(None, item, longest if len(page) else None):
-                page.cut = True
+                page.truncated = True
                 break
         yield
     return page

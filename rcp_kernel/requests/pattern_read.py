@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine, Hashable
 from itertools import islice
 from typing import Any
 
-from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.errors import DeadlineExceeded
 from rcp_kernel.requests.object_list import ObjectList
 from rcp_kernel.tree.entry import Entry

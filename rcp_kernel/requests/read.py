@@ -15,8 +15,8 @@ from msgspec import Meta
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.clock import iso, iso_bytes, now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.contract.metrics import RequestCounts
-from rcp_kernel.contract.pending import attribute_error
 from rcp_kernel.errors import (
     AdapterUnavailable,
     FilterUnsupported,
@@ -115,7 +115,7 @@ class ReadHandler:
             and entry.live
             and (sample := entry.latest) is not None
             and not request.body
-            and entry.unit.link is not None
+            and entry.unit.usable_backend is not None
         ):
             if entry.value_type.grows and self._turns.over:
                 self._read_later(session, request, entry, answer, ReadOptions())
@@ -174,7 +174,7 @@ class ReadHandler:
             or (sample := entry.latest) is None
             or request.body
             or request.custom is not None
-            or entry.unit.link is None
+            or entry.unit.usable_backend is None
             or (entry.value_type.grows and self._turns.over)
         ):
             return None
@@ -231,7 +231,7 @@ class ReadHandler:
         options: ReadOptions,
     ) -> None:
         """Answer when a value has been fetched."""
-        self._inflight.later(
+        self._inflight.answer_later(
             session,
             request,
             answer,
@@ -314,7 +314,7 @@ class ReadHandler:
         longest = room(self._settings.limits.message)
         page = yield from listed(items, expected(session, request), longest, options.limit)
         reply = _viewed(request, entry, page, options)
-        if page.cut:
+        if page.truncated:
             reply.cursor = cursor_of(page.last["path"])
         return reply
 
@@ -326,7 +326,7 @@ class ReadHandler:
         return self._fetch(entry, entry.latest)
 
     async def _fetch(self, entry: Entry, seen: Sample | None) -> Sample:
-        backend = entry.unit.link
+        backend = entry.unit.usable_backend
         if backend is None:
             raise entry.unit.unavailable()
         started = perf_counter()
@@ -354,7 +354,7 @@ class ReadHandler:
     async def _fetch_in_frame(self, session: Session, entry: Entry, frame: str) -> Sample:
         """Read a value in a frame from the robot's own gateway, which knows its transforms."""
         self._frames.view(session, entry, frame).check()  # there, the hub's own rights may count
-        backend = entry.unit.link
+        backend = entry.unit.usable_backend
         if backend is None:
             raise entry.unit.unavailable()
         value: Any = await _attributed(entry, backend.read_in_frame(entry.name, frame))
@@ -379,14 +379,14 @@ class ReadHandler:
         )
 
         def done(items: ObjectList) -> Reply:
-            cut = more or len(items) < len(entries)
+            truncated = more or len(items) < len(entries)
             return Reply(
                 type="read",
                 id=request.id,
                 path=pattern.text,
                 body=items,
-                truncated=cut,
-                cursor=cursor_of(entries[len(items) - 1].path) if cut else None,
+                truncated=truncated,
+                cursor=cursor_of(entries[len(items) - 1].path) if truncated else None,
                 timestamp=iso(now()),
             )
 
@@ -394,7 +394,7 @@ class ReadHandler:
             min(request.deadline or self._settings.limits.deadline, self._settings.limits.deadline)
             * 0.9
         )
-        self._inflight.later(
+        self._inflight.answer_later(
             session,
             request,
             answer,
@@ -427,7 +427,7 @@ def _unsearchable(path: str) -> FilterUnsupported:
 
 
 def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
-    if options.fresh or entry.latest is None or entry.unit.link is None:
+    if options.fresh or entry.latest is None or entry.unit.usable_backend is None:
         return None
     if options.frame is not None and entry.owner.has_gateways:  # that gateway converts
         return None
@@ -451,7 +451,7 @@ def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Generator[None, No
 
 
 def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:
-    cut = isinstance(value, Body) and value.cut
+    truncated = isinstance(value, Body) and value.truncated
     if options.fields:
         value = project(value.value if isinstance(value, Body) else value, options.fields)
     moment = iso(now())
@@ -460,7 +460,7 @@ def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) ->
         id=request.id,
         path=entry.path,
         body=value,
-        truncated=cut,
+        truncated=truncated,
         source_timestamp=moment,
         state="fresh",
         timestamp=moment,

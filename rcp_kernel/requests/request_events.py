@@ -53,7 +53,7 @@ class RequestEvents:
             )
         return self._gate.when_stored(answer, request) if wait else answer
 
-    def unwelcome(self, session: Session, reply: Reply, answer: Answer) -> Answer:
+    def hello_refused(self, session: Session, reply: Reply, answer: Answer) -> Answer:
         """Report a refused `hello`, without its contents; return the receiver of its reply."""
         error = reply.error or {}
         event = Event(

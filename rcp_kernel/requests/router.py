@@ -12,8 +12,8 @@ from time import perf_counter
 import structlog
 
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.metrics import RequestCounts
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.requests.exempt import Exemptions

@@ -39,7 +39,7 @@ from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.streams.framed import FrameView, RemoteFramedPathSubscription
 from rcp_kernel.streams.hub import Hub
-from rcp_kernel.streams.links import Links
+from rcp_kernel.streams.links import SubscriptionLinker
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.options import Options, check_fields, seconds
 from rcp_kernel.streams.outbox import Outbox
@@ -71,7 +71,7 @@ class SubscribeHandler:
         self,
         resolver: Resolver,
         hub: Hub,
-        links: Links,
+        links: SubscriptionLinker,
         conditional: ConditionalSubscriptions,
         resume: SessionResume,
         sessions: Sessions,
@@ -402,7 +402,7 @@ class OwnView:
         self,
         shown: View,
         session: Session,
-        links: Links,
+        links: SubscriptionLinker,
         update: Callable[[int], SharedUpdate] | None,
     ) -> None:
         self._shown = shown

@@ -8,7 +8,7 @@ from typing import Any
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
-from rcp_kernel.contract.pending import attribute_error
+from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.contract.prepared import Prepared
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
@@ -86,7 +86,7 @@ class WriteHandler:
         window = entry.resource.valid_for
         if request.valid_for is not None:
             window = self._deadman.window(entry, request)
-        self._admission.ask(call)
+        self._admission.admit_late(call)
         if request.dry_run:
             facts = {"valid_for": window, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
@@ -97,11 +97,11 @@ class WriteHandler:
             reply_to = self._keyed.note(session, request, entry.path, reply_to)
         noted = self._request_events.written(session, request, entry, reply_to)
         try:
-            self._inflight.later(
+            self._inflight.answer_later(
                 session,
                 request,
                 noted,
-                self._bring_into_force(call, window, entry.unit.stops),
+                self._apply(call, window, entry.unit.stops),
                 partial(_written, request, entry),
                 self._inflight.deadline(request, entry),
                 entry.path,
@@ -125,15 +125,15 @@ class WriteHandler:
         except RcpError:
             return False
 
-    async def _bring_into_force(self, call: Call, window: float | None, stops: int) -> Sample:
+    async def _apply(self, call: Call, window: float | None, stops: int) -> Sample:
         request, entry, value = call.request, call.entry, call.value
         if request.idempotency_key is not None:
             await self._keyed.committed()
         permit(entry.unit, stops)
-        task = self._deadman.departed(entry)
+        task = self._deadman.begin_write(entry)
         try:
-            if entry.path in self._deadman.leaving:
-                await self._deadman.cleared(entry)
+            if entry.path in self._deadman.cancelling:
+                await self._deadman.wait_cancelled(entry)
             backend = self._admission.confirm(call)
             if entry.barred and entry.unit.stops != stops:
                 self._events.refused(entry, value)
@@ -145,7 +145,7 @@ class WriteHandler:
             self._admission.check_control(call)
             raise
         finally:
-            self._deadman.arrived(entry, task)
+            self._deadman.end_write(entry, task)
             del task  # avoids a reference cycle through the traceback of its error
         if isinstance(request, Prepared):
             owner = call.session.principal.identity

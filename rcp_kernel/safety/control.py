@@ -93,7 +93,7 @@ class Control:
         if owner.backend is None:
             return None
         held = ExitStack()  # from now on, not from when the task first runs
-        held.enter_context(whole.held())
+        held.enter_context(whole.bringing_to_rest())
         hold = retry_until_confirmed(whole.hold, "hold_failed", backend=owner.name)
         hold.add_done_callback(lambda _: held.close())
         return hold
@@ -110,7 +110,7 @@ class Control:
             if moves and deadman.is_in_force(entry):
                 deadman.stop(entry)
             elif entry.path in commanded:
-                deadman.cut(entry)
+                deadman.cancel_pending(entry)
 
     def _commanded(self, holder: str, within: Within) -> list[Command]:
         return [

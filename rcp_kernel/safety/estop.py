@@ -68,7 +68,7 @@ class EstopState(msgspec.Struct, frozen=True):
     """When one of the robots was last reset since the gateway was started."""
 
 
-class EstopRecord(Protocol):
+class EstopRecorder(Protocol):
     """The recorder of e-stops and resets."""
 
     def __call__(
@@ -99,7 +99,7 @@ class Estop:
         identities: Identities,
         settings: Settings,
         halted: Callable[[frozenset[str], str, str], None],
-        record: EstopRecord,
+        record: EstopRecorder,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
     ) -> None:
@@ -185,10 +185,10 @@ class Estop:
         keys, robots = self.check(session, request)
         if request.reset:
             held = {robot: robot.latch for robot in robots}
-            freed = self._reset(keys, robots)
+            freed = self._reset_latches(keys, robots)
             self._record(session, sent, request, keys, freed)
             asked = {robot: held[robot] for robot in freed if robot.owner.has_gateways}
-            return self._released(session, asked) if asked else self._state_now(session)
+            return self._reset_at_gateways(session, asked) if asked else self._state_now(session)
         latches, by = self._latches, session.principal.name
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
@@ -214,7 +214,7 @@ class Estop:
         self, session: Session, request: EstopRequest
     ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the latches and robots that a request means; refuse it as `request` does."""
-        keys, robots = self._meant(session, request.scope)
+        keys, robots = self._resolve_scope(session, request.scope)
         if not request.reset:
             return keys, robots
         if session.unattended:
@@ -239,7 +239,9 @@ class Estop:
         seen = self._visible(session)
         return sorted(robot.name for robot in robots if robot in seen)
 
-    def _reset(self, keys: dict[str, str | None], robots: list[StopGroup]) -> list[StopGroup]:
+    def _reset_latches(
+        self, keys: dict[str, str | None], robots: list[StopGroup]
+    ) -> list[StopGroup]:
         """Let go of robots; return those that were held."""
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
@@ -256,7 +258,7 @@ class Estop:
 
     # -- scopes --------------------------------------------------------------------------------
 
-    def _meant(
+    def _resolve_scope(
         self, session: Session, scope: str | None
     ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
@@ -344,7 +346,7 @@ class Estop:
     def _within(self, rights: Rights, unit: StopGroup, scope: Scope) -> bool:
         if unit.tenant != scope.tenant:
             return False
-        if scope.whole or (scope.robot is not None and scope.robot == unit.place):
+        if scope.whole or (scope.robot is not None and scope.robot == unit.robot_segment):
             return True
         return self._scopes.sees_robot(rights, unit, scope)
 
@@ -382,7 +384,7 @@ class Estop:
     async def _state_now(self, session: Session) -> EstopState:
         return self.state(session)
 
-    async def _released(
+    async def _reset_at_gateways(
         self, session: Session, robots: Mapping[StopGroup, Latch | None]
     ) -> EstopState:
         """Ask the gateways of robots to reset their e-stops too.
@@ -390,7 +392,7 @@ class Estop:
         :raises DeviceRejected: one refuses or does not answer; it is latched here again.
         """
         # All are heard to the end, even if the request ends before.
-        asking = [self._loop.create_task(self._release(*one)) for one in robots.items()]
+        asking = [self._loop.create_task(self._reset_at_gateway(*one)) for one in robots.items()]
         found = await asyncio.shield(asyncio.gather(*asking))
         seen = self._visible(session)
         refused = {r.name: why for r, why in zip(robots, found, strict=True) if why and r in seen}
@@ -404,7 +406,7 @@ class Estop:
             )
         return self.state(session)
 
-    async def _release(self, robot: StopGroup, latch: Latch | None) -> str | None:
+    async def _reset_at_gateway(self, robot: StopGroup, latch: Latch | None) -> str | None:
         """Ask one robot; return why it is still latched."""
         try:
             async with asyncio.timeout(HALT_WAIT):

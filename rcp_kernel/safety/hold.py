@@ -58,7 +58,7 @@ class Hold:
         progress(fraction=0.0)  # commands end from here on: whatever fails now was not refused
         with ExitStack() as held, unfenced():
             for unit in self._units:
-                held.enter_context(unit.held())
+                held.enter_context(unit.bringing_to_rest())
             ending = self._end_commands()
             await self._hold()
             if ending:  # their last messages must not arrive after it

@@ -121,9 +121,9 @@ class Deadman:
         self._note = note
         self._timers: dict[str, Cancellable] = {}
         self._stops: dict[str, Cancellable] = {}
-        self._flights: dict[str, set[asyncio.Task[Any]]] = {}
+        self._writes: dict[str, set[asyncio.Task[Any]]] = {}
         """Writes that the robot has not answered yet."""
-        self.leaving: dict[str, set[asyncio.Task[Any]]] = {}
+        self.cancelling: dict[str, set[asyncio.Task[Any]]] = {}
         """Cancelled writes that have not ended yet: nothing may overtake them."""
         self.lapsed = 0
         """Number of expired commands."""
@@ -144,35 +144,35 @@ class Deadman:
             )
         return request.valid_for
 
-    def departed(self, entry: Entry) -> asyncio.Task[Any]:
+    def begin_write(self, entry: Entry) -> asyncio.Task[Any]:
         """Register the current task as a writer of an entry, so that `cut` can cancel it.
 
         Return the task, to be passed to `arrived` when it has ended in any way.
         """
         task = asyncio.current_task()
         assert task is not None
-        self._flights.setdefault(entry.path, set()).add(task)
+        self._writes.setdefault(entry.path, set()).add(task)
         return task
 
-    def arrived(self, entry: Entry, task: asyncio.Task[Any]) -> None:
+    def end_write(self, entry: Entry, task: asyncio.Task[Any]) -> None:
         """Know of a write no more."""
-        flights = self._flights[entry.path]
-        flights.discard(task)
-        if not flights:
-            del self._flights[entry.path]
+        writes = self._writes[entry.path]
+        writes.discard(task)
+        if not writes:
+            del self._writes[entry.path]
 
     def cancel_writes(self, entry: Entry) -> list[asyncio.Task[Any]]:
         """Cancel the commands of an entry whose robot is brought to rest as a whole.
 
         Return the cancelled writes that have not ended yet.
         """
-        self.cut(entry)
+        self.cancel_pending(entry)
         self._at_rest(entry, safe_value(entry))
-        return list(self.leaving.get(entry.path, ()))
+        return list(self.cancelling.get(entry.path, ()))
 
     def stop(self, entry: Entry) -> None:
         """Bring an actuator to rest immediately, whatever is in force or in flight."""
-        self.cut(entry)
+        self.cancel_pending(entry)
         self._start(entry)
 
     def _start(self, entry: Entry) -> None:
@@ -191,41 +191,41 @@ class Deadman:
 
         task.add_done_callback(forget)
 
-    def cut(self, entry: Entry) -> None:
+    def cancel_pending(self, entry: Entry) -> None:
         """Cancel every pending write to an entry, and discard its window."""
         self.begin(entry)
-        for task in self._flights.get(entry.path, ()):
+        for task in self._writes.get(entry.path, ()):
             self._cancel(entry.path, task)
 
     def _cancel(self, path: str, task: asyncio.Task[Any]) -> None:
         if task.done():
             return
         task.cancel()
-        leaving = self.leaving.setdefault(path, set())
+        leaving = self.cancelling.setdefault(path, set())
         leaving.add(task)
 
         def left(done: asyncio.Task[Any]) -> None:
             leaving.discard(done)
-            if not leaving and self.leaving.get(path) is leaving:
-                del self.leaving[path]
+            if not leaving and self.cancelling.get(path) is leaving:
+                del self.cancelling[path]
 
         task.add_done_callback(left)
 
-    async def cleared(self, entry: Entry) -> None:
+    async def wait_cancelled(self, entry: Entry) -> None:
         """Wait until cancelled work on an entry has released the robot, within a bound."""
-        leaving = self.leaving.get(entry.path, set()) - {asyncio.current_task()}
+        leaving = self.cancelling.get(entry.path, set()) - {asyncio.current_task()}
         if leaving:
             await asyncio.wait(leaving, timeout=ANSWER)
 
     @property
     def driving(self) -> bool:
         """Whether any command is valid for a time, is in flight, or has to be stopped."""
-        return bool(self._timers or self._stops or self._flights)
+        return bool(self._timers or self._stops or self._writes)
 
     @property
     def paths(self) -> set[str]:
         """The paths with a command that is valid for a time, in flight, or to be stopped."""
-        return {*self._timers, *self._stops, *self._flights}
+        return {*self._timers, *self._stops, *self._writes}
 
     def is_in_force(self, entry: Entry) -> bool:
         """Return whether a command, or an unacknowledged stop, is in force on an actuator."""
@@ -234,7 +234,7 @@ class Deadman:
             return True
         if entry.resource.safe is None:
             return False
-        if path in self._flights:
+        if path in self._writes:
             return True
         return entry.latest is not None and entry.latest.value != safe_value(entry)
 
@@ -315,7 +315,7 @@ class Deadman:
                 self._start(entry)
 
     async def _stop_together(self, shared: Shared) -> None:
-        entries = shared.left
+        entries = shared.members
         try:
             async with asyncio.timeout(_UNTAKEN):
                 await self._write_safe(entries)

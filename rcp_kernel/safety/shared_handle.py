@@ -21,42 +21,42 @@ class Cancellable(Protocol):
 class Shared:
     """The actuators that still share something."""
 
-    __slots__ = ("_left",)
+    __slots__ = ("_members",)
 
     def __init__(self, entries: Sequence[Entry]) -> None:
-        self._left = {entry.path: entry for entry in entries}
+        self._members = {entry.path: entry for entry in entries}
 
     @property
-    def left(self) -> list[Entry]:
+    def members(self) -> list[Entry]:
         """Those that have not left."""
-        return list(self._left.values())
+        return list(self._members.values())
 
     def take(self) -> list[Entry]:
         """Return those that have not left, and let them go."""
-        left = self.left
-        self._left.clear()
+        left = self.members
+        self._members.clear()
         return left
 
     def parts(self, left: Callable[[list[Entry]], None]) -> dict[str, Cancellable]:
         """Return a handle for each; `left` is called with the others when one is cancelled."""
-        return {path: _Part(self, path, left) for path in self._left}
+        return {path: _Part(self, path, left) for path in self._members}
 
     def leave(self, path: str, left: Callable[[list[Entry]], None]) -> None:
         """Let one go."""
-        if self._left.pop(path, None) is not None:
-            left(self.left)
+        if self._members.pop(path, None) is not None:
+            left(self.members)
 
 
 class _Part:
     """The part of one of them."""
 
-    __slots__ = ("_left", "_path", "_shared")
+    __slots__ = ("_members", "_path", "_shared")
 
     def __init__(self, shared: Shared, path: str, left: Callable[[list[Entry]], None]) -> None:
         self._shared = shared
         self._path = path
-        self._left = left
+        self._members = left
 
     def cancel(self) -> None:
         """Leave the others."""
-        self._shared.leave(self._path, self._left)
+        self._shared.leave(self._path, self._members)

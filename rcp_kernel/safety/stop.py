@@ -25,7 +25,7 @@ from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.spi import MotionState
 from rcp_kernel.tree.entry import StopGroup
 
-__all__ = ["Phase", "Stop", "StopController", "StopRecord", "merged"]
+__all__ = ["Phase", "Stop", "StopController", "StopRecorder", "merged"]
 
 log = structlog.get_logger("rcp.safety")
 Phase = Literal["requested", "commanded", "confirmed"]
@@ -35,7 +35,7 @@ _TURNS = 10  # periods in which each robot's own gateway, which asserts by itsel
 _ALONE = 0.25  # s that the halt of a whole backend may take before its robots are halted one by one
 
 
-class StopRecord(Protocol):
+class StopRecorder(Protocol):
     """The recorder of the steps of a stop."""
 
     def __call__(self, unit: StopGroup, step: str, detail: str | None, /) -> None:
@@ -51,7 +51,7 @@ class Stop:
         "attempts",
         "commanded",
         "confirmed",
-        "confirming",
+        "confirmed_event",
         "detail",
         "halted",
         "released",
@@ -71,7 +71,7 @@ class Stop:
         """Why it is not confirmed."""
         self.alarm = False
         """Whether it has moved again after it had been confirmed."""
-        self.confirming = asyncio.Event()
+        self.confirmed_event = asyncio.Event()
         """Set while it is confirmed."""
         self.attempts = 0
         self.halted = False
@@ -102,7 +102,7 @@ class Stop:
 class StopController:
     """All stops in progress or held."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, record: StopRecord) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, record: StopRecorder) -> None:
         self._loop = loop
         self._record = record
         self._stops: dict[StopGroup, Stop] = {}
@@ -125,7 +125,7 @@ class StopController:
 
     def begin(self, units: Sequence[StopGroup]) -> list[Stop]:
         """Stop robots now; return their stops. The backends are called before anything else runs."""
-        stops = {unit: self._fresh(unit) for unit in units}
+        stops = {unit: self._current_or_new(unit) for unit in units}
         for whole, together in merged(units).items():
             if len(together) == 1:
                 self._halt(stops[together[0]])
@@ -138,11 +138,11 @@ class StopController:
         """Halt all of a backend, beside the robots that are known; nothing waits for it."""
         with unfenced():
             task = self._loop.create_task(whole.halt())
-        task.add_done_callback(_forget)
+        task.add_done_callback(_consume_outcome)
 
     def resume(self, unit: StopGroup) -> None:
         """Stop a latched robot that is available again; the stop is sent within this call."""
-        stop = self._fresh(unit)
+        stop = self._current_or_new(unit)
         self._assert(stop)
         self._halt(stop)
         self._schedule()
@@ -168,7 +168,7 @@ class StopController:
 
     async def wait(self, stops: Sequence[Stop], seconds: float) -> list[Stop]:
         """Wait until all are confirmed, or the time is over; return those that are not."""
-        waiting = [asyncio.ensure_future(stop.confirming.wait()) for stop in stops]
+        waiting = [asyncio.ensure_future(stop.confirmed_event.wait()) for stop in stops]
         try:
             if waiting:
                 await asyncio.wait(waiting, timeout=seconds)
@@ -190,7 +190,7 @@ class StopController:
 
     # -- the halts -----------------------------------------------------------------------------
 
-    def _fresh(self, unit: StopGroup) -> Stop:
+    def _current_or_new(self, unit: StopGroup) -> Stop:
         """Return the stop in progress of a robot, or a new one to be confirmed."""
         old = self._stops.get(unit)
         if old is not None and old.confirmed is None:
@@ -204,13 +204,13 @@ class StopController:
     def _halt(self, stop: Stop) -> None:
         """Halt at once, and again until it is confirmed."""
         if not stop.tasks:
-            self._insist(stop)
+            self._retry_halt(stop)
             return
         with unfenced():  # what insists is between two calls, perhaps for some time
             task = self._loop.create_task(self._attempt(stop))
-        task.add_done_callback(_forget)
+        task.add_done_callback(_consume_outcome)
 
-    def _insist(self, stop: Stop) -> None:
+    def _retry_halt(self, stop: Stop) -> None:
         unit = stop.unit
         task = retry_until_confirmed(
             partial(self._attempt, stop),
@@ -243,7 +243,7 @@ class StopController:
 
         def alone() -> None:
             for stop in stops:
-                self._insist_unconfirmed(stop)
+                self._retry_unconfirmed(stop)
 
         late = self._loop.call_later(_ALONE, alone)
         with unfenced():
@@ -256,12 +256,12 @@ class StopController:
         together.add_done_callback(lambda _: (late.cancel(), alone()))
 
     def _attempted(self, stop: Stop, task: asyncio.Task[None]) -> None:
-        _forget(task)
-        self._insist_unconfirmed(stop)
+        _consume_outcome(task)
+        self._retry_unconfirmed(stop)
 
-    def _insist_unconfirmed(self, stop: Stop) -> None:
+    def _retry_unconfirmed(self, stop: Stop) -> None:
         if stop.confirmed is None and not stop.released and not stop.tasks:
-            self._insist(stop)
+            self._retry_halt(stop)
 
     async def _attempt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
         try:
@@ -284,7 +284,7 @@ class StopController:
     def _unsent(self, stop: Stop, error: RcpError) -> None:
         if isinstance(error, AdapterUnavailable):
             stop.commanded = None
-        self._doubt(stop, error.message)
+        self._mark_unconfirmed(stop, error.message)
 
     # -- measurements --------------------------------------------------------------------------
 
@@ -301,7 +301,9 @@ class StopController:
             self._confirm(stop)
             return
         moves_again = stop.confirmed is not None and state.at_rest is False
-        self._doubt(stop, state.detail or ("it moves" if state.at_rest is False else "unknown"))
+        self._mark_unconfirmed(
+            stop, state.detail or ("it moves" if state.at_rest is False else "unknown")
+        )
         if moves_again:
             self._alarm(stop)
 
@@ -309,18 +311,20 @@ class StopController:
         if stop.confirmed is not None:
             return
         stop.confirmed, stop.detail = now(), None
-        stop.confirming.set()
+        stop.confirmed_event.set()
         self._record(stop.unit, "confirmed", None)
         self._changed()
 
-    def _doubt(self, stop: Stop, detail: str) -> None:
-        changed = stop.confirmed is not None or _gist(detail) != _gist(stop.detail)
+    def _mark_unconfirmed(self, stop: Stop, detail: str) -> None:
+        changed = stop.confirmed is not None or _without_numbers(detail) != _without_numbers(
+            stop.detail
+        )
         stop.detail = detail
         if stop.confirmed is not None:
             stop.confirmed, stop.halted = None, False
-            stop.confirming.clear()
+            stop.confirmed_event.clear()
             if not stop.tasks:
-                self._insist(stop)
+                self._retry_halt(stop)
         if changed:
             self._changed()
 
@@ -347,7 +351,7 @@ class StopController:
             if stop.unit.latch is None:
                 self.end([stop.unit])
             elif stop.unit.backend is None:
-                self._doubt(stop, stop.unit.owner.unavailable().message)
+                self._mark_unconfirmed(stop, stop.unit.owner.unavailable().message)
             else:
                 self._assert(stop)
                 self._judge(stop)
@@ -368,12 +372,12 @@ class StopController:
             changed()
 
 
-def _gist(detail: str | None) -> str | None:
+def _without_numbers(detail: str | None) -> str | None:
     """Remove the numbers from a reason: clients need not be notified when they change."""
     return None if detail is None else _NUMBER.sub("", detail)
 
 
-def _forget(task: asyncio.Task[None]) -> None:
+def _consume_outcome(task: asyncio.Task[None]) -> None:
     """Look at the outcome of a call that others repeat, so that asyncio does not report it."""
     if not task.cancelled():
         task.exception()

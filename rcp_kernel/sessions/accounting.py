@@ -80,7 +80,7 @@ class SessionAccounting:
         self._running = running
         """Commands, by id."""
 
-    def ask(self, parts: Iterable[Accounting]) -> None:
+    def set_features(self, parts: Iterable[Accounting]) -> None:
         """Set the features that count sessions, before there are any."""
         self._parts = tuple(parts)
 

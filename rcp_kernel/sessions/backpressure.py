@@ -26,7 +26,7 @@ def waiting_bytes(session: Session) -> int:
     if session.connection is None:
         return session.missed_bytes
     pending = session.connection.outbox.pending
-    return session.waiting_bytes + sum(feed.weight() for feed in pending)
+    return session.waiting_bytes + sum(feed.queued_bytes() for feed in pending)
 
 
 def shed(session: Session, reason: str) -> int:
@@ -37,7 +37,7 @@ def shed(session: Session, reason: str) -> int:
     """
     if session.connection is None:
         while session.missed:
-            session.lose()
+            session.drop_oldest()
         return 0
     _conflate(session.connection.outbox, session.subscriptions, reason)
     return waiting_bytes(session)
@@ -77,7 +77,9 @@ class Relief:
         for session in sessions:
             connection = session.connection
             if connection is not None and connection.outbox.pending:
-                size = sum(feed.weight() for feed in connection.outbox.pending if feed.depth > 1)
+                size = sum(
+                    feed.queued_bytes() for feed in connection.outbox.pending if feed.depth > 1
+                )
                 if size:
                     held.append((size, session))
         total = sum(size for size, _ in held)

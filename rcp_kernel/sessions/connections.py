@@ -13,10 +13,10 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.peer import UNKNOWN, Peer
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_kernel.sessions.hello import Hello
@@ -61,7 +61,7 @@ class ConnectionParts:
     handshake: Handshake
     sessions: Sessions
     identities: Identities
-    unwelcome: Callable[[Session, Reply, Answer], Answer]
+    refuse_hello: Callable[[Session, Reply, Answer], Answer]
     """Records that a `hello` was refused; returns the receiver of its reply."""
     counts: RequestCounts
     outbound: Outbound
@@ -149,7 +149,7 @@ class Connection:
         a client that does not read.
         """
         self.on_hello, self.released = hello, released
-        self.outbox.backlog.cut = cut
+        self.outbox.backlog.close_client = cut
 
     @property
     def limit(self) -> int:
@@ -191,7 +191,7 @@ class Connection:
         except RcpError as error:
             self._refuse(data, error)
         except Exception as error:
-            self.stumbled(data, error)
+            self.answer_internal_error(data, error)
 
     def _take_long(self, data: bytes) -> None:
         """Handle a message when its turn has come, and before all later ones."""
@@ -223,7 +223,7 @@ class Connection:
         except RcpError as error:
             self._refuse(data, error)
         except Exception as error:
-            self.stumbled(data, error)
+            self.answer_internal_error(data, error)
         if self._buffer is buffer:
             self._buffer = None
         if self._buffer is None:
@@ -236,7 +236,7 @@ class Connection:
         self._parts.counts.count(self.session.transport, type_, error.code)
         self.send(failure(error, type_, id_))
 
-    def stumbled(self, data: bytes, error: Exception) -> None:
+    def answer_internal_error(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
         internal = to_internal_error(error, session=self.session.id)
         type_, id_ = peek_header(data, self.encoding)
@@ -312,7 +312,7 @@ class Connection:
                     return
             self._greet(request, hello, principal)
         except Exception as error:
-            self._unwelcome(request, error)
+            self._refuse_hello(request, error)
 
     def _greet(self, request: Request, hello: Hello, principal: Principal | None) -> None:
         body = self._parts.handshake.greet(self, hello, principal)
@@ -321,11 +321,11 @@ class Connection:
         # Before the messages of a resumed session: the client must first know which session it has.
         self.outbox.put_first(encode_reply(reply, self.encoding))
 
-    def _unwelcome(self, request: Request, error: Exception) -> None:
+    def _refuse_hello(self, request: Request, error: Exception) -> None:
         internal = to_internal_error(error)
         self._parts.counts.count(self.session.transport, "hello", internal.code)
         reply = failure(internal, "hello", request.id)
-        self._parts.unwelcome(self.session, reply, self.send)(reply)
+        self._parts.refuse_hello(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:
         """Identify the principal of a token, while the client's next messages wait."""
@@ -334,7 +334,7 @@ class Connection:
             if not self.closed:
                 self._greet(request, hello, principal)
         except Exception as error:
-            self._unwelcome(request, error)
+            self._refuse_hello(request, error)
         buffer, self._buffer = self._buffer or deque(), None
         self.released(buffer)
 
@@ -361,4 +361,4 @@ class Connection:
                 self._identifying.cancel()
             self._parts.sessions.tally(self)
             self.outbox.close()
-            self._parts.sessions.cut(self.session)
+            self._parts.sessions.disconnect(self.session)

@@ -33,16 +33,16 @@ class CredentialExpiry:
         self.forget(session)
         if session.principal.expires is not None:
             # Not at once: its connection is only made when there is a session.
-            session.lapse = self._loop.call_later(0.0, self._look, session, False)
+            session.expiry_check = self._loop.call_later(0.0, self._look, session, False)
 
     def forget(self, session: Session) -> None:
         """Watch a session no more."""
-        if session.lapse is not None:
-            session.lapse.cancel()
-            session.lapse = None
+        if session.expiry_check is not None:
+            session.expiry_check.cancel()
+            session.expiry_check = None
 
     def _look(self, session: Session, warned: bool) -> None:  # noqa: FBT001 - for `call_later`
-        session.lapse = None
+        session.expiry_check = None
         expires = session.principal.expires
         if expires is None:
             return
@@ -54,7 +54,7 @@ class CredentialExpiry:
             warned = True
             _tell(session, expires, left)
         wait = min(left if warned else left - _AHEAD, _LOOK)
-        session.lapse = self._loop.call_later(wait, self._look, session, warned)
+        session.expiry_check = self._loop.call_later(wait, self._look, session, warned)
 
 
 def _tell(session: Session, expires: int, left: float) -> None:

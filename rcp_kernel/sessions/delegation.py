@@ -21,7 +21,7 @@ class GatewayDelegation:
         """Returns a principal with its current roles."""
         self._handle: Handler = _too_early
 
-    def ask(self, handle: Handler) -> None:
+    def set_handler(self, handle: Handler) -> None:
         """Set what handles requests: features are made before it."""
         self._handle = handle
 

@@ -15,9 +15,9 @@ from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.resume import SessionResume, StoredSession, Subscribe, hashed
-from rcp_kernel.sessions.session import Answer, Link, Session
+from rcp_kernel.sessions.session import Answer, Session, SessionConnection
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.streams.links import Links
+from rcp_kernel.streams.links import SubscriptionLinker
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.wire import VERSION, failure
 
@@ -41,7 +41,7 @@ class Handshake:
         commands: CommandTable,
         resume: SessionResume,
         subscribe: Subscribe,
-        links: Links,
+        links: SubscriptionLinker,
         follower: Callable[[Answer], Answer],
     ) -> None:
         self._sessions = sessions
@@ -68,7 +68,7 @@ class Handshake:
         return hello.token
 
     def greet(
-        self, connection: Link, hello: Hello, principal: Principal | None = None
+        self, connection: SessionConnection, hello: Hello, principal: Principal | None = None
     ) -> dict[str, Any]:
         """Perform `hello`, whose token proved `principal`: resume or keep the session, agree.
 
@@ -117,7 +117,7 @@ class Handshake:
             **facts,
         }
 
-    def _replace(self, connection: Link, session: Session) -> None:
+    def _replace(self, connection: SessionConnection, session: Session) -> None:
         old = connection.session
         old.connection, old.successor = None, connection
         self._sessions.drop(old)
@@ -137,7 +137,7 @@ class Handshake:
         return found or self._stored.find(named)
 
     def _resume(
-        self, connection: Link, hello: Hello, session: Session | StoredSession | None
+        self, connection: SessionConnection, hello: Hello, session: Session | StoredSession | None
     ) -> None:
         if session is None:
             connection.session.former = hello.session
@@ -170,7 +170,7 @@ class Handshake:
         self._attach(session, connection, have)
 
     def _revive(
-        self, connection: Link, hello: Hello, kept: StoredSession, proof: str | None
+        self, connection: SessionConnection, hello: Hello, kept: StoredSession, proof: str | None
     ) -> None:
         """Restore a session of an earlier run from its stored form."""
         self._stored.take(kept)
@@ -206,9 +206,11 @@ class Handshake:
         old.closed = True
         self._sessions.tally(old)
         old.outbox.close()
-        self._sessions.cut(session)
+        self._sessions.disconnect(session)
 
-    def _attach(self, session: Session, connection: Link, have: dict[str, int] | None) -> None:
+    def _attach(
+        self, session: Session, connection: SessionConnection, have: dict[str, int] | None
+    ) -> None:
         if session.expiry is not None:
             session.expiry.cancel()
             session.expiry = None
@@ -228,8 +230,8 @@ class Handshake:
         while session.missed:
             connection.send(session.missed.popleft()[0])
         session.let_missed_go()
-        while session.news:
-            code, facts = session.news.popleft()
+        while session.missed_notices:
+            code, facts = session.missed_notices.popleft()
             notice(connection.outbox, code, **facts)
         for subscription in session.subscriptions.values():
             self._links.attach(subscription, connection.outbox, have)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rcp_kernel.streams.outbound import Backlog
     from rcp_kernel.streams.outbox import Outbox
 
-__all__ = ["Answer", "Handler", "Link", "OwnCommand", "Session"]
+__all__ = ["Answer", "Handler", "OwnCommand", "Session", "SessionConnection"]
 
 Answer = Callable[[Reply], None]
 _MISSED = 4096  # replies stored for a disconnected client
@@ -60,7 +60,7 @@ class OwnCommand(Protocol):
         ...
 
 
-class Link(Protocol):
+class SessionConnection(Protocol):
     """The connection that a session has its client by."""
 
     session: Session
@@ -105,7 +105,6 @@ class Session:
 
     __slots__ = (
         "account",
-        "away",
         "commands",
         "connection",
         "created",
@@ -113,15 +112,16 @@ class Session:
         "encoding",
         "endings",
         "expiry",
+        "expiry_check",
         "former",
         "greeted",
         "id",
         "inflight",
-        "lapse",
         "missed",
+        "missed_backlog",
         "missed_bytes",
+        "missed_notices",
         "monotonic",
-        "news",
         "one_way",
         "overflowed",
         "principal",
@@ -157,8 +157,8 @@ class Session:
         self.read_key = _read_key(transport)
         """Statistics of successful reads."""
         self.encoding = Encoding.JSON
-        self.connection: Link | None = None
-        self.successor: Link | None = None
+        self.connection: SessionConnection | None = None
+        self.successor: SessionConnection | None = None
         """Its connection when it was replaced by another session: unanswered requests are answered there."""
         self.subscriptions: dict[str, Subscription] = {}
         self.commands: dict[str, OwnCommand] = {}
@@ -183,12 +183,12 @@ class Session:
         self.missed: deque[tuple[Reply, int]] = deque()
         """Replies for a disconnected client, with their approximate sizes."""
         self.missed_bytes = 0
-        self.away: Backlog | None = None
+        self.missed_backlog: Backlog | None = None
         """Counts these while the client is away."""
-        self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
+        self.missed_notices: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
         """Notices for the client's return."""
         self.overflowed = 0
-        self.lapse: asyncio.TimerHandle | None = None
+        self.expiry_check: asyncio.TimerHandle | None = None
         """The next check of the principal's expiry."""
         self.endings: set[Callable[[RcpError], None]] = set()
         """Called when the credentials become invalid, besides the connection."""
@@ -211,7 +211,7 @@ class Session:
         """Whether the session belongs to a transport without connections (HTTP)."""
         return self.connection is None and self.cut is None
 
-    def place(self, request: Request, most: int) -> str:
+    def reserve(self, request: Request, most: int) -> str:
         """Return the place of a request among at most so many unanswered ones.
 
         :raises DuplicateRequest: the id is in use.
@@ -260,7 +260,7 @@ class Session:
         if link is not None:
             link.send(reply)
             return
-        if self.away is None:  # it cannot be resumed
+        if self.missed_backlog is None:  # it cannot be resumed
             return
         if reply.status == "in_progress" and reply.command is not None:
             for old in [kept for kept in self.missed if _replaces(reply, kept[0])]:
@@ -269,15 +269,15 @@ class Session:
         size = _length(reply)
         self.missed.append((reply, size))
         self._count_missed(size)
-        while self.missed and (len(self.missed) > _MISSED or self.away.overfull):
-            self.lose()
+        while self.missed and (len(self.missed) > _MISSED or self.missed_backlog.overfull):
+            self.drop_oldest()
 
     def _count_missed(self, size: int) -> None:
         self.missed_bytes += size
-        if self.away is not None:
-            self.away.set(self.missed_bytes)
+        if self.missed_backlog is not None:
+            self.missed_backlog.set(self.missed_bytes)
 
-    def lose(self) -> None:
+    def drop_oldest(self) -> None:
         """Drop the oldest reply stored for a disconnected client, which will be notified."""
         self._count_missed(-self.missed.popleft()[1])
         self.overflowed += 1
@@ -286,16 +286,16 @@ class Session:
         """Discard the replies stored for the client: it has resumed, or cannot."""
         self.missed.clear()
         self.missed_bytes = 0
-        if self.away is not None:
-            self.away.close()
-            self.away = None
+        if self.missed_backlog is not None:
+            self.missed_backlog.close()
+            self.missed_backlog = None
 
     def tell(self, code: str, **facts: Any) -> None:
         """Send a notice now, or keep it for the client's return."""
         if self.connection is not None:
             notice(self.connection.outbox, code, **facts)
         elif self.cut is not None:
-            self.news.append((code, facts))
+            self.missed_notices.append((code, facts))
 
     def plain(self) -> dict[str, Any]:
         """Describe the session for `/system/sessions`."""

@@ -25,8 +25,8 @@ from rcp_kernel.sessions.backpressure import Relief
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.credential_expiry import CredentialExpiry
 from rcp_kernel.sessions.resume import SessionResume
-from rcp_kernel.sessions.session import Link, Session
-from rcp_kernel.streams.links import Links
+from rcp_kernel.sessions.session import Session, SessionConnection
+from rcp_kernel.streams.links import SubscriptionLinker
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.wire import error_body, failure
@@ -51,7 +51,7 @@ class Sessions:
         commands: CommandTable,
         resume: SessionResume,
         events: EventBus,
-        links: Links,
+        links: SubscriptionLinker,
         outbound: Outbound,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
@@ -263,16 +263,16 @@ class Sessions:
             del self._stateless[key]
         return any(same(s.principal, session.principal) for s in self._stateless.values())
 
-    def tally(self, connection: Link) -> None:
+    def tally(self, connection: SessionConnection) -> None:
         """Add a closing connection's updates to its transport's sum."""
         name = connection.session.transport
         self.updates[name] = self.updates.get(name, 0) + connection.outbox.updates
 
-    def cut(self, session: Session) -> None:
+    def disconnect(self, session: Session) -> None:
         """Handle a lost connection; the session waits if its client knows its id."""
         session.connection = None
         session.cut = self.clock.now()
-        session.away = self._outbound.open()
+        session.missed_backlog = self._outbound.open()
         running = self._commands.running
         for command in [running[id_] for id_ in session.commands if id_ in running]:
             entry = command.entry

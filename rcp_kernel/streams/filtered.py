@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Hashable, Iterable
 from typing import Any, NamedTuple, Protocol
 
 from rcp_conditions.filters import Change
-from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.streams.outbox import Outbox, Wrap
 from rcp_kernel.streams.path_subscription import PathSubscription, Subscriber
@@ -182,7 +182,7 @@ class _Made(NamedTuple):
 
     sees: Hashable
     data: bytes
-    cut: bool
+    truncated: bool
 
 
 class ViewSubscription(PathSubscription):
@@ -265,10 +265,10 @@ class ViewSubscription(PathSubscription):
             steps = shared.make((sees, encoding), steps)
         try:
             value = yield from steps
-            cut = isinstance(value, Body) and value.cut
+            truncated = isinstance(value, Body) and value.truncated
             if isinstance(self.fields, tuple):
                 value = project(value.value if isinstance(value, Body) else value, self.fields)
-            return _Made(sees, encode_body(value, encoding), cut)
+            return _Made(sees, encode_body(value, encoding), truncated)
         except Exception as error:  # a fault in the view drops this update and is logged
             to_internal_error(error, path=self.entry.path)
             return None
@@ -327,6 +327,6 @@ class ViewSubscription(PathSubscription):
             "seq": sample.seq,
             "timestamp": sample.time,
         }
-        if made.cut:
+        if made.truncated:
             facts["truncated"] = True
         return encode_frame(facts, made.data, encoding)

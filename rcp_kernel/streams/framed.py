@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.filtered import FilteredPathSubscription
 from rcp_kernel.streams.notices import notice

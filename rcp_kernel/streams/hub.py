@@ -157,7 +157,7 @@ class Hub:
 
     def unlink(self, feed: PathSubscription) -> None:
         """Stop offering samples to a feed."""
-        if self._cut(feed):
+        if self._unlink(feed):
             self._left(feed.entry)
 
     def _left(self, entry: Entry) -> None:
@@ -168,7 +168,7 @@ class Hub:
         self.demand.retune(entry)
 
     @staticmethod
-    def _cut(feed: PathSubscription) -> bool:
+    def _unlink(feed: PathSubscription) -> bool:
         """Remove a feed from its entry's listeners; return whether it was among them."""
         if isinstance(feed, SharedPathSubscription):
             return leave_fanout(feed, feed.entry)
@@ -249,7 +249,7 @@ class Hub:
 
     def _removed(self, entry: Entry) -> None:
         for feed in list(path_subscriptions_of(entry)):
-            if self._cut(feed):
+            if self._unlink(feed):
                 subscription = feed.subscription
                 notice(subscription.outbox, "resource_removed", id=subscription.id, path=entry.path)
         self.deadline_monitor.forget(entry)

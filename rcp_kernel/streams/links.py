@@ -20,14 +20,14 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_scheduling.turns import Turns, Work
 
-__all__ = ["Links"]
+__all__ = ["SubscriptionLinker"]
 
 _STEP = 32  # paths linked or unlinked per step
 _STREAMS = "streams"  # key, with an owner, of the work on its subscriptions
 _LONGEST = 86_400.0 * 365  # s: maximum of a timer
 
 
-class Links:
+class SubscriptionLinker:
     """Applies the hub's operations to all paths of a subscription."""
 
     def __init__(self, hub: Hub, turns: Turns) -> None:

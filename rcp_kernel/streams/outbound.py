@@ -36,12 +36,12 @@ class Waiting(Protocol):
 class Backlog:
     """The unread bytes of one client: here, in its transport, or kept while it is disconnected."""
 
-    __slots__ = ("_closed", "_outbound", "counted", "cut", "since", "size")
+    __slots__ = ("_closed", "_outbound", "close_client", "counted", "since", "size")
 
     def __init__(self, outbound: Outbound, cut: Callable[[], None] | None = None) -> None:
         self._outbound = outbound
         self._closed = False
-        self.cut = cut
+        self.close_client = cut
         """Closes the client or drops its data; None if neither is possible."""
         self.size = 0
         self.counted = 0
@@ -98,7 +98,7 @@ class Backlog:
         """Stop counting, and do not flush its outbox any more."""
         if outbox is not None:
             self._outbound.forget(outbox)
-        self.cut = None
+        self.close_client = None
         self.set(0)
         self._closed = True
 
@@ -115,7 +115,7 @@ class Outbound:
         """Bytes, without the clients' own shares."""
         self.refused = 0
         """Number of replies refused because too much was unread."""
-        self.cut = 0
+        self.closed_clients = 0
         """Number of clients closed because they did not read."""
         self.configure(limits)
 
@@ -173,12 +173,12 @@ class Outbound:
         over = self.total - self.limit
         if over >= 0:
             before = self._loop.time() - _STALLED
-            stalled = [b for b in self._holders if b.cut is not None and b.since <= before]
+            stalled = [b for b in self._holders if b.close_client is not None and b.since <= before]
             for backlog in sorted(stalled, key=_by_size, reverse=True):
-                self.cut += 1
+                self.closed_clients += 1
                 over -= backlog.counted
                 log.warning("client_cut", waiting=backlog.size, total=self.total)
-                cut, backlog.cut = backlog.cut, None
+                cut, backlog.close_client = backlog.close_client, None
                 assert cut is not None
                 cut()
                 if over < 0:

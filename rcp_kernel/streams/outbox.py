@@ -61,7 +61,7 @@ class PendingPath(Protocol):
         """Move queued samples to `out` as framed updates; return their number of bytes."""
         ...
 
-    def weight(self) -> int:
+    def queued_bytes(self) -> int:
         """Estimate the number of queued bytes."""
         ...
 

@@ -191,13 +191,13 @@ class PathSubscription:
             self.dropped += old
             self.subscription.skipped += old
 
-    def weight(self) -> int:
+    def queued_bytes(self) -> int:
         """Estimate the number of queued bytes."""
         latest, waiting = self.entry.latest, self.waiting
         if latest is None or not waiting:
             return 0
         try:
-            return waiting * (latest.encoded_size or latest.weight())
+            return waiting * (latest.encoded_size or latest.memory_size())
         except RcpError:
             return 0
 

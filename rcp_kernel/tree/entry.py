@@ -31,7 +31,7 @@ from rcp_kernel.values import ValueType, value_type
 __all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
 Availability = Literal["starting", "ready", "degraded", "down"]
-_BAD = ("ready", "degraded", "starting", "down")
+_BY_SEVERITY = ("ready", "degraded", "starting", "down")
 _IDLE_HISTORY = 16  # samples stored of a resource without subscribers
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
@@ -214,7 +214,7 @@ class Entry:
     @property
     def stale(self) -> bool:
         """Whether the latest value is overdue for an update, or its robot is unavailable."""
-        if self.latest is None or self.unit.link is None:
+        if self.latest is None or self.unit.usable_backend is None:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
@@ -261,7 +261,7 @@ class Entry:
             length = min(length, _IDLE_HISTORY)
         if self.latest is not None and self.value_type.grows:
             try:
-                length = min(length, _HISTORY_BYTES // max(1, self.latest.weight()))
+                length = min(length, _HISTORY_BYTES // max(1, self.latest.memory_size()))
             except RcpError:
                 length = 1
         length = max(1, length)
@@ -287,6 +287,7 @@ class StopGroup:
         "_released",
         "_stopped",
         "_stops",
+        "all_latches",
         "anchor",
         "detail",
         "facts",
@@ -294,8 +295,6 @@ class StopGroup:
         "holds",
         "identity",
         "keys",
-        "latched",
-        "link",
         "lost",
         "name",
         "own",
@@ -305,6 +304,7 @@ class StopGroup:
         "robot",
         "since",
         "state",
+        "usable_backend",
         "whole",
     )
 
@@ -325,7 +325,7 @@ class StopGroup:
         self.lost: str | None = None
         """The path of a command that ended with the link, or with an earlier gateway, and that the
         robot may still carry out."""
-        self.link: Backend | None = None
+        self.usable_backend: Backend | None = None
         """The open backend, or None while there is none or this robot is down; set by the owner, as
         every request looks at it. Stops are sent regardless, by `backend`."""
         self.state: Availability = "ready"
@@ -345,7 +345,7 @@ class StopGroup:
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches
-        self.latched: Mapping[str, Latch] = {} if latches is None else latches.held
+        self.all_latches: Mapping[str, Latch] = {} if latches is None else latches.by_key
         """All latches there are, whomever they hold: without one, and without `retired`, nothing
         needs to be looked up."""
         self.own: dict[str, Entry] = {}
@@ -357,7 +357,7 @@ class StopGroup:
         """Number of holds that are bringing it to rest; see `is_held`, and `whole`."""
 
     @property
-    def place(self) -> str | None:
+    def robot_segment(self) -> str | None:
         """The segment after the branch in all of its paths; None without one."""
         return self.owner.robot or self.robot
 
@@ -373,7 +373,7 @@ class StopGroup:
     def latch(self) -> Latch | None:
         """The e-stop that holds it, or None."""
         latches, retired = self._latches, self.whole.retired
-        if latches is None or (retired is None and not latches.held):
+        if latches is None or (retired is None and not latches.by_key):
             return None
         return retired or latches.of(self.keys)
 
@@ -406,7 +406,7 @@ class StopGroup:
     def availability(self) -> Availability:
         """Whether it can be used: what is said of its backend, or of it alone if that is worse."""
         whole, own = self.owner.availability, self.state
-        return own if _BAD.index(own) > _BAD.index(whole) else whole
+        return own if _BY_SEVERITY.index(own) > _BY_SEVERITY.index(whole) else whole
 
     def unavailable(self) -> RcpError:
         """Return the error that says why it cannot be used now."""
@@ -430,7 +430,7 @@ class StopGroup:
         return self.holds > 0 or self.whole.holds > 0
 
     @contextmanager
-    def held(self) -> Generator[None]:
+    def bringing_to_rest(self) -> Generator[None]:
         """Let nothing but its rest reach it while entered: the hold would override it."""
         self.holds += 1
         try:

@@ -58,7 +58,7 @@ class Latches:
         self._store = store
         self.on_change: list[Callable[[], None]] = []
         """Called after every change."""
-        self.held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
+        self.by_key = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
         """Changed in place: each robot refers to it."""
 
     def of(self, keys: tuple[str, ...]) -> Latch | None:
@@ -66,7 +66,7 @@ class Latches:
 
         A latch of its own gateway only if there is no other.
         """
-        held, shown = self.held, None
+        held, shown = self.by_key, None
         for key in (*keys, GATEWAY):
             latch = held.get(key)
             if latch is not None and latch.freed.isdisjoint(keys):
@@ -78,46 +78,46 @@ class Latches:
     @property
     def wide(self) -> dict[str, Latch]:
         """The latches of tenants and of the gateway, by key."""
-        return {key: latch for key, latch in self.held.items() if _wide(key)}
+        return {key: latch for key, latch in self.by_key.items() if _wide(key)}
 
     def set(self, key: str, by: str, reason: str | None) -> None:
         """Latch; an older latch of the same key is kept and applies to all again."""
-        latch = self.held.get(key)
+        latch = self.by_key.get(key)
         if latch is None or latch.shown is not None:
-            latch = self.held[key] = Latch(by, reason)
+            latch = self.by_key[key] = Latch(by, reason)
         latch.freed.clear()
         self._keep(key, latch)
 
     def show(self, key: str, facts: Mapping[str, Any] | None) -> None:
         """Show the latch of a robot's own gateway, or no longer; it is not stored."""
-        latch = self.held.get(key)
+        latch = self.by_key.get(key)
         if latch is not None and latch.shown is None:
             return  # a latch of this gateway
         if facts is None:
             if latch is None:
                 return
-            del self.held[key]
+            del self.by_key[key]
         else:
-            latch = self.held[key] = Latch(str(facts.get("by")), facts.get("reason"))
+            latch = self.by_key[key] = Latch(str(facts.get("by")), facts.get("reason"))
             latch.shown = facts
         self._tell_changed()
 
     def reset(self, key: str, wider: Iterable[str]) -> None:
         """Release a key's robots, even from wider latches, except the gateway's."""
         for narrower in self._within(key):
-            del self.held[narrower]
+            del self.by_key[narrower]
             self._keep(narrower, None)
         for other in {*wider, GATEWAY} - {key}:
-            latch = self.held.get(other)
+            latch = self.by_key.get(other)
             if latch is not None:
                 latch.freed.add(key)
                 self._keep(other, latch)
 
     def _within(self, key: str) -> list[str]:
         if key == GATEWAY:  # what a robot's own gateway holds is reset there
-            return [held for held, latch in self.held.items() if latch.shown is None]
+            return [held for held, latch in self.by_key.items() if latch.shown is None]
         below = key + "/"  # the robots of a backend, or of a tenant
-        return [held for held in self.held if held == key or held.startswith(below)]
+        return [held for held in self.by_key if held == key or held.startswith(below)]
 
     def _keep(self, key: str, latch: Latch | None) -> None:
         kept: dict[str, Any] | None = None

@@ -51,9 +51,9 @@ class Registry:
             example does not fit its type.
         """
         path = full_path(tenant, robot, resource.name)
-        return self.place(Entry(path, _checked(resource), owner, tenant, robot, self.clock))
+        return self.insert(Entry(path, _checked(resource), owner, tenant, robot, self.clock))
 
-    def place(self, entry: Entry) -> Entry:
+    def insert(self, entry: Entry) -> Entry:
         """Put an entry into the tree.
 
         :raises PluginError: its path belongs to another backend.
@@ -98,7 +98,7 @@ class Registry:
         for callback in self.on_leases:
             callback(unit)
 
-    def grow(self, owner: Owner, *, growing: bool) -> None:
+    def set_incomplete(self, owner: Owner, *, growing: bool) -> None:
         """Record whether a backend may declare more resources: it is opening, or discovering."""
         if growing == (owner in self._growing):
             return

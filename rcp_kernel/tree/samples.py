@@ -291,7 +291,7 @@ class Sample(Body):
         """Length of its longest encoding in bytes; 0: none was made."""
         return max(map(len, (self.json_tail or b"", *self.encodings.values())))
 
-    def weight(self) -> int:
+    def memory_size(self) -> int:
         """Estimate the memory of the value in bytes."""
         if self.native is not None:
             return len(self.native.data)

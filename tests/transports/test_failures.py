@@ -110,7 +110,7 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
 @pytest.mark.parametrize(
     "target",
     [
-        "rcp_kernel.sessions.connections.Connection.stumbled",
+        "rcp_kernel.sessions.connections.Connection.answer_internal_error",
         "rcp_kernel.streams.outbox.Outbox.collect",
         "rcp_ws.client.WsClient.settled",
     ],
@@ -123,7 +123,7 @@ async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_wit
 
     with capture_logs() as said:
         monkeypatch.setattr(target, broken)
-        if target.endswith("stumbled"):
+        if target.endswith("answer_internal_error"):
             monkeypatch.setattr("rcp_kernel.sessions.connections.decode_request", broken)
         async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
             raw.ask(type="subscribe", path=POSE, id="1")

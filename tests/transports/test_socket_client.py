@@ -270,7 +270,7 @@ def test_an_error_while_sending_closes_with_a_code_and_is_logged(place: Place) -
 
 def test_a_client_that_reads_nothing_is_cut_off_when_memory_runs_out(place: Place) -> None:
     socket, client = connected(place)
-    cut = client.connection.outbox.backlog.cut
+    cut = client.connection.outbox.backlog.close_client
     assert cut is not None
     with place.inside():
         cut()

@@ -80,7 +80,7 @@ class WsClient(SocketClient):
             self._gate.review()
 
     def _failed(self, data: bytes, error: Exception) -> None:
-        self.connection.stumbled(data, error)
+        self.connection.answer_internal_error(data, error)
 
     def _greeting(self, data: bytes) -> None:
         """Accept only `hello` from a client that is not authenticated."""

@@ -104,7 +104,7 @@ class Body:
     """A reply body that caches its encodings: a sample's value, encoded once for all receivers."""
 
     __slots__ = ()
-    cut = False
+    truncated = False
     """Whether it is incomplete: `truncated`."""
 
     @property

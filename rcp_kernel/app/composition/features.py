@@ -57,13 +57,13 @@ def compose_features(
         clock=base.clock,
     )
     made = make(active, host)
-    services.ask(made)
+    services.set_lookup(made)
     records.events.listeners += made.event_listeners
     records.journal.listeners += made.command_listeners
     records.replies.demands += made.recorders
     base.events.configure(made.observers)
-    access.identities.ask(made.authenticators)
-    clients.accounting.ask(made.accounting)
+    access.identities.set_authenticators(made.authenticators)
+    clients.accounting.set_features(made.accounting)
     clients.sessions.on_end.append(made.session_ended)
     clients.sessions.on_review.append(made.rights_changed)
     return made

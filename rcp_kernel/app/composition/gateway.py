@@ -49,7 +49,7 @@ def compose(
     clients = compose_sessions(base, tree, access, records, safety)
     made = compose_features(base, tree, access, records, safety, clients, features)
     requests = compose_requests(base, tree, records, made)
-    clients.delegation.ask(requests.router.handle)
+    clients.delegation.set_handler(requests.router.handle)
     system = compose_system(base, tree, access, records, safety, clients, recent, made)
     below = base, tree, access, records, safety, clients, requests, system
     actions = compose_actions(*below, made)

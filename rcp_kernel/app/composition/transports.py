@@ -51,7 +51,7 @@ def compose_client_api(
         handshake=handshake,
         sessions=clients.sessions,
         identities=access.identities,
-        unwelcome=records.request_events.unwelcome,
+        refuse_hello=records.request_events.hello_refused,
         counts=base.counts,
         outbound=clients.outbound,
         settings=base.settings,

@@ -11,7 +11,7 @@ from rcp_kernel.app.composition.base import Base
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.streams.hub import Hub
-from rcp_kernel.streams.links import Links
+from rcp_kernel.streams.links import SubscriptionLinker
 from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Tree", "compose_tree"]
@@ -26,7 +26,7 @@ class Tree:
     sights: Sights
     visibility: Visibility
     hub: Hub
-    links: Links
+    links: SubscriptionLinker
     changes: ViewChanges
     supervisors: list[BackendSupervisor]
     """Of the backends that declare the resources; the application adds and removes them."""
@@ -43,7 +43,7 @@ def compose_tree(base: Base) -> Tree:
         sights=sights,
         visibility=Visibility(registry, sights),
         hub=hub,
-        links=Links(hub, base.turns),
+        links=SubscriptionLinker(hub, base.turns),
         changes=ViewChanges(registry),
         supervisors=[],
     )

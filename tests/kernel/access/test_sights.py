@@ -126,7 +126,7 @@ async def test_what_is_counted_is_what_there_is_however_the_tree_has_changed() -
             there = world.server.kernel.registry.entries.values()
             assert sight.visible == sum(1 for e in there if rights.mask(e.path))
             hidden = [e for e in there if e.tenant and not rights.mask(e.path)]
-            assert sight.hides("alpha", "robot").count == len(hidden)
+            assert sight.hidden_of("alpha", "robot").count == len(hidden)
             assert not sight.whole("alpha")
 
 

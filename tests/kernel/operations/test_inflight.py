@@ -36,7 +36,7 @@ async def test_work_that_never_began_is_closed_when_its_deadline_passes() -> Non
         raise AssertionError("too late to begin")
 
     coroutine = work()
-    inflight.later(
+    inflight.answer_later(
         session,
         request,
         replies.append,

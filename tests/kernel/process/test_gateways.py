@@ -185,7 +185,7 @@ async def test_a_backend_that_is_opened_again_takes_its_commands_up(far: Far) ->
         backend = supervisor.backend
         assert backend is not None
         commands = world.server.kernel.commands
-        for task in commands.leave(supervisor.name):  # as a crash does
+        for task in commands.detach(supervisor.name):  # as a crash does
             task.cancel()
         busy = await client.ask(type="execute", path=GO, body=2)
         assert busy["error"]["code"] == "already_running"

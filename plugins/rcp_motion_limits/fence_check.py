@@ -18,10 +18,10 @@ from rcp_kernel.tree.samples import Sample
 from rcp_motion_limits.config import Fence
 from rcp_motion_limits.own_pose import OwnPose
 
-__all__ = ["Place"]
+__all__ = ["FenceCheck"]
 
 
-class Place:
+class FenceCheck:
     """A fence, and the location of the position that it checks."""
 
     def __init__(self, fence: Fence, entry: Entry, entries: Mapping[str, Entry]) -> None:
