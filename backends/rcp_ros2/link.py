@@ -52,8 +52,7 @@ class RosLink:
         self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread with each poll of the graph."""
         self.refresh: Callable[[], None] = lambda: None
-        """Creates the paths that a construct has found since the last poll; called on the event
-        loop."""
+        """Creates the paths that a construct has found since the last poll. Called on the event loop."""
         self.needed: set[str] = set()
         """Names that are relevant although no path maps to them."""
         self.sent_goals: dict[bytes, None] = {}

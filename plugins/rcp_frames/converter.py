@@ -15,9 +15,9 @@ from rcp_frames.moves import Move
 from rcp_frames.named import PLACES, named_goal
 from rcp_frames.remote import RemoteStreams, RemoteView, names_frame
 from rcp_frames.robot import (
+    FrameAccess,
     Moment,
     RobotFrames,
-    Sight,
     no_transform,
     pose_path,
     remote_poses,
@@ -52,7 +52,7 @@ class Frames:
         self._service = host.service
         self._demand = PoseDemand(host.robots, host.loop)
         self._remote = RemoteStreams(host.clock.now)
-        self._conversions: WeakValueDictionary[tuple[Entry, str, Sight], _Conversion] = (
+        self._conversions: WeakValueDictionary[tuple[Entry, str, FrameAccess], _Conversion] = (
             WeakValueDictionary()
         )
 
@@ -91,7 +91,7 @@ class Frames:
 
     def conversion(self, rights: Rights, entry: Entry, shape: Shape, frame: str) -> _Conversion:
         """Return the conversion that all who may know as much share."""
-        key = (entry, frame, self._sight(rights, entry))
+        key = (entry, frame, self._access(rights, entry))
         found = self._conversions.get(key)
         if found is None:
             robot = self._robot(entry, key[2])
@@ -106,7 +106,7 @@ class Frames:
         own = goal_frame(entry.resource.input) if entry.tenant is not None else None
         if own is None:
             return None
-        robot = self._robot(entry, self._sight(session.rights, entry))
+        robot = self._robot(entry, self._access(session.rights, entry))
         moment = Moment(None, self._now())
         label = f"input of {entry.label}"
         find = self._service(PLACES)
@@ -130,7 +130,7 @@ class Frames:
             return []
         if entry.owner.has_gateways:
             return self._remote_frames(rights, entry)
-        robot = self._robot(entry, self._sight(rights, entry))
+        robot = self._robot(entry, self._access(rights, entry))
         default = goal_frame(entry.resource.input)
         if default is not None:
             source = own_frame(entry, default, robot)
@@ -161,16 +161,20 @@ class Frames:
             return None
         return widened(schema, earth=EARTH in frames, places=self._service(PLACES) is not None)
 
-    def _robot(self, entry: Entry, sight: Sight) -> RobotFrames:
+    def _robot(self, entry: Entry, access: FrameAccess) -> RobotFrames:
         request = self._demand.request
-        return RobotFrames(entry, self._entries, self.config, sight=sight, request=request)
+        return RobotFrames(entry, self._entries, self.config, access=access, request=request)
 
-    def _sight(self, rights: Rights, entry: Entry) -> Sight:
+    def _access(self, rights: Rights, entry: Entry) -> FrameAccess:
         """Return which transforms a principal may know: those of robots whose poses it may read."""
         if not self._may_locate(rights, pose_path(entry)):
-            return Sight.FIXED
+            return FrameAccess.FIXED
         others = tree_poses(entry)
-        return Sight.ALL if all(self._may_locate(rights, path) for path in others) else Sight.OWN
+        return (
+            FrameAccess.ALL
+            if all(self._may_locate(rights, path) for path in others)
+            else FrameAccess.OWN
+        )
 
     def _locates(self, session: Session, entry: Entry, *, ever: bool = False) -> bool:
         """Return whether a session may know where a robot with its own gateway is; `ever`: at times."""

@@ -18,9 +18,9 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 
 __all__ = [
+    "FrameAccess",
     "Moment",
     "RobotFrames",
-    "Sight",
     "no_transform",
     "pose_path",
     "remote_poses",
@@ -34,7 +34,7 @@ _MOST = 50  # frames of a tree that are listed
 _NEXT = 0.25  # s after which to try again when a pose has just been requested
 
 
-class Sight(Enum):
+class FrameAccess(Enum):
     """Which transforms a principal may know."""
 
     FIXED = "those that do not tell where a robot is"
@@ -116,12 +116,12 @@ class RobotFrames:
         entries: Mapping[str, Entry],
         config: FramesConfig,
         *,
-        sight: Sight,
+        access: FrameAccess,
         request: Callable[[Entry], None],
     ) -> None:
         """`request` is called with a pose that is published only for subscribers."""
         self._entry, self._entries, self._config = entry, entries, config
-        self._moving, self._shared = sight is not Sight.FIXED, sight is Sight.ALL
+        self._moving, self._shared = access is not FrameAccess.FIXED, access is FrameAccess.ALL
         self._request = request
         self._place, self._pose_path = robot_of(entry), pose_path(entry)
 

@@ -48,7 +48,7 @@ class GatewayLeases:
         ]
 
     def update(self, unit: StopGroup) -> bool:
-        """Note what a robot's gateway has said; return whether there is or was a lease."""
+        """Note the leases at a robot's gateway; return whether there are or were any."""
         before, own = self._leased.pop(unit.name, None), unit.own_leases
         if own is not None and own.leases:
             self._leased[unit.name] = unit

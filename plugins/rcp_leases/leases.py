@@ -29,7 +29,7 @@ from rcp_scheduling.turns import Work
 
 __all__ = ["COMMANDING", "Leases"]
 
-log = structlog.get_logger("rcp.store")
+log = structlog.get_logger("rcp.leases")
 COMMANDING = Operation.WRITE | Operation.EXECUTE
 _TABLE = "held"
 _NEEDED = 100_000  # cached paths
@@ -128,8 +128,8 @@ class Leases:
         """Check that the session may command a resource.
 
         :raises LeaseHeld: another session holds a lease on it.
-                :raises LeaseLost: the session lost its lease and has not acquired one since.
-                :raises LeaseRequired: the path requires a lease.
+        :raises LeaseLost: the session lost its lease and has not acquired one since.
+        :raises LeaseRequired: the path requires a lease.
         """
         if self.idle or entry.tenant is None:
             return
@@ -430,7 +430,7 @@ class Leases:
 
     @contextmanager
     def consulting_gateways(self, lease: Lease) -> Generator[None]:
-        """Judge what robots' gateways say of a lease only when they have answered."""
+        """Compare a lease with those at robots' gateways only once they have all answered."""
         self._asked.add(lease.id)
         try:
             yield

@@ -1,4 +1,4 @@
-"""Lost leases: their former holders are refused until they acquire a lease again or forgo it."""
+"""Lost leases: their former holders are refused until they acquire or give up a lease again."""
 
 from __future__ import annotations
 

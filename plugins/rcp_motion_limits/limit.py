@@ -73,7 +73,7 @@ class MotionLimit:
 
     @property
     def pose(self) -> str | None:
-        """The path of the pose by which a height that is kept is judged, if it is."""
+        """The path of the pose whose height is checked for commands that keep their height; None: none is."""
         return None if self._pose is None else self._pose.path
 
     @property

@@ -85,7 +85,7 @@ class RosTopic:
 
 @dataclass(frozen=True, slots=True)
 class RosService:
-    """A service."""
+    """A service that a client sees, and the resource behind it."""
 
     name: str
     type: str
@@ -101,7 +101,7 @@ class RosService:
 
 @dataclass(frozen=True, slots=True)
 class RosAction:
-    """An action."""
+    """An action that a client sees, and the resource behind it."""
 
     name: str
     type: str

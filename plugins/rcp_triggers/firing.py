@@ -63,18 +63,18 @@ class Actions:
         return found
 
     def drop(self, key: str) -> None:
-        """Let go of what is kept of a trigger on a robot."""
+        """Delete the stored state of a trigger on a robot."""
         self._store.put(key, None)
 
     def forget(self, trigger: Trigger) -> None:
-        """Let go of what is kept of a trigger that is no more."""
+        """Delete the stored state of a removed trigger."""
         for place in trigger.robots:
             self.drop(f"{trigger.key} {place.key}")
         self._alarms.removed(trigger.key)
 
-    def apply(self, come: Transition) -> None:
-        """Carry out what came of an evaluation."""
-        trigger, robot, outcome, values = come
+    def apply(self, transition: Transition) -> None:
+        """Carry out the outcome of an evaluation."""
+        trigger, robot, outcome, values = transition
         match outcome:
             case "fire":
                 self._fire(trigger, robot, _plain(values))
@@ -90,7 +90,7 @@ class Actions:
     def announce(
         self, trigger: Trigger, what: Literal["stopped", "resumed"], detail: str | None
     ) -> None:
-        """Tell that a trigger stopped, or goes on; also those who rely on its messages."""
+        """Report that a trigger stopped or resumed, also to the targets of its messages."""
         told = [
             self._firing(trigger, robot, what, detail=detail) for robot in trigger.robots.values()
         ]

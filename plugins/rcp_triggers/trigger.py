@@ -100,7 +100,7 @@ class OnRobot:
 
 
 class Transition(NamedTuple):
-    """Something came of an evaluation."""
+    """An evaluation of a trigger on a robot that has an outcome."""
 
     trigger: Trigger
     robot: OnRobot
@@ -118,7 +118,7 @@ class Trigger:
         spec: Spec,
         maker: Principal | None,
         host: FeatureHost,
-        come: Callable[[Transition], None],
+        on_transition: Callable[[Transition], None],
         *,
         configured: bool,
         made: int | None = None,
@@ -138,7 +138,7 @@ class Trigger:
         self.stopped: str | None = None
         self.robots: dict[Place, OnRobot] = {}
         self._host = host
-        self._on_transition = come
+        self._on_transition = on_transition
 
     def wants(self, place: Place) -> bool:
         """Return whether it has to take a robot in."""

@@ -189,10 +189,10 @@ class Triggers:
                 self._take_in(trigger, place)
         self._changed()
 
-    def _on_transition(self, come: Transition) -> None:
-        trigger = come.trigger
+    def _on_transition(self, transition: Transition) -> None:
+        trigger = transition.trigger
         if self._open and self.known.get(trigger.key) is trigger and self._check(trigger):
-            self._actions.apply(come)
+            self._actions.apply(transition)
 
     def _sweep(self) -> None:
         """Look at what no sample announces: values that become stale, credentials that expire."""

@@ -47,8 +47,8 @@ class _Reach(NamedTuple):
     pattern: Pattern
     bits: int
     """Its operations."""
-    place: str
-    held: str
+    tenant: str
+    role_tenant: str
     """The tenant of the role."""
     when: Condition | None
 
@@ -164,7 +164,7 @@ class Rights:
             return ()
         return tuple(
             dict.fromkeys(
-                r.held
+                r.role_tenant
                 for r in self._allow
                 if r.bits & operation and r.when is None and r.pattern.matches(path)
             )
@@ -198,7 +198,7 @@ class Rights:
 
     def _near(self, folder: str) -> Iterator[_Reach]:
         tenant = tenant_of(folder)
-        return (r for r in (*self._allow, *self._deny) if r.place in ("*", tenant))
+        return (r for r in (*self._allow, *self._deny) if r.tenant in ("*", tenant))
 
     def hides(self, text: str) -> bool:
         """Return whether a text is a path, existing or not, that is hidden."""
@@ -233,7 +233,7 @@ class Rights:
     @staticmethod
     def _matching(rules: list[_Reach], path: str) -> list[_Reach]:
         tenant = tenant_of(path)
-        return [r for r in rules if r.place in ("*", tenant) and r.pattern.matches(path)]
+        return [r for r in rules if r.tenant in ("*", tenant) and r.pattern.matches(path)]
 
     def permits(self, entry: Entry, operation: Operation) -> bool:
         """Tell whether an operation is allowed now."""

@@ -35,7 +35,7 @@ class _Change(NamedTuple):
     name: str
     backend: str
     difference: int
-    """1: it was declared; 0: replaced; -1: withdrawn."""
+    """How the number of paths changes: 1 if it was declared, 0 if replaced, -1 if withdrawn."""
 
 
 class _Changes:
@@ -55,13 +55,15 @@ class _Changes:
 
     def declared(self, entry: Entry) -> None:
         made = _Change(entry.path, entry.name, entry.owner.name, 1)
-        self._append(made._replace(more=0) if entry.path in self._present else made)
+        self._append(made._replace(difference=0) if entry.path in self._present else made)
         self._present[entry.path] = made
 
     def withdrawn(self, path: str) -> None:
         gone = self._present.get(path)
         if gone is not None:
-            self._append(gone._replace(more=-1))  # which may start again with the current tree
+            self._append(
+                gone._replace(difference=-1)
+            )  # which may start again with the current tree
             del self._present[path]
 
     def _append(self, change: _Change) -> None:
@@ -82,7 +84,7 @@ class Hidden:
         """The backend's own names of them, or of a thousand of them."""
 
     def change(self, change: _Change) -> None:
-        """Count a hidden path more or less."""
+        """Count a change of a hidden path."""
         self.count += change.difference
         if change.difference < 0:
             self.names.discard(change.name)
@@ -175,7 +177,7 @@ class Sight:
         self.number = max(self.number + 1, now() // 1_000_000)
 
     def hidden_of(self, tenant: str | None, backend: str) -> Hidden:
-        """Return what of a tenant's backend is hidden."""
+        """Return the hidden part of a tenant's backend."""
         part = self.parts.get(tenant)
         return (None if part is None else part.hidden.get(backend)) or Hidden()
 

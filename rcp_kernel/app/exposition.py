@@ -9,7 +9,7 @@ from operator import attrgetter
 from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.app.status import StatusReport, conflated
+from rcp_kernel.app.status import StatusReport, count_skipped
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.clock import parse_time
 from rcp_kernel.contract.metrics import Metrics, RequestCounts, counter, gauge, histogram
@@ -67,7 +67,14 @@ class Exposition:
         return self._metrics.exposition(self._families(rights))
 
     def _families(self, rights: Rights) -> Iterable[Metric]:
-        commands = self._journal
+        yield from self._backend_families(rights)
+        yield from self._traffic_families()
+        yield from self._gauges()
+        yield from self._command_families()
+        yield from self._feature_metrics()
+        yield from self._age_families(rights)
+
+    def _backend_families(self, rights: Rights) -> Iterable[Metric]:
         facts = {"version": gateway_version(), "python": platform.python_version()}
         yield gauge("rcp_build_info", "What runs here.", tuple(facts), [(list(facts.values()), 1)])
         yield gauge("rcp_uptime_seconds", "Since the start.", (), [([], self._status.uptime)])
@@ -99,6 +106,8 @@ class Exposition:
                 if "certificate" in one
             ],
         )
+
+    def _traffic_families(self) -> Iterable[Metric]:
         yield counter(
             "rcp_requests",
             "Requests by their outcome.",
@@ -126,15 +135,16 @@ class Exposition:
         )
         yield counter("rcp_updates", "Updates sent.", ("transport",), self._updates())
         dropped = {**self._hub.dropped}
-        dropped["conflated"] += conflated(self._hub.subscriptions)
+        dropped["conflated"] += count_skipped(self._hub.subscriptions)
         yield counter(
             "rcp_dropped",
             "Samples not delivered.",
             ("reason",),
             [([reason], count) for reason, count in dropped.items()],
         )
-        yield from self._gauges()
-        outbound = self._outbound
+
+    def _command_families(self) -> Iterable[Metric]:
+        outbound, commands = self._outbound, self._journal
         yield counter(
             "rcp_queue_full",
             "What was done because too much waited for clients.",
@@ -150,7 +160,8 @@ class Exposition:
         yield histogram(
             "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
         )
-        yield from self._feature_metrics()
+
+    def _age_families(self, rights: Rights) -> Iterable[Metric]:
         entries = list(self._registry.entries.values())
         for begin in range(0, max(1, len(entries)), _PART):
             part = entries[begin : begin + _PART]

@@ -30,13 +30,13 @@ from rcp_kernel.tree.entry import StopGroup, is_system
 from rcp_kernel.tree.registry import Registry
 from rcp_store.store import Store
 
-__all__ = ["StatusReport", "conflated"]
+__all__ = ["StatusReport", "count_skipped"]
 
 _LAG_PERIOD = 0.5  # s
 
 
 class StatusReport:
-    """Looks at the whole gateway and says how it is."""
+    """Writes the health report, limited to what a principal may see."""
 
     def __init__(
         self,
@@ -117,12 +117,12 @@ class StatusReport:
         every = rights is None or "*" in rights.tenants
         tenants = ("*",) if rights is None else rights.tenants
         supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
-        robots = [self._describe_backend(supervisor, rights) for supervisor in supervisors]
-        states = [robot["state"] for robot in robots]
+        backends = [self._describe_backend(supervisor, rights) for supervisor in supervisors]
+        states = [backend["state"] for backend in backends]
         adapters = [*self.adapters, *self._identities.facts]
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
-        broken = broken or any(robot["robots"] for robot in robots)
+        broken = broken or any(backend["robots"] for backend in backends)
         broken = broken or (self._store.trouble or self._store.damage) is not None
         sections = list(self._features(rights))
         broken = broken or any(part.degraded for part in sections)
@@ -135,7 +135,7 @@ class StatusReport:
             "version": gateway_version(),
             "uptime": round(self.uptime, 3),
             "started": iso(self._started),
-            "backends": robots,
+            "backends": backends,
             "transports": self.transports if every else [_part(one) for one in self.transports],
             "adapters": adapters if every else [_part(one) for one in self.adapters],
             "sessions": len(sessions),
@@ -274,9 +274,9 @@ class StatusReport:
         boxes = {s.id[:8]: s.connection.outbox for s in sessions if s.connection is not None}
         waiting = {id_: box.depth for id_, box in boxes.items()}
         if "*" in tenants:
-            dropped = sum(self._hub.dropped.values()) + conflated(self._hub.subscriptions)
+            dropped = sum(self._hub.dropped.values()) + count_skipped(self._hub.subscriptions)
         else:
-            dropped = conflated(sub for s in sessions for sub in s.subscriptions.values())
+            dropped = count_skipped(sub for s in sessions for sub in s.subscriptions.values())
         return {
             "depth": sum(waiting.values()),
             "high_water": max((box.high_water for box in boxes.values()), default=0),
@@ -285,7 +285,7 @@ class StatusReport:
         }
 
 
-def conflated(subscriptions: Iterable[Subscription]) -> int:
+def count_skipped(subscriptions: Iterable[Subscription]) -> int:
     """Return how many samples subscriptions have skipped."""
     return sum(subscription.skipped for subscription in subscriptions)
 

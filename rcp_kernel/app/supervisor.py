@@ -2,7 +2,7 @@
 
     declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
 
-`NotReady` and crashes mean again with backoff, `ConfigError` means stop for good. Adapters and
+After `NotReady` or a crash the backend is opened again, with backoff; `ConfigError` is final. Adapters and
 transports are opened after the backends were started and closed before them, in reverse; motion is
 halted, with a bound, before anything closes.
 """
@@ -527,11 +527,11 @@ class BackendSupervisor:
         """Update whether requests for missing paths should be refused as retryable."""
         opens = self.state in _OPENS or (self.state == "down" and self._backend is None)
         looks = self._discovering and self._backend is not None
-        growing = not self._closing.is_set() and (opens or looks)
-        self._registry.set_incomplete(self, growing=growing)
+        incomplete = not self._closing.is_set() and (opens or looks)
+        self._registry.set_incomplete(self, incomplete=incomplete)
 
     def _set_backend(self, backend: ContainedBackend | None) -> None:
-        """Have an open backend, which works as far as the present state says so."""
+        """Set the open backend, or None; requests reach it only while the state says that it works."""
         self._backend = backend
         usable = backend if self.state in _WORKING else None
         if usable is not self.backend:

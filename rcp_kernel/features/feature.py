@@ -124,8 +124,7 @@ class Feature:
     rights_changed: Callable[[], None] | None = None
     """Called when the rights of sessions may have changed, by a reload or another token."""
     halted: Callable[[frozenset[str], str, str], None] | None = None
-    """Called with the paths whose robots an e-stop has halted, by whom, and why; their commands
-    have
+    """Called with the paths whose robots an e-stop has halted, by whom, and why; their commands have
     already been ended."""
     running: Callable[[], AbstractAsyncContextManager[None]] | None = None
     """Entered before any backend is opened, left after the last one is closed."""
@@ -147,12 +146,10 @@ class FeatureKind(msgspec.Struct, frozen=True):
     needs: tuple[str, ...] = ()
     """As for `BackendKind`; a missing requirement is an error at the start."""
     table: Callable[[GatewayConfig], Any] | None = None
-    """Returns the table from elsewhere in the configuration: a value of the type `config`, or
-    data to
+    """Returns the table from elsewhere in the configuration: a value of the type `config`, or data to
     decode."""
     check: Callable[[Any, GatewayConfig], None] | None = None
-    """Checks this table against the rest of the configuration and raises `ConfigError`; also
-    called by
+    """Checks this table against the rest of the configuration and raises `ConfigError`; also called by
     `rcpd check`."""
     grants: Mapping[str, tuple[Rule, ...]] = {}
     """Rules that the built-in roles `viewer`, `hub`, `operator` and `agent` have with the feature."""

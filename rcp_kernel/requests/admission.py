@@ -46,9 +46,12 @@ class Resolver:
     ) -> Entry:
         """Find the entry of a path and make sure that the session may do `operation` with it.
 
-        `anyway`: conditions of the rules need not hold.
+        `anyway`: also if the condition of its rule does not hold now.
 
-        :raises InvalidPath, UnknownPath, Forbidden, UnsupportedOperation: as they say.
+        :raises InvalidPath: it is not a path.
+        :raises UnknownPath: there is no such resource, or it is hidden from the session.
+        :raises Forbidden: the rights do not allow the operation.
+        :raises UnsupportedOperation: the resource does not offer it.
         """
         if path is None:
             raise BadRequest("`path` is missing", remedy="Send `path` with the path of a resource.")
@@ -120,7 +123,7 @@ class Admission:
         self._shutdown = shutdown
         self._every = sorted(guards, key=lambda guard: guard.slot)
         self.other_guards: tuple[Guard, ...] = ()
-        """The active guards, in order."""
+        """The active guards but those of `control`, in order."""
         self.control: tuple[Guard, ...] = ()
         """The active guards that decide who has control: they come first, and also check safe
         values."""
@@ -157,7 +160,9 @@ class Admission:
         if entry.barred and (unit.all_latches or unit.whole.retired is not None):
             check_motion(entry)
         if entry.tenant is not None:
-            for guard in self.control:  # as `_admit_all`, but for nearly every command
+            for (
+                guard
+            ) in self.control:  # `_admit_all` inlined, as nearly every command is checked here
                 if not getattr(guard, "idle", False):
                     try:
                         guard.admit(call)
@@ -227,7 +232,7 @@ class Admission:
                 if unit.holds or unit.whole.holds:
                     check_hold(entry, call.value)
             if entry.tenant is not None:
-                for guard in self.control:  # as `_confirm_all`
+                for guard in self.control:  # `_confirm_all` inlined
                     if not getattr(guard, "idle", False):
                         try:
                             guard.confirm(call)

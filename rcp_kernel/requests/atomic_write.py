@@ -285,7 +285,7 @@ class AtomicWriteHandler:
         calls, limited, started = admitted.calls, admitted.limited, perf_counter()
         superseded = [entry for entry in admitted.entries if deadman.begin(entry)]
         # The effect of an unanswered write is unknown.
-        guards = deadman.arm_together(limited, admitted.window + ANSWER) if limited else {}
+        timers = deadman.arm_together(limited, admitted.window + ANSWER) if limited else {}
         try:
             actual = await _write(backend, {c.entry.name: c.value for c in calls})
         except BaseException as error:
@@ -295,7 +295,7 @@ class AtomicWriteHandler:
                     events.refused(call.entry, call.value)
             at_risk = superseded if unchanged else [*dict.fromkeys((*superseded, *limited))]
             for entry in limited:
-                deadman.disarm(entry, guards.get(entry.path))
+                deadman.disarm(entry, timers.get(entry.path))
             if at_risk:
                 deadman.arm_together(at_risk, 0)
             attributed = _attributed(error, admitted)
@@ -308,7 +308,7 @@ class AtomicWriteHandler:
         calls[0].entry.owner.latency = perf_counter() - started
         for call in calls:
             events.took(call.entry, call.value, actual.get(call.entry.name, call.value))
-            deadman.disarm(call.entry, guards.get(call.entry.path))
+            deadman.disarm(call.entry, timers.get(call.entry.path))
         moving = [c.entry for c in calls if c.entry in limited and not is_safe(c.entry, c.value)]
         if moving:
             deadman.arm_together(moving, admitted.window)

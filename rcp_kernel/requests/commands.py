@@ -178,7 +178,7 @@ class Commands:
         command.ready = self._journal.committed
 
     def detach(self, backend: str) -> list[asyncio.Task[Any]]:
-        """Go on with the commands of a backend later; return their tasks, to be ended with it."""
+        """Leave the commands of a backend to its robots; return their tasks, to be ended with it."""
         tasks: list[asyncio.Task[Any]] = []
         for command in self.running.values():
             kept, task = command.continuation, command.task
@@ -191,7 +191,7 @@ class Commands:
         return tasks
 
     def _wait(self, command: Command) -> None:
-        """Keep a command until its backend takes it up, or its deadline has passed."""
+        """Keep a detached command until its backend is back, or its deadline has passed."""
         assert command.continuation is not None
         self._detached.setdefault(command.path, []).append(command)
         left = max(0.0, (command.continuation.until - self._now()) / 1e9)
@@ -200,7 +200,7 @@ class Commands:
         command.deadline = self._deadlines.set(left, command, missed)
 
     def take_up(self, entry: Entry, backend: Backend) -> None:
-        """Go on with the commands of a path that were left, or that an earlier run began."""
+        """Follow the commands of a path again that were detached, or that an earlier run began."""
         for command in list(self._detached.get(entry.path, ())):
             command.entry = entry
             if entry.barred and entry.unit.latch is not None:
@@ -353,17 +353,17 @@ class Commands:
     def _on_task_done(self, command: Command, task: asyncio.Task[Any]) -> None:
         if command.task is None and command.continuation is None:
             return  # it is complete; asyncio reports what failed after that
-        left = command.task is not task  # it goes on elsewhere
-        if command.finished is None and not left:
+        moved_on = command.task is not task  # it continues without this gateway
+        if command.finished is None and not moved_on:
             self._finish(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # retrieved, so that asyncio does not report it
-        if not left:
+        if not moved_on:
             command.task = None  # and all it refers to, because the command is kept for long
             self._release(command)
 
     def _release(self, command: Command) -> None:
-        """Let the next command have the path of one that has ended, and its task too."""
+        """Free the path of a command that has ended, as its task has, and start the next one there."""
         path = command.path
         if self._active.get(path) is command:
             del self._active[path]

@@ -34,7 +34,7 @@ _AGE = 86_400 * 10**9  # ns
 _TABLE = "keys"
 
 Outcome = Command | asyncio.Future[Reply]
-"""Of an execute, of a write."""
+"""What a key has led to: the command of an `execute`, or the reply to a write."""
 
 
 class _Seen:

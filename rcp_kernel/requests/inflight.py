@@ -28,7 +28,7 @@ Make = Callable[[Any], Reply]
 
 
 class InFlight:
-    """Keeps the places, and answers when the work is done."""
+    """Reserves a slot for each request, and answers it when its work is done."""
 
     def __init__(
         self,

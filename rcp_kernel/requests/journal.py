@@ -210,7 +210,7 @@ class _Finished:
         return self._known.get(id_)
 
     def newest_first(self) -> list[Command]:
-        """Return all of them."""
+        """Return the finished commands, the one that ended last first."""
         return list(reversed(self._known.values()))
 
     def add(self, command: Command) -> None:

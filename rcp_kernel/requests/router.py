@@ -1,4 +1,4 @@
-"""The hot path of every request: admit → resolve → check → call.
+"""The hot path of every request: charge → resolve → admit → call.
 
 A handler returns its reply, or None if the reply follows later; any error becomes the one final
 reply of the request.

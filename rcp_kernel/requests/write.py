@@ -159,16 +159,16 @@ class WriteHandler:
         started = perf_counter()
         superseded = deadman.begin(entry)
         # The effect of an unanswered write is unknown.
-        guard = None if window is None else deadman.arm(entry, window + ANSWER)
+        timer = None if window is None else deadman.arm(entry, window + ANSWER)
         try:
             actual = await backend.write(entry.name, value)
         except BaseException as error:
             if isinstance(error, _UNCHANGED):
                 events.refused(entry, value)
-            if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
+            if superseded or (timer is not None and not isinstance(error, _UNCHANGED)):
                 deadman.arm(entry, 0)
             else:
-                deadman.disarm(entry, guard)
+                deadman.disarm(entry, timer)
             if isinstance(error, RcpError):
                 error.origin = error.origin or entry.owner.name
             elif isinstance(error, (ConnectionError, TimeoutError)):
@@ -180,8 +180,8 @@ class WriteHandler:
         entry.owner.latency = perf_counter() - started
         actual = value if actual is None else actual
         events.took(entry, value, actual)
-        if guard is not None:
-            deadman.disarm(entry, guard)
+        if timer is not None:
+            deadman.disarm(entry, timer)
         if window is not None and value != safe_value(entry):
             deadman.arm(entry, window)
         return entry.publish(actual, None)

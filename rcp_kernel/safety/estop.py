@@ -242,7 +242,7 @@ class Estop:
     def _reset_latches(
         self, keys: dict[str, str | None], robots: list[StopGroup]
     ) -> list[StopGroup]:
-        """Let go of robots; return those that were held."""
+        """Reset the latches here; return the robots that were latched."""
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
         latches = self._latches
@@ -324,7 +324,7 @@ class Estop:
     def _widest(
         self, visible: _Robots, tenants: list[str], robots: list[StopGroup]
     ) -> dict[str, str | None]:
-        """Mean whole tenants where the session sees all their robots, else the robots it sees."""
+        """Return keys of whole tenants whose robots the session sees all, else of the robots it sees."""
         keys: dict[str, str | None] = {}
         for tenant in tenants:
             if not self._hidden(visible, tenant):
@@ -407,7 +407,7 @@ class Estop:
         return self.state(session)
 
     async def _reset_at_gateway(self, robot: StopGroup, latch: Latch | None) -> str | None:
-        """Ask one robot; return why it is still latched."""
+        """Ask one robot's own gateway; return why the robot is still latched, or None."""
         try:
             async with asyncio.timeout(HALT_WAIT):
                 await robot.reset_own()

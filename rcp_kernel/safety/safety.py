@@ -145,9 +145,9 @@ class Deadman:
         return request.valid_for
 
     def begin_write(self, entry: Entry) -> asyncio.Task[Any]:
-        """Register the current task as a writer of an entry, so that `cut` can cancel it.
+        """Register the current task as a writer of an entry, so that `cancel_pending` can cancel it.
 
-        Return the task, to be passed to `arrived` when it has ended in any way.
+        Return the task, to be passed to `end_write` when it has ended in any way.
         """
         task = asyncio.current_task()
         assert task is not None
@@ -155,7 +155,7 @@ class Deadman:
         return task
 
     def end_write(self, entry: Entry, task: asyncio.Task[Any]) -> None:
-        """Know of a write no more."""
+        """Unregister a write that has ended."""
         writes = self._writes[entry.path]
         writes.discard(task)
         if not writes:
@@ -201,21 +201,21 @@ class Deadman:
         if task.done():
             return
         task.cancel()
-        leaving = self.cancelling.setdefault(path, set())
-        leaving.add(task)
+        cancelling = self.cancelling.setdefault(path, set())
+        cancelling.add(task)
 
-        def left(done: asyncio.Task[Any]) -> None:
-            leaving.discard(done)
-            if not leaving and self.cancelling.get(path) is leaving:
+        def ended(done: asyncio.Task[Any]) -> None:
+            cancelling.discard(done)
+            if not cancelling and self.cancelling.get(path) is cancelling:
                 del self.cancelling[path]
 
-        task.add_done_callback(left)
+        task.add_done_callback(ended)
 
     async def wait_cancelled(self, entry: Entry) -> None:
         """Wait until cancelled work on an entry has released the robot, within a bound."""
-        leaving = self.cancelling.get(entry.path, set()) - {asyncio.current_task()}
-        if leaving:
-            await asyncio.wait(leaving, timeout=ANSWER)
+        cancelling = self.cancelling.get(entry.path, set()) - {asyncio.current_task()}
+        if cancelling:
+            await asyncio.wait(cancelling, timeout=ANSWER)
 
     @property
     def driving(self) -> bool:
@@ -278,7 +278,7 @@ class Deadman:
             self.begin(entry)
         with unfenced():  # it outlives the write
             timer = self._loop.call_later(seconds, lapse)
-        parts = shared.parts(lambda left: None if left else timer.cancel())
+        parts = shared.parts(lambda others: None if others else timer.cancel())
         self._timers |= parts
         return parts
 
@@ -302,12 +302,12 @@ class Deadman:
         shared = Shared(entries)
         task = self._loop.create_task(self._stop_together(shared), name="dead-man of several")
 
-        def leave(left: list[Entry]) -> None:
+        def split(others: list[Entry]) -> None:
             task.cancel()
             shared.take()
-            self._start_each(left)
+            self._start_each(others)
 
-        self._stops |= shared.parts(leave)
+        self._stops |= shared.parts(split)
 
     def _start_each(self, entries: Sequence[Entry]) -> None:
         if not self._closed:

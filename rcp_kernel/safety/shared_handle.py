@@ -28,35 +28,35 @@ class Shared:
 
     @property
     def members(self) -> list[Entry]:
-        """Those that have not left."""
+        """The actuators whose handles were not cancelled."""
         return list(self._members.values())
 
     def take(self) -> list[Entry]:
-        """Return those that have not left, and let them go."""
-        left = self.members
+        """Return the members and remove them all."""
+        members = self.members
         self._members.clear()
-        return left
+        return members
 
-    def parts(self, left: Callable[[list[Entry]], None]) -> dict[str, Cancellable]:
-        """Return a handle for each; `left` is called with the others when one is cancelled."""
-        return {path: _Part(self, path, left) for path in self._members}
+    def parts(self, on_cancel: Callable[[list[Entry]], None]) -> dict[str, Cancellable]:
+        """Return a handle for each; `on_cancel` gets the other members when one is cancelled."""
+        return {path: _Part(self, path, on_cancel) for path in self._members}
 
-    def leave(self, path: str, left: Callable[[list[Entry]], None]) -> None:
-        """Let one go."""
+    def leave(self, path: str, on_cancel: Callable[[list[Entry]], None]) -> None:
+        """Remove a member."""
         if self._members.pop(path, None) is not None:
-            left(self.members)
+            on_cancel(self.members)
 
 
 class _Part:
     """The part of one of them."""
 
-    __slots__ = ("_members", "_path", "_shared")
+    __slots__ = ("_on_cancel", "_path", "_shared")
 
-    def __init__(self, shared: Shared, path: str, left: Callable[[list[Entry]], None]) -> None:
+    def __init__(self, shared: Shared, path: str, on_cancel: Callable[[list[Entry]], None]) -> None:
         self._shared = shared
         self._path = path
-        self._members = left
+        self._on_cancel = on_cancel
 
     def cancel(self) -> None:
         """Leave the others."""
-        self._shared.leave(self._path, self._members)
+        self._shared.leave(self._path, self._on_cancel)

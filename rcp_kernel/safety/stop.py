@@ -82,7 +82,7 @@ class Stop:
 
     @property
     def phase(self) -> Phase:
-        """Its phase."""
+        """How far it is: `commanded` once the backend was asked, `confirmed` by measurement only."""
         if self.confirmed is not None:
             return "confirmed"
         return "requested" if self.commanded is None else "commanded"
@@ -206,7 +206,7 @@ class StopController:
         if not stop.tasks:
             self._retry_halt(stop)
             return
-        with unfenced():  # what insists is between two calls, perhaps for some time
+        with unfenced():  # the repetition may be waiting between two calls
             task = self._loop.create_task(self._attempt(stop))
         task.add_done_callback(_consume_outcome)
 
@@ -239,7 +239,7 @@ class StopController:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
 
     def _halt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
-        """Halt all robots of a backend at once; insist one by one where that fails or takes long."""
+        """Halt all robots of a backend with one call; one by one if that fails or takes too long."""
 
         def alone() -> None:
             for stop in stops:
@@ -378,7 +378,7 @@ def _without_numbers(detail: str | None) -> str | None:
 
 
 def _consume_outcome(task: asyncio.Task[None]) -> None:
-    """Look at the outcome of a call that others repeat, so that asyncio does not report it."""
+    """Retrieve the outcome of a call that is repeated anyway, so that asyncio does not report it."""
     if not task.cancelled():
         task.exception()
 

@@ -57,12 +57,12 @@ class ConnectionParts:
     prepare: Callable[[Session, Request], Generator[None, None, Request]]
     """Decodes a long body in steps."""
     at_once: AtOnce
-    """By type, what answers in JSON what nearly all requests of the type are."""
+    """By type of request, a handler for its usual form, which returns the reply as JSON bytes."""
     handshake: Handshake
     sessions: Sessions
     identities: Identities
     refuse_hello: Callable[[Session, Reply, Answer], Answer]
-    """Records that a `hello` was refused; returns the receiver of its reply."""
+    """Records that a `hello` was refused; returns the function to send its reply with."""
     counts: RequestCounts
     outbound: Outbound
     settings: Settings
@@ -144,9 +144,7 @@ class Connection:
 
         `hello` adopts what a client requests, and returns facts for the reply. `released` gets the
         messages received while an earlier one was being handled, to pass them to `receive` in its
-        turns.
-        `cut` closes
-        a client that does not read.
+        turns. `cut` closes a client that does not read.
         """
         self.on_hello, self.released = hello, released
         self.outbox.backlog.close_client = cut
@@ -237,7 +235,7 @@ class Connection:
         self.send(failure(error, type_, id_))
 
     def answer_internal_error(self, data: bytes, error: Exception) -> None:
-        """Answer a message that nothing else could be done with, and log why."""
+        """Answer a message whose handling failed unexpectedly, and log why."""
         internal = to_internal_error(error, session=self.session.id)
         type_, id_ = peek_header(data, self.encoding)
         self._parts.counts.count(self.session.transport, type_, internal.code)

@@ -61,7 +61,7 @@ class OwnCommand(Protocol):
 
 
 class SessionConnection(Protocol):
-    """The connection that a session has its client by."""
+    """The connection of a session to its client."""
 
     session: Session
     closed: bool
@@ -184,9 +184,9 @@ class Session:
         """Replies for a disconnected client, with their approximate sizes."""
         self.missed_bytes = 0
         self.missed_backlog: Backlog | None = None
-        """Counts these while the client is away."""
+        """Counts `missed` while the client is disconnected and may still resume; else None."""
         self.missed_notices: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
-        """Notices for the client's return."""
+        """Notices for a disconnected client."""
         self.overflowed = 0
         self.expiry_check: asyncio.TimerHandle | None = None
         """The next check of the principal's expiry."""

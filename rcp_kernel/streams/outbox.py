@@ -218,7 +218,7 @@ class Outbox:
         """Feeds with queued samples."""
         self.paused = 0
         """Number of subscriptions being checked for paths that the client may no longer see: no
-        update is collected meanwhile. Changed by `hold` and `release`."""
+        update is collected meanwhile. Changed by `pause` and `resume`."""
         self.prioritised = False
         self.renderings: dict[str, Rendering] = {}
         """How updates are written, by the id of their subscription, see `render`."""
@@ -423,6 +423,3 @@ class Outbox:
 
 def _urgency(feed: PendingPath) -> int:
     return -feed.priority
-
-
-Queue = deque["Sample"]

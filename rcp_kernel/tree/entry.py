@@ -346,8 +346,8 @@ class StopGroup:
         """Permanent reasons to hold it."""
         self._latches = latches
         self.all_latches: Mapping[str, Latch] = {} if latches is None else latches.by_key
-        """All latches there are, whomever they hold: without one, and without `retired`, nothing
-        needs to be looked up."""
+        """All latches of the gateway, also of other robots: while there are none, and no `retired`,
+        `latch` need not be looked up."""
         self.own: dict[str, Entry] = {}
         """The resources that are its own: of all of a backend, those of none of its robots."""
         self._stops = 0
@@ -431,7 +431,7 @@ class StopGroup:
 
     @contextmanager
     def bringing_to_rest(self) -> Generator[None]:
-        """Let nothing but its rest reach it while entered: the hold would override it."""
+        """Refuse other commands while entered: they would override the hold."""
         self.holds += 1
         try:
             self.owner.state_changed()

@@ -98,11 +98,11 @@ class Registry:
         for callback in self.on_leases:
             callback(unit)
 
-    def set_incomplete(self, owner: Owner, *, growing: bool) -> None:
+    def set_incomplete(self, owner: Owner, *, incomplete: bool) -> None:
         """Record whether a backend may declare more resources: it is opening, or discovering."""
-        if growing == (owner in self._growing):
+        if incomplete == (owner in self._growing):
             return
-        if growing:
+        if incomplete:
             self._growing.append(owner)
         else:
             self._growing.remove(owner)

@@ -263,7 +263,10 @@ class Sample(Body):
         return len(self.projected(encoding, fields))
 
     def read_piece(self) -> bytes:
-        """Return what all JSON replies to a read of this sample share, from path to state."""
+        """Return what all JSON replies to a read of this sample share, from path to state.
+
+        It is written by hand for speed: a field added to `Reply` for reads is added here as well.
+        """
         piece = self.json_piece = (
             b',"path":"%b","status":"completed","body":%b,"seq":%d,"source_timestamp":"%b","state":"'
         ) % (
@@ -278,7 +281,7 @@ class Sample(Body):
         if encoding is _JSON:
             try:
                 time = iso_bytes(self.timestamp)
-            except Exception:  # `time` tells of it, and has another one
+            except Exception:  # `time` reports the fault, and uses the time of arrival
                 time = self.time.encode()
             seq = _to_json(self.seq)
             return b"".join((b'"seq":', seq, b',"timestamp":"', time, b'","body":', body, b"}"))

@@ -105,7 +105,7 @@ class Body:
 
     __slots__ = ()
     truncated = False
-    """Whether it is incomplete: `truncated`."""
+    """Whether it is incomplete."""
 
     @property
     def value(self) -> Any:
@@ -118,7 +118,10 @@ class Body:
 
 
 class Reply(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """One reply envelope; `body` is plain data, a `Body`, or `NO_BODY`."""
+    """One reply envelope; `body` is plain data, a `Body`, or `NO_BODY`.
+
+    The gateway writes the usual reply to `read` without it: `Sample.read_piece` of the kernel.
+    """
 
     type: str
     id: str | None = None
