@@ -224,7 +224,7 @@ class BackendSupervisor:
                 self._journal.cut_off.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
-            entry.unit.lost = entry.path
+            entry.unit.note_lost(entry.path)
             self._regain(entry.unit)
 
     def _tell_cut_off(self) -> None:
@@ -497,7 +497,7 @@ class BackendSupervisor:
                 await asyncio.sleep(wait)
                 wait = min(wait * 2, _LAST_RETRY)
             else:
-                unit.lost = None
+                unit.forget_lost()
                 log.warning("recovered", backend=unit.name, command=lost, done=done)
                 self._events.recovered(unit, lost, done)
 
