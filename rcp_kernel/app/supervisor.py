@@ -2,8 +2,8 @@
 
     declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
 
-After `NotReady` or a crash the backend is opened again, with backoff; `ConfigError` is final. Adapters and
-transports are opened after the backends were started and closed before them, in reverse; motion is
+After `NotReady` or a crash the backend is opened again, with backoff; `ConfigError` is final.
+Adapters and transports are opened after the backends were started and closed before them, in reverse; motion is
 halted, with a bound, before anything closes.
 """
 
@@ -224,7 +224,7 @@ class BackendSupervisor:
                 self._journal.interrupted.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
-            entry.unit.lost = entry.path
+            entry.unit.note_lost(entry.path)
             self._stop_or_recover(entry.unit)
 
     def _tell_cut_off(self) -> None:
@@ -497,7 +497,7 @@ class BackendSupervisor:
                 await asyncio.sleep(wait)
                 wait = min(wait * 2, _LAST_RETRY)
             else:
-                unit.lost = None
+                unit.forget_lost()
                 log.warning("recovered", backend=unit.name, command=lost, done=done)
                 self._events.recovered(unit, lost, done)
 

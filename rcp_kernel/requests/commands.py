@@ -150,7 +150,7 @@ class Commands:
         if not _begins_at_once(entry):
             self._active[entry.path] = command
         if entry.moves:
-            entry.unit.lost = None
+            entry.unit.forget_lost()
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")
         command.task.add_done_callback(partial(self._on_task_done, command))

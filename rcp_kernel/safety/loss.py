@@ -31,7 +31,7 @@ def tell_loss(entry: Entry, error: RcpError) -> None:
     if not entry.moves or not isinstance(error, _LOST):
         return
     policy = entry.owner.on_loss
-    entry.unit.lost = entry.path
+    entry.unit.note_lost(entry.path)
     error.details = {**(error.details or {}), "on_loss": policy}
     error.message = _with_policy(error.message, policy)
 

@@ -1,4 +1,4 @@
-"""The hub: links feeds to entries, and keeps the links up to date when the tree changes."""
+"""The hub: links path subscriptions (feeds) to entries, and keeps the links up to date when the tree changes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The outbox of one client: replies and notices in order, updates as fresh as the socket allows.
 
-A slow client delays nobody else. Updates queue in their feeds, bounded, and conflate; replies are
+A slow client delays nobody else. Updates queue in their path subscriptions, bounded, and conflate; replies are
 counted in bytes, and the gateway stops reading from a client that leaves too many unread. Data for
 the sockets is collected once per loop iteration, for all outboxes in one tick, so that a burst
 becomes one write.
@@ -215,7 +215,7 @@ class Outbox:
         self.feedback: dict[str, Callable[[], bytes]] = {}
         """The newest feedback of each running command, by command id."""
         self.pending: list[PendingPath] = []
-        """Feeds with queued samples."""
+        """Path subscriptions with queued samples."""
         self.paused = 0
         """Number of subscriptions being checked for paths that the client may no longer see: no
         update is collected meanwhile. Changed by `pause` and `resume`."""

@@ -1,4 +1,4 @@
-"""A feed is one path of one subscription: its queue, and the encoding of its updates.
+"""One path of one subscription, in names a `feed`: its queue, and the encoding of its updates.
 
 The plain feed, used for most poses at 50 Hz, does a list access and a deque append per sample.
 """
@@ -131,7 +131,7 @@ class PathSubscription:
         self.named = not self.native
         """Whether the client was sent the name of the native type."""
         self.dropped = 0
-        """Samples skipped since the last update that was sent."""
+        """Samples skipped since the last update that was sent, which the next one tells the client."""
         self.sent = entry.seq
         """Number of the last sample that the client has or that preceded its subscription: only later
         ones can be missed."""

@@ -1,4 +1,4 @@
-"""Feeds that send the same bytes: a burst is queued and encoded once for all of them.
+"""Path subscriptions (feeds) that send the same bytes: a burst is encoded once for all of them.
 
 If a hundred dashboards subscribe to one path, they differ only in their position and in the head
 of their updates. So the samples are in one ring buffer, and each feed has a position in it. A
@@ -249,11 +249,11 @@ class SharedPathSubscription(PathSubscription):
         if outbox is None or fanout is None or self.place == fanout.end:
             return super().drain(out, budget, wrap, big)
         fanout.marked = False
-        lost = fanout.end - self.place - len(fanout.ring)
-        if lost > 0:
-            self.place += lost
-            self.dropped += lost
-            self.subscription.skipped += lost
+        skipped = fanout.end - self.place - len(fanout.ring)
+        if skipped > 0:
+            self.place += skipped
+            self.dropped += skipped
+            self.subscription.skipped += skipped
         framing = outbox.framing
         plain = framing is not None and wrap is None and big is None and self.named
         if framing is not None and plain and not (self.dropped or self.backlog or self.queue):

@@ -107,7 +107,7 @@ class Subscription:
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
         self.skipped = 0
-        """Number of skipped samples of all paths."""
+        """Number of samples skipped on all paths since the start: `conflated` in the metrics."""
         self.timer: Any = None
 
     def wants(self, entry: Entry) -> bool:

@@ -284,6 +284,7 @@ class StopGroup:
 
     __slots__ = (
         "_latches",
+        "_lost",
         "_released",
         "_stopped",
         "_stops",
@@ -295,7 +296,6 @@ class StopGroup:
         "holds",
         "identity",
         "keys",
-        "lost",
         "name",
         "own",
         "own_leases",
@@ -322,9 +322,8 @@ class StopGroup:
         own = (self.name,) if robot is None else (self.name, owner.name)
         self.keys = (*own, self.identity, tenant)
         """The keys of all latches that hold it but the gateway's, the narrowest first."""
-        self.lost: str | None = None
-        """The path of a command that ended with the link, or with an earlier gateway, and that the
-        robot may still carry out."""
+        self._lost: tuple[str, int] | None = None
+        """The path of a command, and the number of stops before it was lost."""
         self.usable_backend: Backend | None = None
         """The open backend, or None while there is none or this robot is down; set by the owner, as
         every request looks at it. Stops are sent regardless, by `backend`."""
@@ -386,6 +385,25 @@ class StopGroup:
     def stopped(self) -> float:
         """When its last e-stop was, by the monotonic clock; -inf if none was in this run."""
         return self._stopped if self.robot is None else max(self._stopped, self.whole.stopped)
+
+    @property
+    def lost(self) -> str | None:
+        """The path of a command that was lost and that the robot may still carry out.
+
+        It was lost with the link, or with an earlier gateway. An e-stop ends it: no reset may set
+        the robot in motion.
+        """
+        lost = self._lost
+        return lost[0] if lost is not None and lost[1] == self.stops else None
+
+    def note_lost(self, path: str) -> None:
+        """Record that a command was lost; under an e-stop, its rest is all there is to do."""
+        if self.latch is None:
+            self._lost = path, self.stops
+
+    def forget_lost(self) -> None:
+        """Forget it: it was settled, or a new command has taken its place."""
+        self._lost = None
 
     @property
     def released(self) -> int:

@@ -80,6 +80,32 @@ async def test_a_latched_robot_is_stopped_and_not_recovered(world: World) -> Non
     assert "recover" not in robot.sent
 
 
+async def test_a_reset_does_not_bring_back_what_an_estop_ended(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    await lose(world, admin)
+    await estop(admin, deadline=0.1)
+    back(robot)
+    assert (await estop(admin))["status"] == "completed"
+    assert (await estop(admin, reset=True))["status"] == "completed"
+    robot.host.report("the link is cut", down=True)  # once more, with nothing to lose
+    back(robot)
+    await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
+    assert "recover" not in robot.sent
+    assert robot.sent[-1] == "write 1"
+
+
+async def test_an_estop_ends_a_recovery_that_is_being_tried(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    await lose(world, admin)
+    robot.host.link_restored()  # heard, and lost again at once: the recovery fails
+    robot.host.report(None)
+    await estop(admin, deadline=0.1)
+    robot.lost = ""
+    assert (await estop(admin))["status"] == "completed"
+    assert (await estop(admin, reset=True))["status"] == "completed"
+    assert world.server.kernel.registry.entries[GO].unit.lost is None
+
+
 async def test_a_new_command_takes_the_place_of_the_recovery(world: World) -> None:
     robot, admin = scripted(world), world.client(ADMIN)
     await lose(world, admin)
