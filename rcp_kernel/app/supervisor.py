@@ -3,8 +3,8 @@
     declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
 
 After `NotReady` or a crash the backend is opened again, with backoff; `ConfigError` is final.
-Adapters and transports are opened after the backends were started and closed before them, in reverse; motion is
-halted, with a bound, before anything closes.
+Adapters and transports are opened after the backends were started and closed before them, in
+reverse; motion is halted, with a bound, before anything closes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The outbox of one client: replies and notices in order, updates as fresh as the socket allows.
 
-A slow client delays nobody else. Updates queue in their path subscriptions, bounded, and conflate; replies are
-counted in bytes, and the gateway stops reading from a client that leaves too many unread. Data for
+A slow client delays nobody else. Updates queue in their path subscriptions, bounded, and conflate;
+replies are counted in bytes, and the gateway stops reading from a client that leaves too many unread. Data for
 the sockets is collected once per loop iteration, for all outboxes in one tick, so that a burst
 becomes one write.
 """
