@@ -22,7 +22,7 @@ class Robot:
     availability, detail, latch, tenant = "ready", None, None, "alpha"
 
     def __init__(self, name: str) -> None:
-        self.name = self.robot = self.place = name
+        self.name = self.robot = self.robot_segment = name
         self.owner = SimpleNamespace(name="fleet", robot=None)
         self.entry: Any = SimpleNamespace(
             unit=self, path=f"/tenant/alpha/sensor/{name}/speed", operations=Operation.EXECUTE
