@@ -29,7 +29,7 @@ __all__ = ["Answer", "Handler", "OwnCommand", "Session", "SessionConnection"]
 
 Answer = Callable[[Reply], None]
 _MISSED = 4096  # replies stored for a disconnected client
-_NEWS = 256  # notices stored for a disconnected client
+_NOTICES = 256  # notices stored for a disconnected client
 
 
 class Handler(Protocol):
@@ -185,7 +185,7 @@ class Session:
         self.missed_bytes = 0
         self.missed_backlog: Backlog | None = None
         """Counts `missed` while the client is disconnected and may still resume; else None."""
-        self.missed_notices: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
+        self.missed_notices: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NOTICES)
         """Notices for a disconnected client."""
         self.overflowed = 0
         self.expiry_check: asyncio.TimerHandle | None = None
@@ -212,10 +212,10 @@ class Session:
         return self.connection is None and self.cut is None
 
     def reserve(self, request: Request, most: int) -> str:
-        """Return the place of a request among at most so many unanswered ones.
+        """Return the key by which a request is kept in `inflight`, of at most `most` unanswered ones.
 
         :raises DuplicateRequest: the id is in use.
-        :raises QueueFull: there is no place left.
+        :raises QueueFull: there are as many already.
         """
         inflight = self.inflight
         if len(inflight) >= most:
