@@ -144,14 +144,15 @@ class SharedFanout:
 
         Long ones are sent directly for the time of a tick; the next one goes on with the rest.
         """
-        self._sent_at = now = perf_counter()
-        until = now + TICK
+        if self.write_interval:
+            self._sent_at = perf_counter()
         start, self._sent_end = self._sent_end, self.end
         end, whole = self.end, self.end - start <= len(self.ring)
         share = framing = None
         parts: list[bytes] = []
         count = last = 0
         fits = False
+        until = 0.0
         for member in list(self.members):
             outbox = member.outbox
             if outbox is None or member.marked or member.place == end:
@@ -177,6 +178,8 @@ class SharedFanout:
                 assert framing is not None
                 parts, count, size = self.batch(start, member, framing)
                 share, last, fits = member.share, self.ring[-1].seq, size <= BUDGET
+                if not (fits or until):
+                    until = perf_counter() + TICK
             takes = fits or (count == 1 and until > perf_counter() and _takes_long(member, outbox))
             if takes and (unread := direct(parts)) is not None:
                 member.place = end

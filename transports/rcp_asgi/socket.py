@@ -308,12 +308,12 @@ class Socket(WSListener):
         """Send framed data in one write; only short parts are copied."""
         if not self.open or self._raw.is_closing():
             return
-        if len(parts) > 1:
-            parts = heads.merged(parts)
         if len(parts) == 1:
             self._raw.write(parts[0])
+        elif max(map(len, parts)) <= heads.JOINED:
+            self._raw.write(b"".join(parts))
         else:
-            self._raw.writelines(parts)
+            self._raw.writelines(heads.merged(parts))
 
     def send(self, data: bytes, *, text: bool) -> None:
         """Send one message."""
