@@ -14,16 +14,14 @@ SECONDS = 1.5
 ROUNDS = 3
 
 
-def measured(
-    script: str, server: str, *load: str, python: str = sys.executable
-) -> dict[str, float]:
-    """Run `script serve <server>` by a Python, and `script load <port> …`; the load prints a JSON object.
+def measured(script: str, server: str, *load: str) -> dict[str, float]:
+    """Run `script serve <server>` and `script load <port> …`; the load prints a JSON object.
 
     The server prints its port. The load prints a line when it is connected, then `done` messages
     counted over its time.
     """
     with subprocess.Popen(
-        [python, script, "serve", server],
+        [sys.executable, script, "serve", server],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     ) as process:

@@ -1,9 +1,9 @@
 """Replies per CPU-second of the server for each kind of request, of this tree and of another in turns.
 
 Run: python benchmarks/requests.py [KIND…] [--beside TREE]. `--beside` names another working tree with
-a `.venv` of its own, which serves with its own `served.py`. The trees alternate, so that what else the
-machine does meets both; the ratio is the median of those of the pairs. 32 clients have one request
-each in flight; updates come in bursts of 16 to 10 or 100 clients.
+a `.venv` of its own, which serves with its own `served.py`. Both serve on one core, and are asked in
+turns from another, so that what else the machine does meets both; the ratio is the median of those of
+the pairs. 32 clients have one request each in flight; updates come in bursts of 16 to 10 or 100.
 """
 
 from __future__ import annotations
@@ -13,14 +13,28 @@ import asyncio
 import gc
 import json
 import statistics
+import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
+import psutil
 import uvloop
-from instructions import ASKED, CONFIG, FOLLOW, GOT, HEADERS, STORE, Asker, Getter, execute
+from instructions import (
+    ASKED,
+    CONFIG,
+    FOLLOW,
+    GOT,
+    HANDSHAKE,
+    HEADERS,
+    STORE,
+    Asker,
+    Getter,
+    execute,
+)
 from instructions import Subscriber as Subscribing
-from measure import SECONDS, measured
+from measure import SECONDS, cpu_of, line_of
 from picows import ws_connect
 
 KINDS = (
@@ -85,13 +99,18 @@ async def load(port: str, kind: str) -> None:
             )
     elif kind.startswith("fan"):
         for _ in range(int(kind.partition("-")[2])):
-            _, subscriber = await ws_connect(Subscriber, url, extra_headers=HEADERS)
+            _, subscriber = await ws_connect(
+                Subscriber, url, extra_headers=HEADERS, websocket_handshake_timeout=HANDSHAKE
+            )
             clients.append(subscriber)
     else:
         asked = ASKED[kind]
         for _ in range(1 if asked is FOLLOW else CLIENTS):  # one action runs only once
             _, asker = await ws_connect(
-                lambda: OneAsker(asked, ENDLESS), url, extra_headers=HEADERS
+                lambda: OneAsker(asked, ENDLESS),
+                url,
+                extra_headers=HEADERS,
+                websocket_handshake_timeout=HANDSHAKE,
             )
             clients.append(asker)
     await asyncio.sleep(0.3)
@@ -125,6 +144,31 @@ async def serve(kind: str) -> None:
             await produce(robot.publish, rate, BURST)
 
 
+class Server:
+    """The gateway of a tree."""
+
+    def __init__(self, tree: Path, kind: str, stack: ExitStack) -> None:
+        python = str(tree / ".venv" / "bin" / "python")
+        self._kind = kind
+        self._process = subprocess.Popen(
+            [python, __file__, "serve", kind], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        stack.callback(self._process.wait)
+        stack.callback(self._process.kill)
+        psutil.Process(self._process.pid).cpu_affinity([0])
+        self._port = line_of(self._process).decode().strip()
+
+    def measure(self) -> float:
+        """Return the operations of the kind for each CPU-second."""
+        command = [sys.executable, __file__, "load", self._port, self._kind]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as client:
+            psutil.Process(client.pid).cpu_affinity([1])
+            line_of(client)
+            before = cpu_of(self._process.pid)
+            done = json.loads(line_of(client))["done"]
+            return done / (cpu_of(self._process.pid) - before)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=KINDS, metavar="KIND")
@@ -134,12 +178,10 @@ def main() -> None:
     trees = [Path(__file__).resolve().parents[1]]
     if asked.beside:
         trees.append(asked.beside.resolve())
-    pythons = [str(tree / ".venv" / "bin" / "python") for tree in trees]
     for kind in asked.kinds:
-        rounds = [
-            [measured(__file__, kind, python=python)["per_cpu"] for python in pythons]
-            for _ in range(asked.rounds)
-        ]
+        with ExitStack() as stack:
+            servers = [Server(tree, kind, stack) for tree in trees]
+            rounds = [[server.measure() for server in servers] for _ in range(asked.rounds)]
         here, *there = (statistics.median(found) for found in zip(*rounds, strict=True))
         line = f"  {kind:14} {here / 1000:9.1f} k/CPU-s"
         for other in there:
