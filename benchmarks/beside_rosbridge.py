@@ -67,6 +67,7 @@ CASES = (
     Case("odom-cdr-50", ODOM, 1000, 50, 0, "cdr", "cdr"),
     Case("odom-raw-10", ODOM, 1000, 10, 0, "native", "cdr"),
     Case("images-cdr", IMAGE, 30, 10, 0, "cdr", "cdr"),
+    Case("images-raw", IMAGE, 30, 10, 0, "native", "cdr"),
     Case("service", "", 0, 1, service=True),
     Case("service-10", "", 0, 10, service=True),
 )

@@ -47,6 +47,7 @@ WARM, FEW, MANY = 160, 320, 1280
 TURNS = 8  # of the loop between bursts; to sleep would count what the gateway does meanwhile
 ROUNDS = 3  # of which the median counts: a collection of garbage falls into one of them
 IN_FLIGHT = 16
+HANDSHAKE = 60.0  # s: a server under callgrind on a busy machine
 BURST = 16
 KEY = "operator-of-the-benchmark"
 CONFIG = f"""
@@ -148,7 +149,9 @@ async def load(port: str, kind: str, count: int) -> None:
     name, _, number = kind.partition("-")
     if name == "fan":
         for _ in range(int(number)):
-            transport, subscriber = await ws_connect(Subscriber, url, extra_headers=HEADERS)
+            transport, subscriber = await ws_connect(
+                Subscriber, url, extra_headers=HEADERS, websocket_handshake_timeout=HANDSHAKE
+            )
             await subscriber.there.wait()
         print("subscribed", flush=True)
         await transport.wait_disconnected()
@@ -159,7 +162,12 @@ async def load(port: str, kind: str, count: int) -> None:
         await loop.create_connection(lambda: getter, "127.0.0.1", int(port))
         await getter.done.wait()
     else:
-        _, asker = await ws_connect(lambda: Asker(ASKED[kind], count), url, extra_headers=HEADERS)
+        _, asker = await ws_connect(
+            lambda: Asker(ASKED[kind], count),
+            url,
+            extra_headers=HEADERS,
+            websocket_handshake_timeout=HANDSHAKE,
+        )
         await asker.done.wait()
 
 

@@ -20,16 +20,29 @@ from rcp_kernel.streams.outbound import SHARE, Backlog
 from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
 
-__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Translator", "Wrap"]
+__all__ = [
+    "BUDGET",
+    "TICK",
+    "Direct",
+    "FlushScheduler",
+    "Framing",
+    "Outbox",
+    "PendingPath",
+    "Translator",
+    "Wrap",
+]
 
 log = structlog.get_logger("rcp.streams")
 BUDGET = 262_144  # bytes that an outbox sends at once
 _PATIENCE = 0.001  # s of collecting samples of many paths, before others have their turn
-_TICK = 0.004  # s of one tick: the other outboxes wait for the next loop iteration
+TICK = 0.004  # s of one tick: the other outboxes wait for the next loop iteration
 _FEW = 32  # paths collected between checks of the time
 
 Framing = Callable[[int, bool], bytes]
 """Makes the head of a transport's frame, from the message's length and whether it is text."""
+
+Direct = Callable[[list[bytes]], int | None]
+"""Sends frames at once; returns how many bytes are unread since, or None if there was no room."""
 
 Wrap = Callable[[bytes, Sample | None], bytes]
 """Frames one message for its transport: an update with its sample, or a control message."""
@@ -128,7 +141,7 @@ class FlushScheduler:
 
     def _tick(self) -> None:
         dirty, self._dirty = self._dirty, []
-        until = perf_counter() + _TICK
+        until = perf_counter() + TICK
         for place, one in enumerate(dirty):
             if place and perf_counter() > until:
                 self._postpone(dirty[place:])
@@ -198,7 +211,7 @@ class Outbox:
         the loop, so a transport that sends replies itself leaves them to the tick, and resets this."""
         self.framing: Framing | None = None
         """Frames for the transport, see `send_frames`."""
-        self.direct: Callable[[list[bytes]], bool] | None = None
+        self.direct: Direct | None = None
         self.alone = False
         """Wraps each message for this client only, so that frames cannot be shared."""
         self.takes_long = False
@@ -243,12 +256,11 @@ class Outbox:
         self.waiting += len(data)
         self.mark()
 
-    def send_frames(self, framing: Framing, direct: Callable[[list[bytes]], bool]) -> None:
+    def send_frames(self, framing: Framing, direct: Direct) -> None:
         """Collect frames, for a transport that frames whole messages.
 
         `collect` then returns bytes ready for the socket, a long message in two parts, and receivers
-        of the same bytes share frames. If nothing else is queued, `direct` sends frames at once; it
-        returns False if the socket is not writable.
+        of the same bytes share frames. If nothing else is queued, `direct` sends frames at once.
         """
         self.framing, self.direct, self.takes_long = framing, direct, False
 

@@ -14,7 +14,7 @@ from time import perf_counter
 from typing import Any
 
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streams.outbox import BUDGET, FlushScheduler, Framing, Outbox, Wrap
+from rcp_kernel.streams.outbox import BUDGET, TICK, FlushScheduler, Framing, Outbox, Wrap
 from rcp_kernel.streams.path_subscription import SHARED, PathSubscription, Subscriber
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Fields, Rendering, Sample
@@ -140,7 +140,10 @@ class SharedFanout:
             self._ticker.mark(self)
 
     def on_flush(self) -> None:
-        """Send pending samples to every member, directly if nothing else is queued for it."""
+        """Send pending samples to every member, directly if nothing else is queued for it.
+
+        Long ones are sent directly for the time of a tick; the next one goes on with the rest.
+        """
         if self.write_interval:
             self._sent_at = perf_counter()
         start, self._sent_end = self._sent_end, self.end
@@ -149,6 +152,7 @@ class SharedFanout:
         parts: list[bytes] = []
         count = last = 0
         fits = False
+        until = 0.0
         for member in list(self.members):
             outbox = member.outbox
             if outbox is None or member.marked or member.place == end:
@@ -174,10 +178,15 @@ class SharedFanout:
                 assert framing is not None
                 parts, count, size = self.batch(start, member, framing)
                 share, last, fits = member.share, self.ring[-1].seq, size <= BUDGET
-            if fits and direct(parts):
+                if not (fits or until):
+                    until = perf_counter() + TICK
+            takes = fits or (count == 1 and until > perf_counter() and _takes_long(member, outbox))
+            if takes and (unread := direct(parts)) is not None:
                 member.place = end
                 member.sent = last
                 outbox.updates += count
+                if unread:
+                    outbox.hand(unread)
             else:
                 member.mark()
 
@@ -258,7 +267,7 @@ class SharedPathSubscription(PathSubscription):
         plain = framing is not None and wrap is None and big is None and self.named
         if framing is not None and plain and not (self.dropped or self.backlog or self.queue):
             parts, count, size = fanout.batch(self.place, self, framing)
-            if size <= budget:
+            if size <= budget or (count == 1 and self.longest is None):
                 self.place = fanout.end
                 self.sent = fanout.ring[-1].seq
                 outbox.updates += count
@@ -290,6 +299,11 @@ class SharedPathSubscription(PathSubscription):
         super().leave()
         if self.fanout is not None:
             self.place = self.fanout.end
+
+
+def _takes_long(feed: SharedPathSubscription, outbox: Outbox) -> bool:
+    """Return whether a sample above the budget may be sent at once, and whole."""
+    return feed.longest is None and not outbox.backlog.full
 
 
 def join_fanout(feed: SharedPathSubscription, entry: Entry, scheduler: FlushScheduler) -> None:

@@ -53,10 +53,11 @@ class ScriptedSocket:
             data = data[end:]
         self.write(messages)
 
-    def pass_on(self, parts: list[bytes]) -> bool:
-        if self.writable and self.open:
-            self.write_frames(parts)
-        return self.writable and self.open
+    def pass_on(self, parts: list[bytes]) -> int | None:
+        if not (self.writable and self.open):
+            return None
+        self.write_frames(parts)
+        return 0
 
     def pause_reading(self) -> None:
         self.reading = False

@@ -127,6 +127,22 @@ async def test_every_transport_speaks_tls(
             assert (read["id"], read["status"]) == ("1", "completed")
 
 
+async def test_long_and_short_updates_arrive_whole_and_in_order_over_tls(ca: Authority) -> None:
+    sizes = [10, 20_000, 10, 700_000, 30, 40]
+    async with (
+        secured(ca) as gateway,
+        socket_to(gateway, trusting(ca), max_size=None) as wire,
+    ):
+        body = {"initial": False, "qos": {"depth": len(sizes)}}
+        asked = await ask(wire, type="subscribe", path="/sensor/text", id="s", body=body)
+        assert asked["status"] == "completed"
+        for number, size in enumerate(sizes):
+            gateway.robot.host.publish("sensor/text", str(number) * size)
+        async with asyncio.timeout(BOUND):
+            bodies = [json.loads(await wire.recv())["body"] for _ in sizes]
+        assert bodies == [str(number) * size for number, size in enumerate(sizes)]
+
+
 async def test_old_versions_of_tls_are_not_spoken(ca: Authority) -> None:
     async with secured(ca) as gateway:
         context = trusting(ca)

@@ -174,6 +174,25 @@ async def test_a_client_that_reads_slowly_gets_the_newest_and_delays_nobody(gate
         assert message["dropped"] > 0
 
 
+async def test_updates_of_megabytes_delay_nobody_and_do_not_pile_up(gateway: Site) -> None:
+    async with opened(gateway) as raw, client(gateway) as quick:
+        raw.ask(type="subscribe", id="s", path="/sensor/text")
+        await quick.ask(type="subscribe", id="q", path="/sensor/text", body={"initial": False})
+        outboxes = [
+            session.connection.outbox
+            for session in gateway.server.kernel.sessions.known.values()
+            if session.connection is not None
+        ]
+        for number in range(20):
+            gateway.robot.host.publish("sensor/text", f"{number}:" + "x" * 1_000_000)
+            assert (await quick.next())["body"].startswith(f"{number}:")
+        # What the operating system has not taken of one update counts; no second one is written.
+        assert [0 <= outbox.buffered < 1_100_000 for outbox in outboxes] == [True, True]
+        assert max(outbox.buffered for outbox in outboxes) > 0
+        while str((await raw.reply())["body"])[:3] != "19:":
+            pass
+
+
 async def test_from_a_client_that_takes_no_replies_nothing_more_is_read(gateway: Site) -> None:
     gateway.robot.host.publish("sensor/text", "x" * 100_000)
     async with opened(gateway) as raw:

@@ -293,37 +293,27 @@ class Socket(WSListener):
         """Return the head of a frame around a whole message of `size` bytes."""
         return (heads.TEXT if text else heads.BINARY)[size]
 
-    def pass_on(self, parts: list[bytes]) -> bool:
-        """Send framed data if there is room for it; return whether there was."""
+    def pass_on(self, parts: list[bytes]) -> int | None:
+        """Send framed data if there is room for it; return the bytes unread since, None if there was none."""
         raw = self._raw
         if not (self.writable and self.open) or raw.is_closing():
-            return False
+            return None
         if len(parts) == 1:
             raw.write(parts[0])
         else:
             self.write_frames(parts)
-        return True
+        return 0 if self.writable else raw.get_write_buffer_size()
 
     def write_frames(self, parts: list[bytes]) -> None:
-        """Send framed data, with as few writes as there are long parts."""
+        """Send framed data in one write; only short parts are copied."""
         if not self.open or self._raw.is_closing():
             return
         if len(parts) == 1:
             self._raw.write(parts[0])
-            return
-        short: list[bytes] = []
-        for data in parts:
-            if len(data) <= heads.JOINED:
-                short.append(data)
-                continue
-            if short:
-                self._raw.write(b"".join(short))
-                short = []
-            if self._raw.is_closing():
-                return
-            self._raw.write(data)
-        if short:
-            self._raw.write(b"".join(short))
+        elif max(map(len, parts)) <= heads.JOINED:
+            self._raw.write(b"".join(parts))
+        else:
+            self._raw.writelines(heads.merged(parts))
 
     def send(self, data: bytes, *, text: bool) -> None:
         """Send one message."""

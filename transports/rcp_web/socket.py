@@ -71,8 +71,11 @@ class NativeSocket(Protocol):
         """Return the head of a frame around a whole message of `size` bytes."""
         ...
 
-    def pass_on(self, parts: list[bytes]) -> bool:
-        """Send framed data if there is room for it; return whether there was."""
+    def pass_on(self, parts: list[bytes]) -> int | None:
+        """Send framed data if there is room for it.
+
+        Return how many bytes are unread since, 0 if there is still room; None if there was none.
+        """
         ...
 
     def write_frames(self, parts: list[bytes]) -> None:
