@@ -139,13 +139,13 @@ async def _serve_until(
 
             loop.add_signal_handler(signal.SIGHUP, again)
             _watch_probation(stack, server, file, stop)
+        click.echo(f"rcpd: event loop: {_loop_name(loop)}", err=True)
         stack.enter_context(collected_at_rest(loop, lambda: server.kernel.moving))
         if demo is not None:
             with demo.credentials(server):
                 click.echo(demo.banner(server))
                 await stop.wait()
         else:
-            click.echo(f"rcpd: event loop: {_loop_name(loop)}", err=True)
             for facts in server.status.transports:
                 if "url" in facts:
                     click.echo(f"rcpd: serving on {facts['url']}", err=True)

@@ -34,7 +34,7 @@ class Tls:
         :raises ConfigError: a file cannot be read, certificate and key do not match, or the
             library for certificates is not installed.
         """
-        require_certificates("[transports.asgi.tls]")
+        require_certificates("[transports.asgi] `tls`:")
         self._config = config
         self._files = [
             Path(name).expanduser()
