@@ -255,18 +255,21 @@ def deb(_scratch: Path) -> None:
 
 
 def container(_scratch: Path) -> None:
-    """Start the image, and drive within it."""
-    archive = DIST / f"rcp-gateway-{VERSION}.oci.tar"
-    if not archive.exists():
-        raise Missing(archive.name)
+    """Start the image in `dist/`, or that of the name RCP_IMAGE, and drive within it."""
+    image = os.environ.get("RCP_IMAGE")
+    if image is None:
+        archive = DIST / f"rcp-gateway-{VERSION}.oci.tar"
+        if not archive.exists():
+            raise Missing(archive.name)
+        image = f"oci-archive:{archive}"
     buildah = (tool("buildah"), *os.environ.get("RCP_BUILDAH", "").split())
-    name = run(*buildah, "from", f"oci-archive:{archive}").strip()
+    name, port = run(*buildah, "from", image).strip(), free_port()
     with cleanup(*buildah, "rm", name):
         isolation = ("--isolation", os.environ.get("BUILDAH_ISOLATION", "chroot"))
         inside = (*buildah, "run", *isolation, name, "--")
-        with serving([*inside, "/usr/local/bin/start"]):
+        with serving([*inside, "env", f"RCP_PORT={port}", "/usr/local/bin/start"]):
             key = run(*inside, "cat", "operator.key").strip()
-            at = ("env", "RCP_URL=https://127.0.0.1:8443", f"RCP_TOKEN={key}")
+            at = ("env", f"RCP_URL=https://127.0.0.1:{port}", f"RCP_TOKEN={key}")
             drive([*inside, *at, "RCP_CACERT=tls/gateway.pem", "rcpctl"])
 
 
