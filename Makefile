@@ -106,7 +106,7 @@ endef
 # The tests' dependencies include those of the demo.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
-	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fleet,mavlink,mcp,mujoco]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,mujoco,tls]'
 	@$(report_missing_pages)
 	@touch $@
 

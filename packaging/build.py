@@ -27,7 +27,7 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).parents[1]
 DIST = ROOT / "dist"
 HOME = "opt/rcp-gateway"
-EXTRAS = "a2a,can,conditions,console,dashboard,fleet,mavlink,mcp,recorder,tracing"
+EXTRAS = "a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,recorder,tls,tracing"
 """What packages for people bring; MuJoCo and ROS 2 are large, or come from elsewhere."""
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 _BUILDERS = ("podman", "buildah", "docker")

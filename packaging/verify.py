@@ -1,10 +1,11 @@
 """Install each way that `dist/` offers, and drive a robot with what was installed.
 
-    python packaging/verify.py [wheels] [pipx] [uv] [sdist] [npm] [deb] [container] [sbom] [docs]
+    python packaging/verify.py [wheels] [pipx] [uv] [sdist] [npm] [deb] [container] [ros2] [sbom] [docs]
 
 Prints for each way the seconds from nothing to a robot that has driven. A way for which this machine has no tool is told, and
 is a failure if it was named. The Debian package is installed in a bare Debian system: a folder given by `RCP_CHROOT`, made
-by debootstrap with python3, adduser and ca-certificates.
+by debootstrap with python3, adduser and ca-certificates. `ros2` needs colcon (colcon-core, colcon-ros, colcon-bash); what its launch
+file starts is started without `ros2 launch`, for which there are no wheels.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import json
 import os
 import re
+import secrets
 import select
 import shutil
 import socket
@@ -21,7 +23,7 @@ import sys
 import tarfile
 import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -31,6 +33,28 @@ _GATEWAY = DIST / f"rcp_gateway-{VERSION}-py3-none-any.whl"
 _CLIENT = DIST / f"rcp_client-{VERSION}-py3-none-any.whl"
 _START = 60.0  # s until a gateway serves
 _STOP = 30.0  # s until one has ended
+_DRIVE = 30.0  # s until a ROS 2 node has driven
+_ROVER = """import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+
+rclpy.init()
+node = rclpy.create_node("rover")
+odometry = Odometry()
+told = node.create_publisher(Odometry, "/odom", 10)
+
+def move():
+    odometry.header.stamp = node.get_clock().now().to_msg()
+    odometry.pose.pose.position.x += odometry.twist.twist.linear.x * 0.05
+    told.publish(odometry)
+
+def steer(twist):
+    odometry.twist.twist = twist
+
+node.create_subscription(Twist, "/cmd_vel", steer, 10)
+node.create_timer(0.05, move)
+rclpy.spin(node)
+"""
 _GOAL = '{"position": {"x": 0.5, "y": 0}}'
 
 
@@ -231,19 +255,59 @@ def deb(_scratch: Path) -> None:
 
 
 def container(_scratch: Path) -> None:
-    """Start the image, and drive within it."""
-    archive = DIST / f"rcp-gateway-{VERSION}.oci.tar"
-    if not archive.exists():
-        raise Missing(archive.name)
+    """Start the image in `dist/`, or that of the name RCP_IMAGE, and drive within it."""
+    image = os.environ.get("RCP_IMAGE")
+    if image is None:
+        archive = DIST / f"rcp-gateway-{VERSION}.oci.tar"
+        if not archive.exists():
+            raise Missing(archive.name)
+        image = f"oci-archive:{archive}"
     buildah = (tool("buildah"), *os.environ.get("RCP_BUILDAH", "").split())
-    name = run(*buildah, "from", f"oci-archive:{archive}").strip()
+    name, port = run(*buildah, "from", image).strip(), free_port()
     with cleanup(*buildah, "rm", name):
         isolation = ("--isolation", os.environ.get("BUILDAH_ISOLATION", "chroot"))
         inside = (*buildah, "run", *isolation, name, "--")
-        with serving([*inside, "/usr/local/bin/start"]):
+        with serving([*inside, "env", f"RCP_PORT={port}", "/usr/local/bin/start"]):
             key = run(*inside, "cat", "operator.key").strip()
-            at = ("env", "RCP_URL=https://127.0.0.1:8443", f"RCP_TOKEN={key}")
+            at = ("env", f"RCP_URL=https://127.0.0.1:{port}", f"RCP_TOKEN={key}")
             drive([*inside, *at, "RCP_CACERT=tls/gateway.pem", "rcpctl"])
+
+
+def ros2(scratch: Path) -> None:
+    """Build the ROS 2 package in a workspace, and drive a node with what its launch file starts."""
+    colcon, name = tool("colcon"), "rcp_gateway_ros"
+    if sys.version_info[:2] != (3, 11):
+        raise Missing("Python 3.11, which ROS 2 has wheels for")
+    shutil.copytree(ROOT / "packaging" / "ros2" / name, scratch / "src" / name)
+    folders = ("--build-base", scratch / "build", "--install-base", scratch / "install")
+    run(colcon, "--log-base", scratch / "log", "build", "--base-paths", scratch / "src", *folders)
+    programs = _environment(scratch, _GATEWAY, _CLIENT, "[ros2]")
+    setup = f". {scratch}/install/setup.bash && exec "
+    find = f"from ament_index_python import get_package_share_directory as of; print(of('{name}'))"
+    share = run(tool("bash"), "-c", f'{setup}{programs}/python -c "{find}"').strip()
+    (scratch / "rover.py").write_text(_ROVER, encoding="utf-8")
+    port, key = free_port(), secrets.token_urlsafe(24)
+    os.environ |= {"OPERATOR_KEY": key, "ROS_LOG_DIR": str(scratch / "log")}
+    serve = f"{programs}/rcpd serve {share}/config/gateway.toml --port {port}"
+    rover = subprocess.Popen([programs / "python", scratch / "rover.py"])  # noqa: S603
+    try:
+        with serving([tool("bash"), "-c", setup + serve]):
+            _drive_node(programs / "rcpctl", RCP_URL=f"http://127.0.0.1:{port}", RCP_TOKEN=key)
+    finally:
+        rover.kill()
+        rover.wait(_STOP)
+
+
+def _drive_node(rcpctl: Path, **environment: str) -> None:
+    """Drive until the odometry says so; before that, the node may not have been found."""
+    end = time.monotonic() + _DRIVE
+    while time.monotonic() < end:
+        with suppress(SystemExit):
+            run(rcpctl, "write", "/actuator/cmd_vel", '{"linear": {"x": 0.5}}', **environment)
+            told = json.loads(run(rcpctl, "read", "/sensor/odom", "--json", **environment))
+            if told.get("body", told)["pose"]["pose"]["position"]["x"] > 0:
+                return
+    raise SystemExit("the node did not drive")
 
 
 def sbom(scratch: Path) -> None:
@@ -275,6 +339,7 @@ WAYS: dict[str, Callable[[Path], None]] = {
     "npm": npm,
     "deb": deb,
     "container": container,
+    "ros2": ros2,
     "sbom": sbom,
     "docs": docs,
 }

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from rcp_kernel.access.identities import check_proofs
-from rcp_kernel.app.plugins import GROUPS, Plugins, installed
+from rcp_kernel.app.plugins import GROUPS, Plugins, installed, obstacle
 from rcp_kernel.app.server import Prepared, prepare
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
@@ -83,6 +84,7 @@ class Diagnosis:
                 if self._is_offered("backends", used[index], self._use(index))
             ),
         )
+        config = self._without_lacking(config)
         try:
             plugins = Plugins(config)
         except StartupError as error:
@@ -118,6 +120,20 @@ class Diagnosis:
         advice = f"did you mean '{near}'?" if near else f"installed: {', '.join(sorted(points))}"
         self._survey.collector.add(place, f"no installed plugin offers {group} '{name}'; {advice}")
         return False
+
+    def _without_lacking(self, config: GatewayConfig) -> GatewayConfig:
+        """Report the features in use that lack a library; return what is left without them."""
+        lacking: dict[str, bool] = {}
+        for name in sorted(config.used_features & set(self._points["features"])):
+            reason = None
+            with suppress(Exception):  # a module that is broken otherwise: the start says how
+                reason = obstacle(self._points["features"][name])
+            if reason is not None:
+                place: Place = ("features", name) if name in config.features else (name,)
+                text = f"the feature '{name}' cannot be loaded: {reason}"
+                self._survey.collector.add(place, text)
+                lacking[name] = False
+        return msgspec.structs.replace(config, features={**config.features, **lacking})
 
     def _report_missing(self, plugins: Plugins) -> None:
         for one in plugins.missing:

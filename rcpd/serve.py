@@ -89,7 +89,7 @@ def loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
     """Return uvloop's factory, if installed; None for that of asyncio."""
     try:
         import uvloop
-    except ImportError:  # not available on Windows
+    except ImportError:  # an extra
         return None
     return uvloop.new_event_loop
 
@@ -139,6 +139,7 @@ async def _serve_until(
 
             loop.add_signal_handler(signal.SIGHUP, again)
             _watch_probation(stack, server, file, stop)
+        click.echo(f"rcpd: event loop: {_loop_name(loop)}", err=True)
         stack.enter_context(collected_at_rest(loop, lambda: server.kernel.moving))
         if demo is not None:
             with demo.credentials(server):
@@ -149,6 +150,13 @@ async def _serve_until(
                 if "url" in facts:
                     click.echo(f"rcpd: serving on {facts['url']}", err=True)
             await stop.wait()
+
+
+def _loop_name(loop: asyncio.AbstractEventLoop) -> str:
+    if type(loop).__module__.startswith("uvloop"):
+        return "uvloop"
+    faster = "" if sys.platform == "win32" else "; a faster one: pip install 'rcp-gateway[fast]'"
+    return f"asyncio{faster}"
 
 
 def _watch_probation(

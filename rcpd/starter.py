@@ -18,7 +18,6 @@ import msgspec
 
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError
-from rcpd.self_signed import self_signed
 
 __all__ = ["ROBOTS", "Answers", "is_local", "starter_files", "write_files"]
 
@@ -61,7 +60,7 @@ def is_local(host: str) -> bool:
 def starter_files(answers: Answers) -> dict[Path, bytes]:
     """Return the files of a new gateway, with keys made for it.
 
-    :raises ConfigError: a name does not fit.
+    :raises ConfigError: a name does not fit, or no certificate can be made.
     """
     for what in ("name", "robot", "tenant"):
         if not _NAME.match(getattr(answers, what)):
@@ -94,10 +93,21 @@ def starter_files(answers: Answers) -> dict[Path, bytes]:
         folder / "rcp-gateway.service": _unit(answers).encode(),
     }
     if not local:
-        certificate, key = self_signed(answers.host)
+        certificate, key = _certificate(answers.host)
         found |= {folder / "tls/gateway.pem": certificate, folder / "tls/gateway.key": key}
     # Last, because it says that all the others are there.
     return {**found, folder / "rcp.toml": text.encode()}
+
+
+def _certificate(host: str) -> tuple[bytes, bytes]:
+    try:
+        from rcpd.self_signed import self_signed
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"--host {host}: no certificate can be made ({error}); try: "
+            "pip install 'rcp-gateway[tls]', or listen on 127.0.0.1"
+        ) from None
+    return self_signed(host)
 
 
 def write_files(found: dict[Path, bytes], *, replace: bool, user: str | None = None) -> None:

@@ -28,4 +28,5 @@ async def open_fleet(config: FleetConfig, host: Host) -> AsyncGenerator[Backend]
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer the fleet."""
     text = "Gateways of robots that dial in over Zenoh, as one tree."
-    return [BackendKind("fleet", FleetConfig, open_fleet, text, ("zenoh",), check_hub)]
+    needs = ("zenoh", "cryptography", "jwt")
+    return [BackendKind("fleet", FleetConfig, open_fleet, text, needs, check_hub)]

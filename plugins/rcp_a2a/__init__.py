@@ -34,5 +34,5 @@ async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[d
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Provide A2A."""
-    needs = ("a2a", "starlette")
+    needs = ("a2a", "starlette", "cryptography", "jwt")
     return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "", needs=needs)]

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import base64
 import binascii
+from typing import TYPE_CHECKING
 
-from cryptography.exceptions import InvalidTag
-from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
-from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 
 __all__ = ["SealError", "SealKey", "seal"]
 
@@ -25,6 +23,8 @@ class SealKey:
     """The key of one gateway, until it ends."""
 
     def __init__(self) -> None:
+        from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+
         self._private = X25519PrivateKey.generate()
         self._own = self._private.public_key().public_bytes_raw()
         self.public = base64.b64encode(self._own).decode()
@@ -35,6 +35,9 @@ class SealKey:
 
         :raises SealError: it is not sealed to this key.
         """
+        from cryptography.exceptions import InvalidTag
+        from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PublicKey
+
         try:
             data = base64.b64decode(sealed, validate=True)
             theirs, secret = data[:_SIZE], data[_SIZE:]
@@ -49,6 +52,8 @@ def seal(data: bytes, public: str) -> str:
 
     :raises SealError: the key is not valid.
     """
+    from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+
     own = X25519PrivateKey.generate()
     mine = own.public_key().public_bytes_raw()
     try:
@@ -62,5 +67,9 @@ def seal(data: bytes, public: str) -> str:
 
 
 def _cipher(shared: bytes, sender: bytes, receiver: bytes) -> ChaCha20Poly1305:
+    from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
+    from cryptography.hazmat.primitives.hashes import SHA256
+    from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+
     info = b"rcp configuration" + sender + receiver
     return ChaCha20Poly1305(HKDF(SHA256(), _SIZE, None, info).derive(shared))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,12 +18,24 @@ if TYPE_CHECKING:
 __all__ = ["enroll", "fleet"]
 
 
+class _Command(click.Command):
+    """A command that names the extra if a library is missing."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run it."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            text = f"{error.name} is not installed: pip install 'rcp-gateway[fleet]'"
+            raise click.ClickException(text) from error
+
+
 @click.group()
 def fleet() -> None:
     """Make keys of hubs and of the fleet, revoke those of hubs, invite and configure robots."""
 
 
-@fleet.command()
+@fleet.command(cls=_Command)
 @click.argument("file", type=click.Path(path_type=Path))
 def key(file: Path) -> None:
     """Make an Ed25519 key: FILE, which only you can read, and FILE.pub."""
@@ -47,7 +59,7 @@ def key(file: Path) -> None:
     click.echo(f"{file} (secret) and {file}.pub")
 
 
-@fleet.command()
+@fleet.command(cls=_Command)
 @click.option("--key", "secret", required=True, help="Private key of the fleet.")
 @click.option(
     "--list",
@@ -81,7 +93,7 @@ def revoke(secret: str, file: Path, hubs: tuple[str, ...]) -> None:
     click.echo(f"{file}: number {found.number}, {len(keys)} revoked")
 
 
-@fleet.command()
+@fleet.command(cls=_Command)
 @click.argument("gateway")
 @click.option("--config", type=click.Path(path_type=Path), default="rcp.toml", help="Of the hub.")
 @click.option("--connect", "routers", multiple=True, required=True, help="Router: tls/HOST:PORT.")
@@ -128,7 +140,7 @@ def invite(
     click.echo(f"{gateway} is enrolled. Add it to `robots` of the backend '{backend.name}'.")
 
 
-@fleet.command("roll-out")
+@fleet.command("roll-out", cls=_Command)
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--robot", "robots", multiple=True, required=True, help="Gateway; may be repeated.")
 @click.option("--seconds", default=60.0, show_default=True, help="Until a robot rolls back.")
@@ -219,7 +231,7 @@ def _authority(certificate: str, key: str) -> CertificateSigner:
     )
 
 
-@click.command()
+@click.command(cls=_Command)
 @click.argument("address", metavar="HOST:PORT")
 @click.option("--config", type=click.Path(path_type=Path), default="rcp.toml", show_default=True)
 @click.option(

@@ -1,7 +1,7 @@
 """Client certificates: their contents, and the principals they prove.
 
 The transport verifies a certificate (chain, time, key); this module parses it and looks it up.
-`cryptography` is imported on demand.
+`cryptography` is imported on demand: it comes with the extra `tls`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from rcp_kernel.clock import Clock
@@ -21,11 +22,23 @@ if TYPE_CHECKING:
 
     from rcp_kernel.config.file import CertificateConfig
 
-__all__ = ["Certificates", "read_certificate", "read_pem", "revoked_by"]
+__all__ = ["Certificates", "read_certificate", "read_pem", "require_certificates", "revoked_by"]
 
 _STOPS = {"DNS": ".", "URI": "/", "email": "@"}
 """Separators that a `*` in a pattern does not match."""
 _KNOWN = 4096  # certificates stored to re-evaluate them under a new configuration
+
+
+def require_certificates(where: str) -> None:
+    """Make sure that certificates can be read.
+
+    :raises ConfigError: the library for them is not installed.
+    """
+    if find_spec("cryptography") is None:
+        raise ConfigError(
+            f"{where} certificates cannot be read (No module named 'cryptography'); try: "
+            "pip install 'rcp-gateway[tls]'"
+        )
 
 
 @lru_cache(maxsize=1024)
@@ -105,7 +118,8 @@ class Certificates:
     ) -> None:
         """Compile the tables; the state of `before` is taken over.
 
-        :raises ConfigError: a table contains something that no certificate can match.
+        :raises ConfigError: a table contains something that no certificate can match, or
+            certificates cannot be read.
         """
         self._clock = clock
         self._rules = [_Rule(config) for config in configs]
@@ -151,6 +165,7 @@ class _Rule:
     """One `[[certificates]]` table, compiled."""
 
     def __init__(self, config: CertificateConfig) -> None:
+        require_certificates(f"[[certificates]] '{config.name}':")
         subject = config.subject
         self._whole = subject is not None and "=" in subject
         self._subject = _canonical(config, subject) if self._whole else subject

@@ -9,7 +9,12 @@ from __future__ import annotations
 
 from rcp_conditions.fields import Field
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.certificates import read_certificate, read_pem, revoked_by
+from rcp_kernel.access.certificates import (
+    read_certificate,
+    read_pem,
+    require_certificates,
+    revoked_by,
+)
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.roles import check_pattern
@@ -74,6 +79,7 @@ __all__ = [
     "others_may",
     "read_certificate",
     "read_pem",
+    "require_certificates",
     "revoked_by",
     "to_internal_error",
 ]

@@ -38,10 +38,12 @@ TARGETS = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULT
 # What is not of this project, so that only the shell says whether it can be written like this.
 FOREIGN = frozenset(
     [
+        ".",
         "./main",
         "cat",
         "cd",
         "claude",
+        "colcon",
         "cp",
         "curl",
         "docker",

@@ -21,9 +21,13 @@ EXTRAS = {
     "rcp_a2a": ("a2a", "grpc"),
     "rcp_can": ("can",),
     "rcp_conditions": ("conditions",),
+    "rcp_configuration": ("configuration",),
     "rcp_dashboard": ("dashboard",),
-    "rcp_fleet": ("zenoh",),
+    "rcp_fleet": ("fleet",),
     "rcp_guard": ("can", "ros2"),
+    "rcp_hubs": ("hubs",),
+    "rcp_jwt": ("jwt",),
+    "rcp_kernel": ("tls",),
     "rcp_mavlink": ("mavlink",),
     "rcp_mavlink_sim": ("mavlink",),
     "rcp_mcp": ("mcp", "dashboard"),  # pictures of raw images, where the dashboard's library is
@@ -36,6 +40,7 @@ EXTRAS = {
     "rcp_triggers": ("triggers",),
     "rcp_vda5050": ("vda5050",),
     "rcp_zenoh": ("zenoh",),
+    "rcpd": ("fast", "tls"),
 }
 """The extras that bring what a package imports; any other has the dependencies alone."""
 BROUGHT = packages_distributions()
@@ -78,10 +83,19 @@ def names(requirements: list[str]) -> set[str]:
     return {re.split(r"[\s\[<>=;~!]", one, maxsplit=1)[0].lower() for one in requirements}
 
 
+def of_extra(extra: str) -> set[str]:
+    """Return what an extra of the gateway brings, with what it has of other extras."""
+    found: set[str] = set()
+    for one in GATEWAY["optional-dependencies"][extra]:
+        own = re.match(r"rcp-gateway\[([\w,-]+)\]", one)
+        found |= set().union(*map(of_extra, own[1].split(","))) if own else names([one])
+    return found
+
+
 def declared(project: dict[str, Any], package: str) -> set[str]:
     found = names(project["dependencies"])
     for extra in EXTRAS.get(package, ()) if project is GATEWAY else ():
-        found |= names(project["optional-dependencies"][extra])
+        found |= of_extra(extra)
     if project is GATEWAY:
         found |= names(CLIENT["dependencies"])
     else:  # and OpenTelemetry, but only of a program that has it

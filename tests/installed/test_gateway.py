@@ -18,7 +18,7 @@ from installed.fresh import importable, said, venv, wheels
 
 pytestmark = pytest.mark.timeout(900)
 
-OF_EXTRAS = "a2a starlette mcp cel pydantic pymavlink fastcrc can canopen cantools dronecan simplejpeg mujoco numpy rclpy zenoh mcap"
+OF_EXTRAS = "uvloop cryptography jwt a2a starlette mcp cel pydantic pymavlink fastcrc can canopen cantools dronecan simplejpeg mujoco numpy rclpy zenoh mcap"
 
 ADAPTERS = """
 [transports.asgi]
@@ -67,6 +67,37 @@ tenant = "a"
 [roles.night]
 allow = [{ operations = ["read"], paths = ["/sensor/**"], when = "time.hour < 6" }]
 """
+SECURE = """\
+anonymous = false
+
+[transports.asgi]
+host = "0.0.0.0"
+
+[transports.asgi.tls]
+certificate = "gateway.pem"
+key = "gateway.key"
+
+[features]
+configuration = true
+
+[[backends]]
+use = "sim"
+tenant = "a"
+
+[[certificates]]
+name = "arm"
+subject = "arm"
+role = "operator"
+
+[[jwt]]
+issuer = "https://id.example"
+audience = "robots"
+
+[[hubs]]
+id = "h1"
+roles = ["operator"]
+public_key = "none"
+"""
 WANTED = OF_DEMO | {"fleet", "zenoh"}
 
 
@@ -104,13 +135,14 @@ for one in distributions():
 def test_the_core_is_small_and_so_is_what_it_brings(programs: Path) -> None:
     rows = (line.split() for line in said(programs, "python", "-c", _SIZES).splitlines())
     sizes = {name: int(size) for name, size in rows if name not in ("pip", "setuptools")}
-    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 15e6  # bytes; 11 MB today
-    assert sum(sizes.values()) < 85e6  # 76 MB today: cryptography, uvloop, Faker
+    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 13e6  # bytes; 11.7 MB today
+    # 46.8 MB today, half of it brought by Litestar: Faker 9.2, Pygments 4.6, PyYAML 2.9, itself 2.0.
+    assert sum(sizes.values()) < 48.5e6
 
 
 def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Path) -> None:
     with demo(tmp_path, programs=programs) as running:
-        assert remedies(running.banner) == OF_DEMO
+        assert remedies(running.banner) == OF_DEMO | {"fast"}
         assert urlopen(running.url + "/healthz").status == 200
         output = said(programs, "rcpctl", "--url", running.url, "read", "/tenant/alpha/sensor/pose")
         assert "position" in output
@@ -123,7 +155,10 @@ def test_plugins_says_what_to_install(programs: Path) -> None:
     output = said(programs, "rcpd", "plugins")
     unavailable = {line for line in output.splitlines() if "unavailable" in line}
     assert remedies("\n".join(unavailable)) == WANTED | {
+        "configuration",
         "ground-stations",
+        "hubs",
+        "jwt",
         "recorder",
         "replay",
         "tracing",
@@ -134,6 +169,34 @@ def test_plugins_says_what_to_install(programs: Path) -> None:
 
 def test_check_says_what_to_install(programs: Path, wanting: str) -> None:
     assert remedies(said(programs, "rcpd", "check", wanting, status=1)) == WANTED
+
+
+def test_check_says_what_certificates_and_tokens_need(programs: Path, tmp_path: Path) -> None:
+    file = tmp_path / "rcp.toml"
+    file.write_text(SECURE)
+    faults = said(programs, "rcpd", "check", str(file), status=1).splitlines()
+    told = {one for fault in faults for one in re.findall(r":(\d+): .*gateway\[([\w-]+)\]", fault)}
+    assert told == {
+        ("6", "tls"),
+        ("11", "configuration"),
+        ("17", "tls"),
+        ("22", "jwt"),
+        ("26", "hubs"),
+    }
+
+
+def test_a_first_configuration_for_the_network_says_what_to_install(
+    programs: Path, tmp_path: Path
+) -> None:
+    options = ("--yes", "--into", str(tmp_path), "--host")
+    assert remedies(said(programs, "rcpd", "init", *options, "0.0.0.0", status=1)) == {"tls"}
+    assert not list(tmp_path.iterdir())
+    assert "rcp.toml" in said(programs, "rcpd", "init", *options, "127.0.0.1")
+
+
+def test_commands_of_a_fleet_say_what_to_install(programs: Path, tmp_path: Path) -> None:
+    command = ("rcpd", "fleet", "key", str(tmp_path / "fleet.key"))
+    assert remedies(said(programs, *command, status=1)) == {"fleet"}
 
 
 def test_check_says_what_a_condition_needs(programs: Path, tmp_path: Path) -> None:
@@ -150,25 +213,27 @@ def test_serve_goes_on_without_and_says_what_to_install(programs: Path, wanting:
     command = [programs / "rcpd", "serve", wanting]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
-            url = listening(process)
+            url, before = listening(process)
             status = urlopen(url + "/rcp/v1/status").read().decode()
         finally:
             process.terminate()
             process.communicate(timeout=60)
+    assert "event loop: asyncio" in before
+    assert remedies(before) == WANTED | {"fast"}
     assert remedies(status) == WANTED
     body = msgspec.json.decode(status)["body"]
     assert {backend["state"] for backend in body["backends"]} == {"down"}
 
 
-def listening(process: subprocess.Popen[bytes]) -> str:
-    """Wait for the gateway to say where it listens."""
+def listening(process: subprocess.Popen[bytes]) -> tuple[str, str]:
+    """Wait for the gateway to say where it listens; return that, and all that it said."""
     assert process.stdout is not None
     out, end = b"", time.monotonic() + 60
     with selectors.DefaultSelector() as ready:
         ready.register(process.stdout, selectors.EVENT_READ)
-        while not (found := re.search(rb"http://[\w.]+:\d+", out)):
+        while not (found := re.search(rb"serving on (http://[\w.]+:\d+)", out)):
             assert ready.select(max(0.0, end - time.monotonic())), out.decode()
             chunk = process.stdout.read1(65536)  # type: ignore[attr-defined]
             assert chunk, out.decode()
             out += chunk
-    return found[0].decode()
+    return found[1].decode(), out.decode()

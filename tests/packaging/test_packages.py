@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from unittest.mock import MagicMock
 from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
+from catkin_pkg.package import parse_package
 
 from docs.pages import ROOT
 from rcpd.diagnosis import Diagnosis
@@ -90,8 +92,47 @@ def test_the_ros_package_names_what_is_there() -> None:
     assert tree.findtext("license") == PROJECT["license"]
     assert (ROS / "resource" / ROS.name).exists()
     assert (ROS / ROS.name / "__init__.py").exists()
-    launch = ast.parse((ROS / "launch" / "gateway.launch.py").read_text())
-    assert "generate_launch_description" in [getattr(one, "name", "") for one in launch.body]
+
+
+def test_the_ros_package_is_one_that_a_workspace_takes() -> None:
+    warnings: list[str] = []
+    package = parse_package(ROS, warnings=warnings)  # one that it cannot read is a bare Python one
+    assert package.get_build_type() == "ament_python"
+    assert not warnings
+
+
+@pytest.mark.parametrize("given", ["a-key-of-this-test-0123456789", None])
+def test_the_launch_file_starts_a_gateway_with_a_key(
+    given: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`launch` itself is on no index: what is passed are names of its parameters."""
+    for name in ("launch", "launch.actions", "launch.substitutions"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    if given is None:
+        monkeypatch.delenv("OPERATOR_KEY", raising=False)
+    else:
+        monkeypatch.setenv("OPERATOR_KEY", given)
+    launch = runpy.run_path(str(ROS / "launch" / "gateway.launch.py"))
+    launch["generate_launch_description"]()
+    (process,) = launch["ExecuteProcess"].call_args_list
+    assert set(process.kwargs) <= {
+        "additional_env",
+        "cmd",
+        "cwd",
+        "env",
+        "name",
+        "output",
+        "sigkill_timeout",
+        "sigterm_timeout",
+    }
+    key = process.kwargs["additional_env"]["OPERATOR_KEY"]
+    assert key == given if given else len(key) > 24
+    told = [one.kwargs["msg"] for one in launch["LogInfo"].call_args_list]
+    assert told == ([] if given else [f"operator key: {key}"])
+    *program, serve, _config, _port, _number = process.kwargs["cmd"]
+    assert serve == "serve"
+    done = subprocess.run([*program, "--version"], capture_output=True, timeout=60, check=True)
+    assert b"rcp-gateway" in done.stdout
 
 
 def test_its_configuration_is_good(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import structlog
 
 from rcp_asgi.config import TlsConfig
-from rcp_kernel.api import Serial, others_may, read_pem, revoked_by
+from rcp_kernel.api import Serial, others_may, read_pem, require_certificates, revoked_by
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ConfigError
 
@@ -31,8 +31,10 @@ class Tls:
     def __init__(self, config: TlsConfig) -> None:
         """Load the files.
 
-        :raises ConfigError: a file cannot be read, or certificate and key do not match.
+        :raises ConfigError: a file cannot be read, certificate and key do not match, or the
+            library for certificates is not installed.
         """
+        require_certificates("[transports.asgi] `tls`:")
         self._config = config
         self._files = [
             Path(name).expanduser()

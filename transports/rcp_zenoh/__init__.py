@@ -41,4 +41,5 @@ def _check(config: ZenohConfig, _gateway: GatewayConfig) -> None:
 def rcp_transports() -> Iterable[TransportKind]:
     """Provide Zenoh."""
     text = "Joins a fleet: the gateway dials out to routers, over Zenoh."
-    return [TransportKind("zenoh", ZenohConfig, open_zenoh, text, check=_check, needs=("zenoh",))]
+    needs = ("zenoh", "cryptography")
+    return [TransportKind("zenoh", ZenohConfig, open_zenoh, text, check=_check, needs=needs)]

@@ -6,16 +6,16 @@ import re
 import stat
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
-from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
-from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from msgspec import Meta
 
 from rcp_kernel.api import others_may
 from rcp_kernel.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cryptography import x509
 
 __all__ = ["TlsConfig", "check_links", "check_name"]
 
@@ -73,8 +73,10 @@ def check_name(name: str, tls: TlsConfig | None) -> None:
     """
     if tls is None:
         return
+    from cryptography.x509.oid import NameOID
+
     names = _certificates("certificate", tls.certificate)[0].subject.get_attributes_for_oid(
-        x509.NameOID.COMMON_NAME
+        NameOID.COMMON_NAME
     )
     found = [str(one.value) for one in names]
     if found != [name]:
@@ -101,6 +103,9 @@ def _check_endpoint(endpoint: str) -> None:
 
 
 def _check_files(tls: TlsConfig) -> None:
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
     _certificates("ca", tls.ca)
     own = _certificates("certificate", tls.certificate)[0]
     data = _content("key", tls.key)
@@ -122,6 +127,8 @@ def _check_files(tls: TlsConfig) -> None:
 
 def _certificates(name: str, file: str) -> list[x509.Certificate]:
     """Read certificates in PEM, at least one."""
+    from cryptography import x509
+
     try:
         return x509.load_pem_x509_certificates(_content(name, file))
     except ValueError:
