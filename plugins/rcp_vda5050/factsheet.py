@@ -19,6 +19,7 @@ _OWN_NEWER: Mapping[str, tuple[str, ...]] = {
     **_OWN, "enableZoneSet": ("zoneSetId",), "deleteZoneSet": ("zoneSetId",), "clearInstantActions": (),
     "clearZoneActions": (), "cancelOrder": ("orderId",),
 }  # fmt: skip
+_OPTIONAL_KEYS = "orderId", "zoneSetHash"
 _OPTIONAL = ("order.nodes.nodePosition.theta", "order.nodes.nodePosition.allowedDeviationXY")
 _INTERVAL = 0.1  # s between two states
 
@@ -59,6 +60,8 @@ _KINEMATICS = {"DIFF": "DIFFERENTIAL", "OMNI": "OMNIDIRECTIONAL", "THREEWHEEL": 
 def own_actions(config: RobotConfig) -> Mapping[str, tuple[str, ...]]:
     """Return the instant actions that every robot does, with the keys of their parameters."""
     own = _OWN_NEWER if config.version == "3.0" else _OWN
+    if config.downloads and "downloadZoneSet" not in config.actions:
+        own = {**own, "downloadZoneSet": ("zoneSetId", "zoneSetDownloadLink", "zoneSetHash")}
     if "enableMap" in config.actions:  # the robot has maps of its own
         return {name: keys for name, keys in own.items() if name != "enableMap"}
     return own
@@ -137,7 +140,7 @@ def _offered(
             {
                 "key": key,
                 "valueDataType": "STRING" if own else "OBJECT",
-                "isOptional": not own or key == "orderId",
+                "isOptional": not own or key in _OPTIONAL_KEYS,
             }
             for key in parameters
         ],

@@ -109,6 +109,10 @@ class Work:
 
     def order(self, order: Order, here: tuple[float, float] | None) -> None:
         """Take an order or an update of it."""
+        named = (("orderId", order.order_id), ("orderUpdateId", str(order.order_update_id)))
+        if (fault := self.zones.sets.fault(*named)) is not None:
+            self.refuse(fault)
+            return
         fresh = order.order_id != self.book.order_id
         known = frozenset[str]() if fresh else frozenset(self.states)
         try:
@@ -118,7 +122,6 @@ class Work:
             return
         if actions is None:
             if self._config.version == "3.0":
-                named = (("orderId", order.order_id), ("orderUpdateId", str(order.order_update_id)))
                 self.refuse(Fault("same_update", "this update was accepted already", named))
             return
         self.refusals.clear()
