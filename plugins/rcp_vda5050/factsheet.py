@@ -19,6 +19,8 @@ _OWN_NEWER: Mapping[str, tuple[str, ...]] = {
     **_OWN, "enableZoneSet": ("zoneSetId",), "deleteZoneSet": ("zoneSetId",), "clearInstantActions": (),
     "clearZoneActions": (), "cancelOrder": ("orderId",),
 }  # fmt: skip
+_AT_NODES = "enableMap", "enableZoneSet"
+"""Those that are actions of nodes too: behind a lift another map or zone set holds."""
 _OPTIONAL_KEYS = "orderId", "zoneSetHash"
 _OPTIONAL = ("order.nodes.nodePosition.theta", "order.nodes.nodePosition.allowedDeviationXY")
 _INTERVAL = 0.1  # s between two states
@@ -109,7 +111,7 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
             ],
             words.actions: [
                 *(
-                    _offered(name, "", ("INSTANT",), keys, own=True, newer=newer)
+                    _offered(name, "", _scopes(name), keys, own=True, newer=newer)
                     for name, keys in own_actions(config).items()
                 ),
                 *(
@@ -121,6 +123,10 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
         words.geometry: {},
         "loadSpecification": {},
     }
+
+
+def _scopes(name: str) -> tuple[str, ...]:
+    return ("INSTANT", "NODE") if name in _AT_NODES else ("INSTANT",)
 
 
 def _offered(

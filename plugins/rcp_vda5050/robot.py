@@ -16,7 +16,7 @@ from rcp_vda5050.factsheet import factsheet, own_actions
 from rcp_vda5050.faults import Fault
 from rcp_vda5050.link import Link, NotStoppedError
 from rcp_vda5050.messages import Action, Addressed, InstantActions, Order
-from rcp_vda5050.performer import ENDED, ActionState
+from rcp_vda5050.performer import ENDED, ActionState, Own
 from rcp_vda5050.states import Headers, Senses, connection, state, visualization
 from rcp_vda5050.work import Work
 from rcp_vda5050.zone_intake import Fetch, ZoneIntake
@@ -58,7 +58,10 @@ class Robot:
             _ESTOP: self._estop,
         }
         self._link = Link(config, client_api, tuple(self._handlers), self._sensed)
-        self.work = Work(config, self._link, self.changed)
+        own: Own = {"enableMap": self._enable_map}
+        if config.version == "3.0":
+            own = {**own, "enableZoneSet": self._enable_zone_set}
+        self.work = Work(config, self._link, own, self.changed)
         store = ZoneStore(shelf, config, self.changed)
         self._intake = ZoneIntake(config.map, self.work, store, fetch, self.changed)
         self._due = asyncio.Event()
@@ -193,9 +196,9 @@ class Robot:
             case "factsheetRequest":
                 self._publish("factsheet", factsheet(self._config))
             case "enableMap":
-                reason = self._enable_map(action)
+                reason = await self._enable_map(action)
             case "enableZoneSet":
-                reason = await self._intake.enable(action.parameter("zoneSetId"))
+                reason = await self._enable_zone_set(action)
             case "downloadZoneSet":
                 reason = await self._intake.download(action)
             case "deleteZoneSet":
@@ -218,7 +221,11 @@ class Robot:
             mark.status = "FINISHED"
         self.changed()
 
-    def _enable_map(self, action: Action) -> str | None:
+    async def _enable_zone_set(self, action: Action) -> str | None:
+        """Put a zone set in force; return why not."""
+        return await self._intake.enable(action.parameter("zoneSetId"))
+
+    async def _enable_map(self, action: Action) -> str | None:
         """Tell why a map cannot be enabled; the configured one is."""
         asked = (action.parameter("mapId"), action.parameter("mapVersion"))
         there = (self._config.map, self._config.map_version)

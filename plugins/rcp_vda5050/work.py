@@ -15,7 +15,7 @@ from rcp_vda5050.faults import Fault, OrderRefused
 from rcp_vda5050.link import Link, NotStoppedError, Running
 from rcp_vda5050.messages import Action, Order
 from rcp_vda5050.orders import Leg, OrderBook
-from rcp_vda5050.performer import ENDED, ActionState, Performer
+from rcp_vda5050.performer import ENDED, ActionState, Own, Performer
 from rcp_vda5050.zone_actions import ZoneActions
 from rcp_vda5050.zone_messages import Zone
 from rcp_vda5050.zones import Zones
@@ -37,15 +37,21 @@ _GO_ON = "Send stopPause to go on, or cancelOrder."
 class Work:
     """The order of one robot, and its actions; `changed` is called with each change."""
 
-    def __init__(self, config: RobotConfig, link: Link, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, config: RobotConfig, link: Link, own: Own, changed: Callable[[], None]
+    ) -> None:
         self._config, self._link, self._changed = config, link, changed
         self._resumed = asyncio.Event()
         self._resumed.set()
-        self.performer = Performer(config, link, self._resumed, changed, self._failed)
+        self.performer = Performer(config, link, own, self._resumed, changed, self._failed)
         self.zones = Zones(config.radius, self, changed)
         self.zone_actions = ZoneActions(self.performer, self._zone_actions_done)
         self.book = OrderBook(
-            config.map, config.start_range, self.performer.why_not, self.zones.blocking
+            config.map,
+            config.start_range,
+            self.performer.why_not,
+            self.zones.blocking,
+            self.performer.why_not_at_node,
         )
         self.states: dict[str, ActionState] = {}
         self.instant: dict[str, ActionState] = {}
